@@ -1,0 +1,44 @@
+"""NumPy arrays or torch tensors in, the same kind out; float64 throughout."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+import torch
+
+Array = torch.Tensor | np.ndarray
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | None = None) -> torch.Tensor:
+    """A float64 tensor of `values`, on the device of `like` where one is given; a float64 tensor is returned as it is."""
+    device = None if like is None else like.device
+    return torch.as_tensor(values, dtype=torch.float64, device=device)
+
+
+def _to_numpy(value: Any) -> Any:
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu().numpy()
+    if isinstance(value, tuple):
+        return tuple(_to_numpy(item) for item in value)
+    return value
+
+
+def array_function(function: Callable[P, T]) -> Callable[P, T]:
+    """Let a function written for float64 tensors take NumPy arrays too, and answer in the kind it was asked in.
+
+    Positional arrays and sequences are converted. Tensors come back as NumPy arrays unless an argument was a tensor.
+    """
+
+    @functools.wraps(function)
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
+        if any(isinstance(a, torch.Tensor) for a in args):
+            converted = [a.to(torch.float64) if isinstance(a, torch.Tensor) and a.is_floating_point() else a for a in args]
+            return function(*converted, **kwargs)  # type: ignore[arg-type]
+        converted = [as_tensor(a) if isinstance(a, np.ndarray | list | tuple) else a for a in args]
+        return _to_numpy(function(*converted, **kwargs))  # type: ignore[arg-type]
+
+    return wrapper

@@ -1,0 +1,146 @@
+"""The contract of every camera model: a pair of functions between pixels and unit bearings.
+
+Pixels are (u right, v down) with the centre of the first pixel at (0, 0). The camera frame is x right, y down, z forward;
+the angle off axis is theta = atan2(hypot(x, y), z) in [0, pi].
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, overload
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models._arrays import Array, array_function, as_tensor
+from camera_models.errors import InputError
+
+
+class CameraModel(ABC):
+    """A central camera. Immutable; `with_parameters` makes a neighbour with another parameter vector.
+
+    `parameters` (p,) may require gradients: `project` and `unproject` are differentiable in it and in their argument.
+    """
+
+    NAME: ClassVar[str]
+    PARAMETER_NAMES: tuple[str, ...]
+
+    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
+        self.parameters: Tensor = as_tensor(parameters)
+        self.image_size = (int(image_size[0]), int(image_size[1]))
+        if self.parameters.shape != (len(self.PARAMETER_NAMES),):
+            raise InputError(
+                f"Camera model {self.NAME} expects the {len(self.PARAMETER_NAMES)} parameters "
+                f"{' '.join(self.PARAMETER_NAMES)}, found {tuple(self.parameters.shape)}; give one number for each."
+            )
+
+    @classmethod
+    @abstractmethod
+    def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "CameraModel":
+        """The model of named parameters as `calibration.yaml` holds them; raises InputError on a missing or unknown name."""
+
+    @classmethod
+    @abstractmethod
+    def from_radial_curve(
+        cls,
+        rho_px: Float[Tensor, " n"],
+        theta: Float[Tensor, " n"],
+        centre: Float[Tensor, "2"],
+        image_size: tuple[int, int],
+        mirror: bool = False,
+        **options: Any,
+    ) -> "CameraModel":
+        """The model nearest to samples of a radial curve: the start of a calibration.
+
+        `rho_px` is the distance from the centre in the image, `theta` the angle in [0, pi] from the bearing of the centre pixel.
+        """
+
+    @classmethod
+    @abstractmethod
+    def examples(cls) -> "Sequence[CameraModel]":
+        """Realistic instances, looped over by the law suite."""
+
+    @abstractmethod
+    def _project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """`project` on tensors."""
+
+    @abstractmethod
+    def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """`unproject` on tensors."""
+
+    @abstractmethod
+    def project_with_jacobians(
+        self, points: Float[Tensor, "*batch 3"]
+    ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
+        """Pixels, valid, d pixel / d point and d pixel / d parameters, analytic. Jacobians are zero where invalid."""
+
+    @property
+    @abstractmethod
+    def max_angle(self) -> float:
+        """The angle (rad) from the bearing of the centre pixel up to which the model is one-to-one; it decides `valid`."""
+
+    @property
+    @abstractmethod
+    def centre_px(self) -> Float[Tensor, "2"]:
+        """The pixel on the optical axis."""
+
+    @overload
+    def project(self, points: Tensor) -> tuple[Tensor, Tensor]: ...
+
+    @overload
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+
+    @array_function
+    def project(self, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Pixels of points (or bearings, of any positive scale) in the camera frame, and where that is defined.
+
+        `valid` is false beyond `max_angle` and at the camera centre; the pixel there is finite and means nothing.
+        """
+        return self._project(points)  # type: ignore[arg-type]
+
+    @overload
+    def unproject(self, pixels: Tensor) -> tuple[Tensor, Tensor]: ...
+
+    @overload
+    def unproject(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+
+    @array_function
+    def unproject(self, pixels: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
+        """Unit bearings of pixels, and where that is defined; elsewhere the bearing is a unit vector that means nothing."""
+        return self._unproject(pixels)  # type: ignore[arg-type]
+
+    def unproject_jacobian(self, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3 2"]:
+        """d bearing / d pixel, by the inverse-function theorem from the Jacobian of `project` on the tangent plane."""
+        bearing, _ = self._unproject(pixels)
+        _, _, by_point, _ = self.project_with_jacobians(bearing)
+        # Tangent basis B (3x2) of the sphere at the bearing: d pixel = (J B) d tangent.
+        helper = torch.nn.functional.one_hot(bearing.abs().argmin(-1), 3).to(bearing.dtype)
+        first = torch.linalg.cross(bearing, helper)
+        first = first / first.norm(dim=-1, keepdim=True)
+        basis = torch.stack([first, torch.linalg.cross(bearing, first)], -1)
+        return basis @ torch.linalg.pinv(by_point @ basis)
+
+    def calibration_basis(self) -> Float[Tensor, "p q"]:
+        """Directions of the parameter vector that a calibration with free poses can estimate; the default is all of them."""
+        return torch.eye(len(self.PARAMETER_NAMES), dtype=torch.float64)
+
+    def with_parameters(self, parameters: Array | Sequence[float | int]) -> "CameraModel":
+        """The same model and image with another parameter vector."""
+        return type(self)(parameters, self.image_size)
+
+    def named_parameters(self) -> dict[str, float]:
+        """Parameter names and values in their order."""
+        return dict(zip(self.PARAMETER_NAMES, self.parameters.detach().tolist(), strict=True))
+
+    @cached_property
+    def image_radius_px(self) -> float:
+        """Distance from the centre pixel to the farthest image corner."""
+        w, h = self.image_size
+        cx, cy = self.centre_px.detach().tolist()
+        return float(max((x - cx) ** 2 + (y - cy) ** 2 for x in (-0.5, w - 0.5) for y in (-0.5, h - 0.5)) ** 0.5)
+
+    def __repr__(self) -> str:
+        values = " ".join(f"{name}={value:.9g}" for name, value in self.named_parameters().items())
+        return f"{type(self).__name__}({values}, image_size={self.image_size})"

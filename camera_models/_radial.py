@@ -1,0 +1,94 @@
+"""Monotone radial functions: valid domain of a polynomial, safeguarded Newton inverse, smooth functions of the off-axis angle."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models.errors import InputError
+
+SMALL_SLOPE = 1e-7
+"""tan(theta) below which theta / s is taken from its series; the error of the series is O(SMALL_SLOPE^4)."""
+
+
+def first_sign_change(coefficients: Float[np.ndarray, " k"], scale: float) -> float:
+    """The smallest x > 0 at which the polynomial sum c_i x^i, positive at 0, turns negative; inf where it never does.
+
+    `scale` is the size of the x of interest: roots are sought in x / scale, where the coefficients are comparable.
+    """
+    scaled = np.asarray(coefficients, dtype=float) * scale ** np.arange(len(coefficients))
+    if not np.all(np.isfinite(scaled)):
+        return 0.0
+    roots = np.roots(np.trim_zeros(scaled, "b")[::-1])
+    # A double root that touches zero splits into a near-real pair; it counts only if the sign really changes behind it.
+    real = np.sort(roots.real[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 0)])
+    for low, high in zip(real, [*real[1:], *(2 * real[-1:])], strict=True):
+        if np.polynomial.polynomial.polyval(0.5 * (low + high), scaled) < 0:
+            return float(low) * scale
+    return float("inf")
+
+
+def invert_monotone(
+    function: Callable[[Tensor], tuple[Tensor, Tensor]],
+    target: Float[Tensor, "*batch"],
+    upper: float,
+    start: Float[Tensor, "*batch"],
+) -> Float[Tensor, "*batch"]:
+    """x in [0, upper] with f(x) = target, f increasing there; targets outside f([0, upper]) give the nearer end.
+
+    Newton's step where it stays inside the bracket, bisection where it does not. `function` returns f and f'.
+    """
+    low, high = torch.zeros_like(target), torch.full_like(target, upper)
+    x = start.clamp(0.0, upper)
+    for _ in range(100):
+        value, slope = function(x)
+        error = value - target
+        low, high = torch.where(error <= 0, x, low), torch.where(error >= 0, x, high)
+        newton = x - error / slope
+        inside = (newton >= low) & (newton <= high) & (slope > 0)
+        step_to = torch.where(inside, newton, 0.5 * (low + high))
+        moved = (step_to - x).abs()
+        x = step_to
+        if not bool((moved > 4e-16 * upper).any()):
+            break
+    return x
+
+
+def axis_distance(points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    """(s2, s, near): squared and plain distance from the z axis, and whether the point is so near the +z axis that
+    series in s2 / z^2 are exact. Where near, s is a constant 1, so that no gradient of sqrt at 0 arises."""
+    s2 = (points[..., :2] ** 2).sum(-1)
+    z = points[..., 2]
+    near = (z > 0) & (s2 < (SMALL_SLOPE * z) ** 2)
+    s = torch.where(near | (s2 == 0), torch.ones_like(s2), s2).sqrt()
+    return s2, s, near
+
+
+def angle_over_distance(points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
+    """theta and theta / s with theta = atan2(s, z), s = hypot(x, y); smooth on the +z axis, finite on the -z axis."""
+    s2, s, near = axis_distance(points)
+    z = points[..., 2]
+    z_near = torch.where(near, z, torch.ones_like(z))
+    ratio = torch.where(near, (1 - s2 / (3 * z_near**2)) / z_near, torch.atan2(s, z) / s)
+    theta = torch.where(near, ratio * s2.detach().sqrt(), torch.atan2(torch.where(s2 == 0, s2, s), z))
+    return theta, ratio
+
+
+def named_vector(names: Sequence[str], parameters: Mapping[str, float], model: str, optional: Sequence[str] = ()) -> list[float]:
+    """The values of `names` in order; `optional` ones may be absent and are zero. Raises InputError on any other mismatch."""
+    unknown = [name for name in parameters if name not in names]
+    missing = [name for name in names if name not in parameters and name not in optional]
+    if unknown or missing:
+        problem = f"found unknown {' '.join(unknown)}" if unknown else f"{' '.join(missing)} missing"
+        raise InputError(f"Camera model {model} expects the parameters {' '.join(names)}, {problem}; correct the names.")
+    return [float(parameters.get(name, 0.0)) for name in names]
+
+
+def horner(coefficients: Sequence[Tensor] | Tensor, x: Tensor) -> Tensor:
+    """sum c_i x^i, lowest first."""
+    total = torch.zeros_like(x)
+    for c in reversed(list(coefficients)):
+        total = total * x + c
+    return total

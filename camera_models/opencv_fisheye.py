@@ -1,0 +1,151 @@
+"""Kannala-Brandt fisheye camera, as OpenCV's `fisheye` module parametrises it, but also beyond 90 degrees off axis.
+
+    theta = atan2(hypot(x, y), z),  r = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
+    u = fx r x / hypot(x, y) + cx,  v = fy r y / hypot(x, y) + cy
+
+J. Kannala and S. Brandt, A generic camera model and calibration method for conventional, wide-angle and fish-eye lenses,
+PAMI 2006. Valid up to the first angle at which r stops growing, at most pi.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models._model import CameraModel
+from camera_models._radial import angle_over_distance, axis_distance, first_sign_change, horner, invert_monotone, named_vector
+from camera_models.errors import InputError
+
+
+class OpenCVFisheye(CameraModel):
+    """u = fx r(theta) cos(phi) + cx, v = fy r(theta) sin(phi) + cy with r an odd polynomial of degree 9."""
+
+    NAME = "opencv-fisheye"
+    PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
+
+    @classmethod
+    def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "OpenCVFisheye":
+        """The model of named parameters; k1 to k4 may be left out."""
+        return cls(named_vector(cls.PARAMETER_NAMES, parameters, cls.NAME, optional=("k1", "k2", "k3", "k4")), image_size)
+
+    @classmethod
+    def from_radial_curve(
+        cls,
+        rho_px: Float[Tensor, " n"],
+        theta: Float[Tensor, " n"],
+        centre: Float[Tensor, "2"],
+        image_size: tuple[int, int],
+        mirror: bool = False,
+        **options: Any,
+    ) -> "OpenCVFisheye":
+        """Least squares for f and f k_i, of as high a degree as keeps the curve growing over the samples."""
+        if mirror:
+            raise InputError(
+                "Camera model opencv-fisheye expects a lens that looks along +z, found --mirror; use --model scaramuzza."
+            )
+        top = float(theta.max())
+        for terms in (5, 4, 3, 2, 1):
+            powers = theta[:, None] ** (2 * torch.arange(terms, dtype=theta.dtype) + 1)
+            scale = powers.norm(dim=0)
+            solution = torch.linalg.lstsq(powers / scale, rho_px[:, None]).solution[:, 0] / scale
+            f = float(solution[0])
+            if f > 0:
+                k = [*(solution[1:] / f).tolist(), 0.0, 0.0, 0.0, 0.0][:4]
+                model = cls([f, f, *centre.tolist(), *k], image_size)
+                if model.max_angle > 1.02 * top:
+                    return model
+        f = float((rho_px * theta).sum() / (theta * theta).sum())
+        return cls([f, f, *centre.tolist(), 0.0, 0.0, 0.0, 0.0], image_size)
+
+    @classmethod
+    def examples(cls) -> Sequence["OpenCVFisheye"]:
+        """A 190 degree lens, a 220 degree lens, a phone add-on whose curve turns over, and an ideal equidistant lens."""
+        return (
+            cls([320.0, 321.0, 639.5, 479.5, -0.012, 0.004, -0.002, 0.0002], (1280, 960)),
+            cls([285.0, 286.0, 642.1, 398.7, 0.01, -0.006, 0.0015, -0.0002], (1280, 800)),
+            cls([700.0, 698.0, 950.0, 545.0, -0.05, -0.01, 0.0, 0.0], (1920, 1080)),
+            cls([400.0, 400.0, 500.0, 500.0, 0.0, 0.0, 0.0, 0.0], (1001, 1001)),
+        )
+
+    @cached_property
+    def max_angle(self) -> float:
+        """First theta with dr / dtheta = 0, or pi."""
+        k = self.parameters.detach()[4:].tolist()
+        slope = np.array([1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])
+        return math.sqrt(min(first_sign_change(slope, 1.0), math.pi**2))
+
+    @property
+    def centre_px(self) -> Float[Tensor, "2"]:
+        """Principal point (cx, cy)."""
+        return self.parameters[2:4]
+
+    def _curve(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """r and dr / dtheta."""
+        k = self.parameters[4:]
+        t2 = theta * theta
+        one = torch.ones((), dtype=theta.dtype, device=theta.device)
+        return theta * horner([one, *k], t2), horner([one, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]], t2)
+
+    def _clamped(self, theta: Tensor, ratio: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        valid = theta < self.max_angle if self.max_angle >= math.pi else theta <= self.max_angle
+        used = torch.where(valid, theta, torch.full_like(theta, self.max_angle))
+        return used, torch.where(valid, ratio, used * ratio / theta.clamp_min(1e-300)), valid
+
+    def _project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        theta, ratio = angle_over_distance(points)
+        theta, ratio, valid = self._clamped(theta, ratio)
+        s2 = (points[..., :2] ** 2).sum(-1)
+        # theta^2 = ratio^2 s2 keeps the gradient on the axis; beyond max_angle the clamped angle is a constant.
+        t2 = torch.where(valid, ratio**2 * s2, theta * theta)
+        scale = ratio * horner([t2.new_ones(()), *self.parameters[4:]], t2)
+        pixels = self.parameters[:2] * points[..., :2] * scale[..., None] + self.parameters[2:4]
+        return pixels, valid & (points.abs().sum(-1) > 0)
+
+    def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        plane = (pixels - self.parameters[2:4]) / self.parameters[:2]
+        r2 = (plane**2).sum(-1)
+        zero = r2 == 0
+        r = torch.where(zero, torch.ones_like(r2), r2).sqrt()
+        radius = torch.where(zero, torch.zeros_like(r), r)
+        with torch.no_grad():
+            theta = invert_monotone(self._curve, radius, self.max_angle, radius)
+            limit, _ = self._curve(torch.tensor(self.max_angle, dtype=r.dtype, device=r.device))
+        # One more Newton step with gradients: the implicit-function theorem, exact at the solution.
+        value, slope = self._curve(theta)
+        valid = (radius <= limit) if self.max_angle < math.pi else (radius < limit)
+        # At the rim the slope is zero: there the solution itself is kept and carries no gradient.
+        step = torch.where(valid & (slope > 1e-12), (value - radius) / slope.detach().clamp_min(1e-12), torch.zeros_like(value))
+        theta = theta - step
+        sin_over_r = torch.where(zero, torch.ones_like(r), torch.sin(theta) / r)
+        bearings = torch.cat([plane * sin_over_r[..., None], torch.cos(theta)[..., None]], -1)
+        return bearings, valid
+
+    def project_with_jacobians(
+        self, points: Float[Tensor, "*batch 3"]
+    ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
+        """With g = r / s: d g / d s = (r' z / n^2 - g) / s and d g / d z = -r' / n^2, n = |point|."""
+        theta, ratio = angle_over_distance(points)
+        theta, ratio, valid = self._clamped(theta, ratio)
+        valid = valid & (points.abs().sum(-1) > 0)
+        f, m, z = self.parameters[:2], points[..., :2], points[..., 2]
+        s2, _, _ = axis_distance(points)
+        _, slope = self._curve(theta)
+        powers = (theta * theta)[..., None] ** torch.arange(5, device=points.device)
+        g = ratio * (powers[..., 1:] @ self.parameters[4:] + 1)
+        n2 = (s2 + z * z).clamp_min(1e-300)
+        by_s_over_s = torch.where(s2 > 0, (slope * z / n2 - g) / s2.clamp_min(1e-300), torch.zeros_like(s2))
+        eye = torch.eye(2, dtype=points.dtype, device=points.device)
+        by_m = g[..., None, None] * eye + m[..., :, None] * m[..., None, :] * by_s_over_s[..., None, None]
+        by_z = -m * (slope / n2)[..., None]
+        by_point = f[:, None] * torch.cat([by_m, by_z[..., None]], -1)
+        by_focal = torch.diag_embed(m * g[..., None])
+        by_k = (f * m * ratio[..., None])[..., None] * powers[..., None, 1:]
+        by_parameter = torch.cat([by_focal, eye.expand_as(by_focal), by_k], -1)
+        keep = valid[..., None, None]
+        pixels = f * m * g[..., None] + self.parameters[2:4]
+        return pixels, valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)

@@ -1,0 +1,140 @@
+"""Rigid motions SE(3), batched. `a_from_b @ b_from_c` is `a_from_c`."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models._arrays import Array, as_tensor
+
+
+def hat(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The matrix [v]x with [v]x w = v x w."""
+    x, y, z = v.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+
+
+def rotation_from_vector(w: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """exp([w]x): the rotation by |w| radians about w."""
+    return torch.linalg.matrix_exp(hat(w))
+
+
+def quaternion_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+    """Unit quaternion (w, x, y, z), Hamilton, w >= 0. Stable at every angle: the largest of four equivalent forms is taken."""
+    m = rotation
+    trace = m.diagonal(dim1=-2, dim2=-1).sum(-1)
+    d = m.diagonal(dim1=-2, dim2=-1)
+    anti = torch.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1)
+    symmetric = m + m.mT
+    # Row k holds 4 q_k q for k = w, x, y, z.
+    rows = torch.cat(
+        [
+            torch.cat([(1 + trace)[..., None], anti], -1)[..., None, :],
+            torch.cat(
+                [
+                    anti[..., :, None],
+                    symmetric - torch.diag_embed(2 * d) + torch.diag_embed(1 + 2 * d - trace[..., None]),
+                ],
+                -1,
+            ),
+        ],
+        -2,
+    )
+    best = torch.argmax(rows.diagonal(dim1=-2, dim2=-1), -1)
+    row = torch.take_along_dim(rows, best[..., None, None].expand(*best.shape, 1, 4), -2).squeeze(-2)
+    q = row / row.norm(dim=-1, keepdim=True)
+    return torch.where(q[..., :1] < 0, -q, q)
+
+
+def rotation_from_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrix of a quaternion (w, x, y, z), which is normalised first."""
+    q = quaternion / quaternion.norm(dim=-1, keepdim=True)
+    w, v = q[..., 0, None, None], q[..., 1:]
+    eye = torch.eye(3, dtype=q.dtype, device=q.device)
+    return eye * (2 * w * w - 1) + 2 * v[..., :, None] * v[..., None, :] + 2 * w * hat(v)
+
+
+def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """The rotation vector w, |w| <= pi, with exp([w]x) the rotation."""
+    q = quaternion_from_rotation(rotation)
+    w, v = q[..., :1], q[..., 1:]
+    s = v.norm(dim=-1, keepdim=True)
+    scale = torch.where(s < 1e-12, 2.0 / w.clamp_min(1e-300), 2.0 * torch.atan2(s, w) / s.clamp_min(1e-300))
+    return scale * v
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One rigid motion or a batch of them: X_a = rotation X_b + translation, translation in metres."""
+
+    rotation: Float[Tensor, "*batch 3 3"]
+    translation: Float[Tensor, "*batch 3"]
+
+    @staticmethod
+    def of(rotation: Array | list[Any], translation: Array | list[Any]) -> "Pose":
+        """A pose from arrays of any kind."""
+        r = as_tensor(rotation)
+        return Pose(r, as_tensor(translation, like=r))
+
+    @staticmethod
+    def identity(*batch: int) -> "Pose":
+        """Identity poses of the given batch shape."""
+        return Pose(torch.eye(3, dtype=torch.float64).expand(*batch, 3, 3).clone(), torch.zeros(*batch, 3, dtype=torch.float64))
+
+    @staticmethod
+    def exp(delta: Float[Tensor, "*batch 6"]) -> "Pose":
+        """Exponential of a twist delta = (rotation_rad, translation_m); exp(delta) @ T is the left perturbation of T."""
+        twist = torch.zeros(*delta.shape[:-1], 4, 4, dtype=delta.dtype, device=delta.device)
+        twist[..., :3, :3] = hat(delta[..., :3])
+        twist[..., :3, 3] = delta[..., 3:]
+        motion = torch.linalg.matrix_exp(twist)
+        return Pose(motion[..., :3, :3], motion[..., :3, 3])
+
+    def log(self) -> Float[Tensor, "*batch 6"]:
+        """The twist with exp(twist) this pose; rotation angle at most pi."""
+        w = vector_from_rotation(self.rotation)
+        angle2 = (w * w).sum(-1)[..., None, None]
+        small = angle2 < 1e-6
+        safe = torch.where(small, torch.ones_like(angle2), angle2)
+        angle = safe.sqrt()
+        # Inverse of the left Jacobian: I - [w]x / 2 + c [w]x^2, c = (1 - (a/2) cot(a/2)) / a^2.
+        c = torch.where(small, 1 / 12 + angle2 / 720, (1 - 0.5 * angle / torch.tan(0.5 * angle)) / safe)
+        h = hat(w)
+        inverse = torch.eye(3, dtype=w.dtype, device=w.device) - 0.5 * h + c * (h @ h)
+        return torch.cat([w, (inverse @ self.translation[..., None]).squeeze(-1)], -1)
+
+    def __matmul__(self, other: "Pose") -> "Pose":
+        return Pose(self.rotation @ other.rotation, self.transform(other.translation[..., None, :]).squeeze(-2))
+
+    def inverse(self) -> "Pose":
+        """b_from_a of a_from_b."""
+        r = self.rotation.mT
+        return Pose(r, -(r @ self.translation[..., None]).squeeze(-1))
+
+    def transform(self, points: Float[Tensor, "*points_batch n 3"]) -> Float[Tensor, "*out_batch n 3"]:
+        """The points (a set of n per pose) in the frame on the left."""
+        return points @ self.rotation.mT + self.translation[..., None, :]
+
+    @property
+    def centre(self) -> Float[Tensor, "*batch 3"]:
+        """Origin of the left frame in the right one: the camera centre C of a `cam_from_world`, t = -R C."""
+        return -(self.rotation.mT @ self.translation[..., None]).squeeze(-1)
+
+    @property
+    def quaternion(self) -> Float[Tensor, "*batch 4"]:
+        """Unit quaternion (w, x, y, z) of the rotation, w >= 0."""
+        return quaternion_from_rotation(self.rotation)
+
+    def __getitem__(self, index: Any) -> "Pose":
+        return Pose(self.rotation[index], self.translation[index])
+
+    def __len__(self) -> int:
+        return self.rotation.shape[0]
+
+    @staticmethod
+    def stack(poses: "list[Pose]") -> "Pose":
+        """A batch of single poses."""
+        return Pose(torch.stack([p.rotation for p in poses]), torch.stack([p.translation for p in poses]))

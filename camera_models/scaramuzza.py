@@ -1,0 +1,214 @@
+"""Scaramuzza's omnidirectional camera (OCamCalib), in the frame of this project.
+
+    u - cx = x + e y,  v - cy = d x + c y,  rho = hypot(x, y),  bearing ~ (x, y, f(rho))
+    f(rho) = a0 + a2 rho^2 + a3 rho^3 + ...   (a1 = 0; all in pixels)
+
+D. Scaramuzza, A. Martinelli, R. Siegwart, A flexible technique for accurate omnidirectional camera calibration and structure
+from motion, ICVS 2006. a0 > 0 for a camera that looks along +z, a0 < 0 for a mirror that looks along -z. OCamCalib's
+coefficients have the opposite sign, its x is the row. Projection solves the polynomial to full accuracy.
+Valid up to the radius at which theta(rho) stops growing, and at most RADIUS_LIMIT image radii.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models._arrays import Array, as_tensor
+from camera_models._model import CameraModel
+from camera_models._radial import SMALL_SLOPE, first_sign_change, horner, invert_monotone, named_vector
+from camera_models.errors import InputError
+
+RADIUS_LIMIT = 4.0
+"""The polynomial says nothing far outside the image: the domain ends at this many times the farthest image corner."""
+
+
+class Scaramuzza(CameraModel):
+    """Polynomial of any degree >= 2 with centre and affine matrix; parameters cx cy c d e a0 a2 a3 ... a_degree."""
+
+    NAME = "scaramuzza"
+
+    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
+        self.parameters = as_tensor(parameters)
+        if self.parameters.ndim != 1 or len(self.parameters) < 7:
+            raise InputError(
+                f"Camera model scaramuzza expects cx cy c d e a0 a2 and possibly a3 a4 ..., found {len(self.parameters)} "
+                "numbers; give at least 7."
+            )
+        self.degree = len(self.parameters) - 5
+        self.PARAMETER_NAMES = names_of_degree(self.degree)
+        super().__init__(self.parameters, image_size)
+        c, d, e, *a = self.parameters[2:]
+        one, zero = torch.ones_like(c), torch.zeros_like(c)
+        # Made here, not on first use: that may lie inside a `no_grad` block and would then cut the gradients for good.
+        self._affine = torch.stack([torch.stack([one, e]), torch.stack([d, c])])
+        self._coefficients = [a[0], zero, *a[1:]]
+        self._numbers = torch.stack([part.detach() for part in self._coefficients]).cpu().numpy()
+
+    @classmethod
+    def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "Scaramuzza":
+        """The model of named parameters; the highest a_k present sets the degree, c d e default to 1 0 0, a_k between to 0."""
+        orders = [int(name[1:]) for name in parameters if name[:1] == "a" and name[1:].isdigit()]
+        names = names_of_degree(max([2, *orders]))
+        values = {"c": 1.0, **parameters}
+        optional = ("c", "d", "e", *names[6:])
+        return cls(named_vector(names, values, cls.NAME, optional), image_size)
+
+    @classmethod
+    def from_radial_curve(
+        cls,
+        rho_px: Float[Tensor, " n"],
+        theta: Float[Tensor, " n"],
+        centre: Float[Tensor, "2"],
+        image_size: tuple[int, int],
+        mirror: bool = False,
+        degree: int = 4,
+        **options: Any,
+    ) -> "Scaramuzza":
+        """Least squares for f(rho) sin(theta) = rho cos(theta), of as high a degree as keeps theta growing over the samples."""
+        scale, top = float(rho_px.max()), float(rho_px.max())
+        sign = -1.0 if mirror else 1.0
+        for order in range(degree, 1, -1):
+            powers = (rho_px / scale)[:, None] ** torch.tensor([0, *range(2, order + 1)], dtype=theta.dtype)
+            weights = torch.sin(theta)[:, None]
+            a = torch.linalg.lstsq(powers * weights, (rho_px * torch.cos(theta))[:, None]).solution[:, 0]
+            a = a / torch.tensor([scale**k for k in (0, *range(2, order + 1))], dtype=a.dtype)
+            padded = torch.cat([a, torch.zeros(degree - order, dtype=a.dtype)])
+            model = cls(torch.cat([centre, torch.tensor([1.0, 0.0, 0.0], dtype=a.dtype), sign * padded]), image_size)
+            if float(a[0]) > 0 and model.max_radius_px > 1.02 * top:
+                return model
+        a0 = float((rho_px * torch.cos(theta) * torch.sin(theta)).sum() / (torch.sin(theta) ** 2).sum())
+        return cls([*centre.tolist(), 1.0, 0.0, 0.0, sign * (abs(a0) or scale), *([0.0] * (degree - 1))], image_size)
+
+    @classmethod
+    def examples(cls) -> Sequence["Scaramuzza"]:
+        """A 190 degree lens, a 220 degree lens with a slanted chip, a mirror camera, and degrees 2 and 6."""
+        return (
+            cls([543.8, 377.8, 0.9989, 0.0003, -0.0004, 338.4, -1.2e-3, 1.27e-6, -2.85e-9], (1032, 778)),
+            cls([640.2, 480.7, 1.0004, 0.0021, -0.0017, 361.0, -1.55e-3, 5.0e-7, -1.9e-9], (1280, 960)),
+            cls([318.2, 241.5, 0.9997, 0.0001, 0.0002, -121.0, 2.4e-3, -1.0e-6, 2.0e-9], (640, 480)),
+            cls([400.0, 300.0, 1.0, 0.0, 0.0, 420.0, -6.0e-4], (801, 601)),
+            cls([639.5, 479.5, 1.0, 0.0, 0.0, 340.0, -1.1e-3, 2e-7, -4e-10, -1e-13, -1e-16], (1280, 960)),
+        )
+
+    def calibration_basis(self) -> Float[Tensor, "p q"]:
+        """All but the rotation about the axis, which free poses absorb: e = d, the symmetric affine form."""
+        p = len(self.PARAMETER_NAMES)
+        basis = torch.eye(p, dtype=torch.float64)
+        basis[4, 3] = 1.0
+        return basis[:, [i for i in range(p) if i != 4]]
+
+    @property
+    def centre_px(self) -> Float[Tensor, "2"]:
+        """(cx, cy), the image of the axis."""
+        return self.parameters[:2]
+
+    @property
+    def sign(self) -> float:
+        """+1 for a camera that looks along +z, -1 for a mirror (a0 < 0)."""
+        return 1.0 if self._numbers[0] >= 0 else -1.0
+
+    @cached_property
+    def max_radius_px(self) -> float:
+        """First rho with d theta / d rho = 0, that is f = rho f', or RADIUS_LIMIT image radii."""
+        a = self.sign * self._numbers
+        growth = a * (1 - np.arange(len(a)))
+        return min(first_sign_change(growth, self.image_radius_px), RADIUS_LIMIT * self.image_radius_px)
+
+    @cached_property
+    def max_angle(self) -> float:
+        """theta at `max_radius_px`, from the bearing of the centre pixel."""
+        rho = self.max_radius_px
+        return math.atan2(rho, self.sign * float(np.polynomial.polynomial.polyval(rho, self._numbers)))
+
+    def _height(self, rho: Tensor) -> tuple[Tensor, Tensor]:
+        """f and f'."""
+        slopes = [k * c for k, c in enumerate(self._coefficients)][1:]
+        return horner(self._coefficients, rho), horner(slopes, rho)
+
+    def _radius(self, sine: Tensor, cosine: Tensor) -> Tensor:
+        """rho of a ray at theta from the centre pixel's bearing, (sine, cosine) of any scale; the domain's end where beyond."""
+        sign = self.sign
+        target = torch.atan2(sine, cosine)
+
+        def angle(rho: Tensor) -> tuple[Tensor, Tensor]:
+            f, slope = self._height(rho)
+            return torch.atan2(rho, sign * f), sign * (f - rho * slope) / (rho * rho + f * f)
+
+        with torch.no_grad():
+            return invert_monotone(angle, target, self.max_radius_px, target * abs(self._numbers[0]))
+
+    def _solve(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """(rho, rho / s, valid, s2, near) of points, without gradients."""
+        with torch.no_grad():
+            s2, z = (points[..., :2] ** 2).sum(-1), self.sign * points[..., 2]
+            near = (z > 0) & (s2 < (SMALL_SLOPE * z) ** 2)
+            s = s2.sqrt()
+            rho = self._radius(s, z)
+            valid = (torch.atan2(s, z) <= self.max_angle) & ((s2 > 0) | (z > 0))
+            height = self.sign * self._height(rho)[0]
+            over = torch.where(near, height / torch.where(near, z, torch.ones_like(z)), rho / torch.where(s2 > 0, s, 1.0))
+        return rho, over, valid, s2, near
+
+    def _project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        rho, _, valid, _, near = self._solve(points)
+        s2 = (points[..., :2] ** 2).sum(-1)
+        z = points[..., 2]
+        s = torch.where(near | (s2 == 0), torch.ones_like(s2), s2).sqrt()
+        # One Newton step on h = rho z - s f(rho) with gradients: the implicit-function theorem, exact at the solution.
+        f, slope = self._height(rho)
+        steep = (z - s * slope).detach()
+        stepped = rho - (rho * z - s * f) / torch.where(steep == 0, torch.ones_like(steep), steep)
+        rho = torch.where(valid & ~near, stepped, rho)
+        over = torch.where(near, self._height(rho)[0] / torch.where(near, z, torch.ones_like(z)), rho / s)
+        pixels = (points[..., :2] * over[..., None]) @ self._affine.mT + self.parameters[:2]
+        return pixels, valid
+
+    def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        inverse = torch.linalg.inv(self._affine)
+        plane = (pixels - self.parameters[:2]) @ inverse.mT
+        rho2 = (plane**2).sum(-1)
+        zero = rho2 == 0
+        rho = torch.where(zero, torch.ones_like(rho2), rho2).sqrt()
+        rho = torch.where(zero, torch.zeros_like(rho), rho)
+        f, _ = self._height(rho)
+        ray = torch.cat([plane, f[..., None]], -1)
+        return ray / ray.norm(dim=-1, keepdim=True), rho <= self.max_radius_px
+
+    def project_with_jacobians(
+        self, points: Float[Tensor, "*batch 3"]
+    ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
+        """From h = rho z - s f(rho) = 0: d rho = (f ds - rho dz + s df) / (z - s f'); x = m rho / s, pixel = A x + c."""
+        rho, over, valid, s2, near = self._solve(points)
+        m, z, affine = points[..., :2], points[..., 2], self._affine
+        f, slope = self._height(rho)
+        s = s2.sqrt()
+        steep = z - s * slope
+        steep = torch.where(steep == 0, torch.ones_like(steep), steep)
+        # (d rho / d s - rho / s) / s, zero on the axis where m m' vanishes anyway.
+        by_s = torch.where(near | (s2 == 0), torch.zeros_like(s), (f / steep - over) / s2.clamp_min(1e-300))
+        eye = torch.eye(2, dtype=points.dtype, device=points.device)
+        by_m = over[..., None, None] * eye + m[..., :, None] * m[..., None, :] * by_s[..., None, None]
+        by_z = -m * (over / steep)[..., None]
+        by_point = affine @ torch.cat([by_m, by_z[..., None]], -1)
+        x = m * over[..., None]
+        orders = torch.tensor([0, *range(2, self.degree + 1)], device=points.device)
+        by_a = (m / steep[..., None])[..., None] * (rho[..., None] ** orders)[..., None, :]
+        zero = torch.zeros_like(x[..., 0])
+        # d pixel / d (c, d, e): c moves v by y, d moves v by x, e moves u by y.
+        by_u = torch.stack([zero, zero, x[..., 1]], -1)
+        by_v = torch.stack([x[..., 1], x[..., 0], zero], -1)
+        by_affine = torch.stack([by_u, by_v], -2)
+        by_parameter = torch.cat([eye.expand(*x.shape, 2), by_affine, affine @ by_a], -1)
+        keep = valid[..., None, None]
+        return x @ affine.mT + self.parameters[:2], valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
+
+
+def names_of_degree(degree: int) -> tuple[str, ...]:
+    """cx cy c d e a0 a2 a3 ... a_degree."""
+    return ("cx", "cy", "c", "d", "e", "a0", *(f"a{k}" for k in range(2, degree + 1)))

@@ -1,0 +1,25 @@
+"""Shapes and types of every signature are enforced while testing (jaxtyping with beartype)."""
+
+import os
+import pathlib
+
+import pytest
+import torch
+from jaxtyping import install_import_hook
+
+install_import_hook(["camera_models", "calib_patterns", "omnilines"], "beartype.beartype")
+
+# The workers of pytest-xdist share the cores: more threads than one each only get in each other's way.
+torch.set_num_threads(1)
+
+DATA = pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> pathlib.Path:
+    """The folder of real photos and corners; tests that need it skip where it is absent, but never in CI."""
+    if not DATA.is_dir():
+        if os.environ.get("CI"):
+            pytest.fail(f"CI must have the shared data beside the project, at {DATA}; it is absent.")
+        pytest.skip("the folder ../shared/data with real photos is absent")
+    return DATA

@@ -1,0 +1,299 @@
+"""The law suite: every registered camera model, every example, NumPy and torch, on both sides of each boundary."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import camera_models
+from camera_models import MODELS, model_class
+
+CASES = [(name, index, model) for name, _ in MODELS for index, model in enumerate(model_class(name).examples())]
+EACH = pytest.mark.parametrize("model", [case[2] for case in CASES], ids=[f"{name}-{index}" for name, index, _ in CASES])
+
+
+def axis_sign(model) -> float:
+    return float(torch.sign(model._unproject(model.centre_px)[0][2]))
+
+
+def bearings_of(model, count=4000, seed=0, share=0.999, least=0.0):
+    """Unit bearings spread over the domain of the model."""
+    rng = np.random.default_rng(seed)
+    theta = least + rng.uniform(0, 1, count) * (share * min(model.max_angle, math.radians(115)) - least)
+    phi = rng.uniform(-np.pi, np.pi, count)
+    xyz = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+    return xyz * [1, 1, axis_sign(model)]
+
+
+def image_pixels(model, count=3000, seed=1):
+    rng = np.random.default_rng(seed)
+    w, h = model.image_size
+    return rng.uniform([-0.5, -0.5], [w - 0.5, h - 0.5], (count, 2))
+
+
+def radial_slope(model, pixels):
+    """d theta / d rho at pixels relative to its central value, from the singular values of the projection's Jacobian."""
+    bearing, _ = model.unproject(torch.as_tensor(pixels))
+    _, _, by_point, _ = model.project_with_jacobians(bearing)
+    gain = torch.linalg.svdvals(by_point)[..., 0]
+    _, _, central, _ = model.project_with_jacobians(model._unproject(model.centre_px)[0])
+    return (torch.linalg.svdvals(central)[..., 0] / gain).numpy()
+
+
+def test_registry_covers_the_package():
+    assert len(CASES) >= 9
+    assert {name for name, _ in MODELS} == {model.NAME for _, _, model in CASES}
+
+
+@EACH
+def test_round_trip_inside_the_image(model):
+    pixels = image_pixels(model)
+    bearings, valid = model.unproject(pixels)
+    assert isinstance(bearings, np.ndarray) and valid.dtype == bool
+    np.testing.assert_allclose(np.linalg.norm(bearings, axis=-1), 1, atol=1e-14)
+    again, seen = model.project(bearings)
+    ordinary = valid.copy()
+    ordinary[valid] = radial_slope(model, pixels[valid]) > 1e-3
+    assert ordinary.mean() > 0.5
+    assert seen[ordinary].all()
+    assert np.abs(again - pixels)[ordinary].max() < 1e-9
+
+
+@EACH
+def test_round_trip_over_the_whole_domain(model):
+    bearings = bearings_of(model, share=0.99)
+    pixels, valid = model.project(bearings * np.random.default_rng(3).uniform(0.01, 100, (len(bearings), 1)))
+    assert valid.all()
+    again, seen = model.unproject(pixels)
+    assert seen.all()
+    assert np.linalg.norm(again - bearings, axis=-1).max() < 1e-10
+
+
+@EACH
+def test_near_and_on_the_axis(model):
+    sign = axis_sign(model)
+    for offset in (0.0, 1e-300, 1e-15, 1e-9, 1e-8, 0.99e-7, 1.01e-7, 1e-6):
+        point = np.array([offset, -0.5 * offset, sign])
+        pixel, valid = model.project(point)
+        assert valid
+        expected = model.centre_px.numpy() + slope_at_centre(model) @ point[:2]
+        np.testing.assert_allclose(pixel, expected, rtol=0, atol=1e-9)
+        bearing, seen = model.unproject(pixel)
+        assert seen
+        np.testing.assert_allclose(bearing, point / np.linalg.norm(point), rtol=0, atol=1e-12)
+
+
+def slope_at_centre(model):
+    _, _, by_point, _ = model.project_with_jacobians(torch.tensor([0.0, 0.0, axis_sign(model)], dtype=torch.float64))
+    return by_point[:, :2].numpy()
+
+
+@EACH
+def test_validity_edge(model):
+    """Just inside the largest angle a point is seen, just outside it is not, and nothing is NaN anywhere."""
+    edge = model.max_angle
+    sign = axis_sign(model)
+    phis = np.linspace(-3, 3, 7)
+    for phi in phis:
+        for theta, expected in ((edge - 1e-6, True), (min(edge + 1e-6, math.pi), False)):
+            point = np.array([math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), sign * math.cos(theta)])
+            pixel, valid = model.project(point)
+            assert bool(valid) is expected or edge >= math.pi
+            assert np.isfinite(pixel).all()
+    pixels, valid = model.project(np.array([[0.0, 0, 0], [0, 0, -sign], [1e-3, 0, -sign]]))
+    assert np.isfinite(pixels).all()
+    assert not valid[:2].any()
+
+
+@EACH
+def test_pixels_beyond_the_edge_are_not_seen(model):
+    """On a walk outwards, valid never comes back once lost, and no bearing exceeds the largest angle."""
+    steps = np.linspace(0, 30 * model.image_radius_px, 3001)
+    checked = 0
+    for phi in np.linspace(0, 2 * np.pi, 9)[:-1]:
+        pixels = model.centre_px.numpy() + steps[:, None] * [math.cos(phi), math.sin(phi)]
+        bearings, valid = model.unproject(pixels)
+        assert np.isfinite(bearings).all()
+        assert (np.diff(valid.astype(int)) <= 0).all()
+        theta = np.arctan2(np.hypot(bearings[:, 0], bearings[:, 1]), axis_sign(model) * bearings[:, 2])
+        assert (theta[valid] <= model.max_angle + 1e-9).all()
+        assert (np.diff(theta[valid]) >= 0).all()
+        again, seen = model.project(bearings[valid][: len(steps) // 2])
+        off = np.abs(again - pixels[valid][: len(steps) // 2])[seen].max(-1)
+        scale = 1 + steps[valid][: len(steps) // 2][seen]
+        slope = radial_slope(model, pixels[valid][: len(steps) // 2][seen])
+        ordinary = slope > 1e-3
+        assert (off[ordinary] < 1e-9 * scale[ordinary]).all()
+        checked += int(valid.sum())
+    assert checked > 100
+
+
+@EACH
+def test_jacobians_agree(model):
+    """Analytic = automatic (forward and reverse through `project`) = finite differences."""
+    points = torch.as_tensor(bearings_of(model, 60, seed=5, share=0.9, least=0.001)) * 2.5
+    pixels, valid, by_point, by_parameter = model.project_with_jacobians(points)
+    assert valid.all()
+    torch.testing.assert_close(pixels, model.project(points)[0], rtol=0, atol=1e-9)
+
+    def of_points(p):
+        return model.project(p)[0].sum(0)
+
+    def of_parameters(theta):
+        return model.with_parameters(theta).project(points)[0]
+
+    auto_points = torch.autograd.functional.jacobian(of_points, points).permute(1, 0, 2)
+    auto_parameters = torch.autograd.functional.jacobian(of_parameters, model.parameters)
+    scale = by_point.abs().max()
+    torch.testing.assert_close(by_point, auto_points, rtol=1e-8, atol=float(1e-9 * scale))
+    torch.testing.assert_close(by_parameter, auto_parameters, rtol=1e-8, atol=1e-8)
+    for axis in range(3):
+        step = torch.zeros(3, dtype=torch.float64)
+        step[axis] = 1e-6
+        numeric = (model.project(points + step)[0] - model.project(points - step)[0]) / 2e-6
+        torch.testing.assert_close(by_point[..., axis], numeric, rtol=1e-5, atol=float(1e-6 * scale))
+    for index in range(len(model.parameters)):
+        size = 1e-3 / float(by_parameter[..., index].abs().max())  # moves some pixel by a thousandth
+        step = torch.zeros_like(model.parameters)
+        step[index] = size
+        numeric = (of_parameters(model.parameters + step) - of_parameters(model.parameters - step)) / (2 * size)
+        atol = float(2e-5 * by_parameter[..., index].abs().max())
+        torch.testing.assert_close(by_parameter[..., index], numeric, rtol=1e-4, atol=atol)
+
+
+@EACH
+def test_unproject_is_differentiable(model):
+    points = torch.as_tensor(bearings_of(model, 40, seed=6, share=0.9, least=0.01))
+    pixels = model.project(points)[0]
+    automatic = torch.autograd.functional.jacobian(lambda p: model.unproject(p)[0].sum(0), pixels).permute(1, 0, 2)
+    analytic = model.unproject_jacobian(pixels)
+    torch.testing.assert_close(analytic, automatic, rtol=1e-6, atol=float(1e-8 * automatic.abs().max()))
+
+    def of_parameters(theta):
+        return model.with_parameters(theta).unproject(pixels)[0]
+
+    automatic = torch.autograd.functional.jacobian(of_parameters, model.parameters)
+    _, _, _, by_parameter = model.project_with_jacobians(points)
+    # project(unproject(pixel)) = pixel for all parameters: J_point d bearing + J_parameter = 0.
+    torch.testing.assert_close(automatic, -(analytic @ by_parameter), rtol=1e-6, atol=1e-8 * float(automatic.abs().max()))
+
+
+@EACH
+def test_batch_shapes_and_kinds(model):
+    points = bearings_of(model, 24, seed=7, share=0.9)
+    flat, valid = model.project(points)
+    folded, folded_valid = model.project(points.reshape(2, 3, 4, 3))
+    np.testing.assert_allclose(folded.reshape(-1, 2), flat, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(folded_valid.reshape(-1), valid)
+    tensor, _ = model.project(torch.as_tensor(points))
+    assert isinstance(tensor, torch.Tensor)
+    np.testing.assert_allclose(tensor.numpy(), flat, rtol=0, atol=1e-10)
+    single, single_valid = model.project(points[0])
+    np.testing.assert_allclose(single, flat[0], rtol=0, atol=1e-10)
+    assert single.shape == (2,) and single_valid.shape == ()
+    empty, _ = model.project(np.zeros((0, 3)))
+    assert empty.shape == (0, 2)
+    assert model.unproject(flat.reshape(4, 6, 2))[0].shape == (4, 6, 3)
+
+
+@EACH
+def test_named_parameters_make_the_same_model(model):
+    again = type(model).from_mapping(model.named_parameters(), model.image_size)
+    assert again.named_parameters() == model.named_parameters()
+    assert again.image_size == model.image_size
+    with pytest.raises(camera_models.InputError, match="unknown nonsense"):
+        type(model).from_mapping({**model.named_parameters(), "nonsense": 1.0}, model.image_size)
+    incomplete = dict(list(model.named_parameters().items())[1:])
+    with pytest.raises(camera_models.InputError, match="missing"):
+        type(model).from_mapping(incomplete, model.image_size)
+
+
+@EACH
+def test_start_from_a_radial_curve(model):
+    """The start of a calibration lies within a few pixels of the curve that it is handed."""
+    seen = min(model.max_angle * 0.9, math.radians(75 if model.NAME == "pinhole" else 100))
+    theta = torch.linspace(0.05, seen, 60, dtype=torch.float64)
+    ring = torch.stack([torch.sin(theta), torch.zeros_like(theta), axis_sign(model) * torch.cos(theta)], -1)
+    rho = (model.project(ring)[0] - model.centre_px).norm(dim=-1)
+    start = type(model).from_radial_curve(rho, theta, model.centre_px, model.image_size, mirror=axis_sign(model) < 0)
+    off = (start.project(ring)[0] - start.centre_px).norm(dim=-1) - rho
+    assert float(off.abs().max()) < 0.05 * float(rho.max())
+
+
+@EACH
+def test_calibration_basis_spans_estimable_directions(model):
+    basis = model.calibration_basis()
+    assert basis.shape[0] == len(model.parameters)
+    assert int(torch.linalg.matrix_rank(basis)) == basis.shape[1]
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_pinhole_against_opencv(index):
+    model = camera_models.Pinhole.examples()[index]
+    points = bearings_of(model, 500, share=0.95)
+    fx, fy, cx, cy, skew = model.parameters[:5].tolist()
+    ideal = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    expected, _ = cv2.projectPoints(points[:, None], np.zeros(3), np.zeros(3), ideal, model.parameters[5:].numpy())
+    expected = expected[:, 0]
+    expected[:, 0] += skew * (expected[:, 1] - cy) / fy
+    np.testing.assert_allclose(model.project(points)[0], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_fisheye_against_opencv(index):
+    model = camera_models.OpenCVFisheye.examples()[index]
+    points = bearings_of(model, 500)
+    points = points[points[:, 2] > 0.02]
+    assert len(points) > 100
+    fx, fy, cx, cy = model.parameters[:4].tolist()
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    expected, _ = cv2.fisheye.projectPoints(points[None], np.zeros(3), np.zeros(3), matrix, model.parameters[4:].numpy())
+    np.testing.assert_allclose(model.project(points)[0], expected[0], atol=1e-8)
+
+
+def test_fisheye_against_kornia():
+    from kornia.geometry.camera.distortion_kannala_brandt import distort_points_kannala_brandt
+
+    model = camera_models.OpenCVFisheye.examples()[0]
+    points = torch.as_tensor(bearings_of(model, 500))
+    points = points[points[:, 2] > 0.05]
+    assert len(points) > 100
+    expected = distort_points_kannala_brandt(points[:, :2] / points[:, 2:], model.parameters)
+    torch.testing.assert_close(model.project(points)[0], expected, rtol=0, atol=1e-8)
+
+
+def test_pinhole_against_kornia():
+    from kornia.geometry.calibration import distort_points
+
+    model = camera_models.Pinhole.examples()[1]
+    points = torch.as_tensor(bearings_of(model, 500, share=0.9))
+    fx, fy, cx, cy, _ = model.parameters[:5].tolist()
+    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]], dtype=torch.float64)
+    ideal = points[:, :2] / points[:, 2:] * torch.tensor([fx, fy]) + torch.tensor([cx, cy])
+    expected = distort_points(ideal[None], matrix[None], model.parameters[5:][None])[0]
+    torch.testing.assert_close(model.project(points)[0], expected, rtol=0, atol=1e-6)
+
+
+def test_scaramuzza_is_the_published_polynomial():
+    """unproject is (x, y, f(rho)) by definition; project agrees with a root of rho z = s f(rho) found by NumPy."""
+    model = camera_models.Scaramuzza.examples()[0]
+    cx, cy, c, d, e, *a = model.parameters.tolist()
+    pixels = image_pixels(model, 200)
+    y_x = np.linalg.solve([[1, e], [d, c]], (pixels - [cx, cy]).T).T
+    rho = np.hypot(*y_x.T)
+    f = a[0] + a[1] * rho**2 + a[2] * rho**3 + a[3] * rho**4
+    ray = np.column_stack([y_x, f])
+    np.testing.assert_allclose(model.unproject(pixels)[0], ray / np.linalg.norm(ray, axis=1)[:, None], atol=1e-14)
+    for point in bearings_of(model, 50, least=0.05):
+        s = math.hypot(point[0], point[1])
+        roots = np.roots([a[3] * s, a[2] * s, a[1] * s, -point[2], a[0] * s])
+        root = min(r.real for r in roots if abs(r.imag) < 1e-9 and r.real > 0)
+        x, y = root * point[:2] / s
+        np.testing.assert_allclose(model.project(point)[0], [cx + x + e * y, cy + d * x + c * y], atol=1e-8)
+
+
+def test_unknown_model_is_named():
+    with pytest.raises(camera_models.InputError, match="one of pinhole, opencv-fisheye, scaramuzza, found 'fish'"):
+        model_class("fish")
