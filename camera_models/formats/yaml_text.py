@@ -1,0 +1,115 @@
+"""YAML as the native format uses it: plain data, numbers that every reader takes as numbers, errors that name the line."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from camera_models.errors import InputError
+from camera_models.formats.disk import read_text
+
+# libyaml parses the same language several times faster where PyYAML was built with it.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_FLOAT = "tag:yaml.org,2002:float"
+
+
+class _Loader(_SafeLoader):
+    """Refuses a key given twice (YAML 1.1 lets the last one win), takes 1e-6 for the number it is, leaves dates as text."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 (PyYAML reads it from the class)
+        first: [(tag, pattern) for tag, pattern in resolvers if tag != _TIMESTAMP]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = key_node.value
+            if isinstance(key_node, yaml.ScalarNode) and key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"the key '{key}' is given twice", key_node.start_mark)
+            seen.add(key if isinstance(key_node, yaml.ScalarNode) else id(key_node))
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
+
+
+# YAML 1.2 numbers that YAML 1.1, which PyYAML reads, takes for text: an exponent without a point or without a sign.
+_Loader.add_implicit_resolver(_FLOAT, re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)$"), list("-+.0123456789"))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Keys in the order given, lists of plain values on one line, no anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        return super().increase_indent(flow, False)
+
+
+def _represent_list(dumper: _Dumper, items: list[Any]) -> yaml.Node:
+    flat = not any(isinstance(item, list | dict) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.Node:
+    # Quoted are texts that some version of YAML would read as a number; escaped are the line breaks that only YAML knows.
+    style = None if text.isprintable() else '"'
+    if re.match(r"[-+.]?[0-9]", text) and not text[-1:].isalpha():
+        style = style or "'"
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(list, _represent_list)
+_Dumper.add_representer(str, _represent_text)
+
+
+def read_yaml(path: str | Path) -> Any:
+    """The data of a YAML file; raises InputError naming the file, and the line where it is malformed."""
+    text = read_text(path)
+    try:
+        return yaml.load(text, Loader=_Loader)  # a subclass of the safe loader
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = error.problem or error.context
+        raise InputError(f"{path}{line} is not valid YAML: {problem}; correct it or restore the file.") from None
+    except yaml.reader.ReaderError as error:
+        line_number = text.count("\n", 0, error.position) + 1
+        raise InputError(f"{path}, line {line_number} holds a character that YAML forbids; remove it.") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not valid YAML ({error}); correct it or restore the file.") from None
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """YAML of mappings, sequences, arrays, numbers, texts, booleans and None.
+
+    Floats are the shortest text that reads back to the same double, with a point and a signed exponent (1.0e-06), as YAML 1.1
+    wants them. Raises InputError where a number is NaN or infinite or a value is of another kind, naming where it stands.
+    """
+    return yaml.dump(
+        _plain(data, ""), Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=False, width=2**31 - 1
+    )
+
+
+def _plain(value: Any, where: str) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, str | Path):
+        return str(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise InputError(f"{where} is {value} where a file needs a finite number; leave it out (None) if it is not known.")
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{where}.{key}" if where else str(key)) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [_plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
+    raise InputError(f"{where} is a {type(value).__name__}, which a file cannot hold; give numbers, texts, lists or mappings.")
