@@ -1,0 +1,219 @@
+"""Levenberg-Marquardt on arrow-structured manifold blocks. It knows no camera and no line.
+
+K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2004, with Marquardt's scaling; the gauge
+is fixed by constraints on the kept step, B' dk = 0.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from omnilines.least_squares.losses import Loss
+from omnilines.least_squares.schur import (
+    Linearisation,
+    Reduced,
+    back_substitute,
+    eliminated_covariance,
+    joint_eliminated_covariance,
+    normal_equations,
+    reduce,
+)
+from omnilines.least_squares.structure import Structure
+
+S = TypeVar("S")
+
+
+class Outcome(Enum):
+    """How a solution ended; the value is a sentence for people."""
+
+    CONVERGED = "The cost no longer decreases and the gradient vanishes."
+    STALLED = "No step decreases the cost although the gradient does not vanish."
+    DEGENERATE = "The observations do not determine all parameters."
+    OUT_OF_ITERATIONS = "The limit of iterations was reached before convergence."
+
+
+@runtime_checkable
+class Problem(Protocol[S]):
+    """Residuals of a state. Whitening and priors are the problem's own affair."""
+
+    structure: Structure
+
+    def residual(self, state: S) -> Float[Tensor, "n m"]:
+        """Residuals alone, for trial steps."""
+        ...
+
+    def linearise(self, state: S) -> Linearisation:
+        """Residuals and Jacobians with respect to the retraction at zero."""
+        ...
+
+    def retract(self, state: S, kept: Float[Tensor, " k"], eliminated: Float[Tensor, "count e"]) -> S:
+        """The state moved by a tangent step."""
+        ...
+
+    def gauge(self, state: S) -> Float[Tensor, "k g"]:
+        """Columns B of the constraints B' dk = 0; none where the observations determine everything."""
+        ...
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after every iteration."""
+
+    iteration: int
+    cost: float
+    damping: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Solution(Generic[S]):
+    """The state with the least cost found, and how certain it is."""
+
+    state: S
+    outcome: Outcome
+    cost: float
+    """Sum of the loss over all observations (for plain least squares the sum of squared residuals)."""
+    initial_cost: float
+    iterations: int
+    reduced: Reduced
+    """The undamped reduced normal equations at the solution."""
+    gauge: Float[Tensor, "k g"]
+    smallest_eigenvalue: float
+    """Of the reduced system scaled to a unit diagonal, on the gauge's complement; about 1e-13 or less means degenerate."""
+    weakest_direction: Float[Tensor, " k"]
+    """The kept direction of that eigenvalue, in the problem's own units."""
+
+    def kept_covariance(self) -> Float[Tensor, "k k"]:
+        """Covariance of the kept parameters for residuals of unit variance, in the gauge of the problem."""
+        return constrained_inverse(self.reduced.matrix, self.gauge)
+
+    def eliminated_covariance(self) -> Float[Tensor, "count e e"]:
+        """Covariance of every eliminated block for residuals of unit variance, in the gauge of the problem."""
+        return eliminated_covariance(self.reduced, self.kept_covariance())
+
+    def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "be be"]:
+        """Covariance of some eliminated blocks together, dense: only for as many as such a matrix can hold."""
+        return joint_eliminated_covariance(self.reduced, self.kept_covariance(), blocks)
+
+
+def _unit_scale(matrix: Tensor) -> Tensor:
+    """Factors that bring the diagonal of S to one; a zero diagonal is left as it is."""
+    diagonal = torch.diagonal(matrix)
+    return torch.where(diagonal > 0, diagonal.clamp_min(1e-300).rsqrt(), torch.ones_like(diagonal))
+
+
+def constrained_solve(matrix: Float[Tensor, "k k"], gauge: Float[Tensor, "k g"], right: Float[Tensor, " k"]) -> Tensor | None:
+    """x with S x = b on the constraint B' x = 0; None when the system is singular."""
+    scale = _unit_scale(matrix)
+    k, g = gauge.shape
+    scaled, target = matrix * scale[:, None] * scale, (right * scale)[:, None]
+    if g == 0:
+        factor, info = torch.linalg.cholesky_ex(scaled)
+        solution = torch.cholesky_solve(target, factor)
+    else:
+        constraint = gauge * scale[:, None]
+        constraint = constraint / constraint.norm(dim=0)
+        border = torch.cat([torch.cat([scaled, constraint], 1), torch.cat([constraint.mT, scaled.new_zeros(g, g)], 1)], 0)
+        factor, pivots, info = torch.linalg.lu_factor_ex(border)
+        solution = torch.linalg.lu_solve(factor, pivots, torch.cat([target, target.new_zeros(g, 1)]))
+    usable = int(info) == 0 and bool(torch.isfinite(solution).all())
+    return solution[:k, 0] * scale if usable else None
+
+
+def _complement(matrix: Tensor, gauge: Tensor) -> tuple[Tensor, Tensor]:
+    """S scaled to a unit diagonal on an orthonormal basis Z of the gauge's complement: (Z' S Z, scale * Z)."""
+    scale = _unit_scale(matrix)
+    scaled = matrix * scale[:, None] * scale
+    if gauge.shape[1] == 0:
+        return scaled, torch.diag(scale)
+    basis, _ = torch.linalg.qr(gauge * scale[:, None], mode="complete")
+    z = basis[:, gauge.shape[1] :]
+    return z.mT @ scaled @ z, scale[:, None] * z
+
+
+def constrained_inverse(matrix: Float[Tensor, "k k"], gauge: Float[Tensor, "k g"]) -> Float[Tensor, "k k"]:
+    """The covariance S^-1 on the complement of the gauge; NaN where the system is singular."""
+    inner, basis = _complement(matrix, gauge)
+    factor, info = torch.linalg.cholesky_ex(inner)
+    if bool(info != 0):
+        return torch.full_like(matrix, float("nan"))
+    return basis @ torch.cholesky_inverse(factor) @ basis.mT
+
+
+def solve(
+    problem: Problem[S],
+    state: S,
+    loss: Loss | None = None,
+    max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    callback: Callable[[Progress], None] | None = None,
+) -> Solution[S]:
+    """Minimise sum loss(|r|^2). Converged when the decrease that the linear model promises is below `tolerance` of the cost."""
+    loss = loss or Loss()
+    at = problem.linearise(state)
+    values, weight = loss((at.residual**2).sum(-1))
+    cost = initial = float(values.sum())
+    damping, growth = 1e-4, 2.0
+    outcome = Outcome.OUT_OF_ITERATIONS
+    equations = normal_equations(problem.structure, at, weight)
+    iteration = 0
+    # Residuals at rounding level are an exact fit: nothing is left to decrease.
+    floor = 1e-30 * max(1, at.residual.numel())
+    while iteration < max_iterations:
+        iteration += 1
+        reduced = reduce(equations, damping)
+        kept = constrained_solve(reduced.matrix, problem.gauge(state), reduced.right_side) if reduced.sound else None
+        if kept is None:
+            damping, growth = max(damping, 1e-12) * growth, growth * 2
+            if damping > 1e12:
+                outcome = Outcome.DEGENERATE
+                break
+            continue
+        eliminated = back_substitute(reduced, kept)
+        promised = equations.promised_decrease(kept, eliminated, damping)
+        if promised <= tolerance * cost + floor:
+            outcome = Outcome.CONVERGED
+            if not promised > 0:
+                break
+        trial = problem.retract(state, kept, eliminated)
+        trial_cost = float(loss((problem.residual(trial) ** 2).sum(-1))[0].sum())
+        accepted = trial_cost < cost
+        if callback is not None:
+            callback(Progress(iteration, min(cost, trial_cost), damping, accepted))
+        if accepted:
+            state = trial
+            ratio = (cost - trial_cost) / promised
+            damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-15), 2.0
+            at = problem.linearise(state)
+            values, weight = loss((at.residual**2).sum(-1))
+            cost = float(values.sum())
+            equations = normal_equations(problem.structure, at, weight)
+        else:
+            damping, growth = damping * growth, growth * 2
+        if outcome is Outcome.CONVERGED:
+            break
+        if damping > 1e16:
+            outcome = Outcome.STALLED
+            break
+    return _finish(problem, state, outcome, cost, initial, iteration, reduce(equations, 0.0))
+
+
+def _finish(
+    problem: Problem[S], state: S, outcome: Outcome, cost: float, initial: float, iterations: int, reduced: Reduced
+) -> Solution[S]:
+    gauge = problem.gauge(state)
+    if not reduced.sound:
+        zero = reduced.right_side.new_zeros(problem.structure.kept_size)
+        return Solution(state, Outcome.DEGENERATE, cost, initial, iterations, reduced, gauge, 0.0, zero)
+    inner, basis = _complement(reduced.matrix, gauge)
+    values, vectors = torch.linalg.eigh(inner)
+    smallest = float(values[0]) if len(values) else 1.0
+    direction = basis @ vectors[:, 0] if len(values) else reduced.right_side
+    if smallest < 1e-13:
+        outcome = Outcome.DEGENERATE
+    return Solution(state, outcome, cost, initial, iterations, reduced, gauge, smallest, direction)

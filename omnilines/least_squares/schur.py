@@ -1,0 +1,181 @@
+"""Normal equations of an arrow-structured problem, reduced to the kept blocks (Schur complement).
+
+    [ K   W ] [dk]   [gk]        S = K - W E^-1 W',  S dk = gk - W E^-1 ge,  de = E^-1 (ge - W' dk)
+    [ W'  E ] [de] = [ge]
+
+E is block diagonal. With the Cholesky factor E = L L' and Y = W L'^-1, S = K - Y Y'; only Y of the kept columns that a block
+touches is formed, batched over blocks with equally many of them.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from omnilines.least_squares.structure import Structure
+
+CHUNK = 8_000_000
+"""Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB."""
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Residuals and their derivatives at one state; m residuals an observation."""
+
+    residual: Float[Tensor, "n m"]
+    by_eliminated: Float[Tensor, "n m e"]
+    by_kept: tuple[Float[Tensor, "n m _"], ...]
+    """One tensor a kept group."""
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Gauss-Newton blocks of 0.5 sum w |r|^2 and the negative gradient."""
+
+    structure: Structure
+    kept: Float[Tensor, "k k"]
+    eliminated: Float[Tensor, "count e e"]
+    coupling: Float[Tensor, "rows e"]
+    kept_gradient: Float[Tensor, " k"]
+    eliminated_gradient: Float[Tensor, "count e"]
+
+    def promised_decrease(self, kept: Float[Tensor, " k"], eliminated: Float[Tensor, "count e"], damping: float) -> float:
+        """Decrease of sum w |r|^2 that the linear model promises for a damped step d: d' g + damping d' diag(H) d."""
+        diagonal = torch.diagonal(self.eliminated, dim1=-2, dim2=-1)
+        linear = (kept * self.kept_gradient).sum() + (eliminated * self.eliminated_gradient).sum()
+        quadratic = (kept**2 * torch.diagonal(self.kept)).sum() + (eliminated**2 * diagonal).sum()
+        return float(linear + damping * quadratic)
+
+
+def normal_equations(structure: Structure, at: Linearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
+    """J' w J and -J' w r, block by block."""
+    root = weight.sqrt()[:, None]
+    r, je = at.residual * root, at.by_eliminated * root[..., None]
+    jk = [j * root[..., None] for j in at.by_kept]
+    e, k = structure.dim, structure.kept_size
+    eliminated = r.new_zeros(structure.count, e, e).index_add_(0, structure.index, je.mT @ je)
+    eliminated_gradient = r.new_zeros(structure.count, e).index_add_(0, structure.index, -(je.mT @ r[..., None])[..., 0])
+    coupling = r.new_zeros(structure.table_size, e)
+    kept, kept_gradient = r.new_zeros(k * k), r.new_zeros(k)
+    parts = zip(structure.groups, structure.offsets, structure.touching, structure.row, jk, strict=False)
+    for group, offset, seen, row, j in parts:
+        within = torch.arange(group.dim, device=r.device)
+        coupling.index_add_(0, (row[:, None] + within).flatten(), (j[seen].mT @ je[seen]).flatten(0, 1))
+        column = offset + group.index[seen, None] * group.dim + within
+        kept_gradient.index_add_(0, column.flatten(), -(j[seen].mT @ r[seen][..., None]).flatten())
+    for a in range(len(structure.groups)):
+        for b in range(len(structure.groups)):
+            _add_kept_blocks(kept, structure, a, b, jk)
+    return NormalEquations(structure, kept.view(k, k), eliminated, coupling, kept_gradient, eliminated_gradient)
+
+
+def _add_kept_blocks(kept: Tensor, structure: Structure, a: int, b: int, jk: list[Tensor]) -> None:
+    """Ja' Jb of two groups, summed into the flat kept matrix."""
+    left, right, k = structure.groups[a], structure.groups[b], structure.kept_size
+    seen = torch.nonzero((left.index >= 0) & (right.index >= 0)).flatten()
+    if left.count == 1 and right.count == 1:
+        # All observations share the block: one product instead of a sum of many small ones.
+        pair = torch.zeros(1, dtype=torch.long, device=kept.device)
+        blocks = (jk[a][seen].flatten(0, 1).mT @ jk[b][seen].flatten(0, 1))[None]
+    else:
+        pair, inverse = torch.unique(left.index[seen] * right.count + right.index[seen], return_inverse=True)
+        blocks = kept.new_zeros(len(pair), left.dim, right.dim).index_add_(0, inverse, jk[a][seen].mT @ jk[b][seen])
+    rows = structure.offsets[a] + (pair // right.count)[:, None] * left.dim + torch.arange(left.dim, device=kept.device)
+    columns = structure.offsets[b] + (pair % right.count)[:, None] * right.dim + torch.arange(right.dim, device=kept.device)
+    kept.index_add_(0, (rows[:, :, None] * k + columns[:, None, :]).flatten(), blocks.flatten())
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The Schur complement and what back-substitution needs."""
+
+    equations: NormalEquations
+    matrix: Float[Tensor, "k k"]
+    right_side: Float[Tensor, " k"]
+    factor: Float[Tensor, "count e e"]
+    """Cholesky factors of the (damped) eliminated blocks; identity where a block is not observed."""
+    sound: bool
+    """False when an eliminated block is singular."""
+
+
+def reduce(equations: NormalEquations, damping: float) -> Reduced:
+    """S and its right side, with Marquardt's damping (1 + damping) on every diagonal."""
+    eliminated = equations.eliminated
+    diagonal = torch.diagonal(eliminated, dim1=-2, dim2=-1)
+    seen = (diagonal > 0).any(-1)
+    damped = eliminated + torch.diag_embed(damping * diagonal)
+    eye = torch.eye(eliminated.shape[-1], dtype=eliminated.dtype, device=eliminated.device)
+    factor, info = torch.linalg.cholesky_ex(torch.where(seen[:, None, None], damped, eye))
+    sound = not bool((info != 0).any())
+    k = equations.structure.kept_size
+    matrix = (equations.kept + torch.diag(damping * torch.diagonal(equations.kept))).view(-1)
+    right = equations.kept_gradient.clone()
+    if not sound:
+        return Reduced(equations, matrix.view(k, k), right, factor, False)
+    for part in equations.structure.size_classes:
+        size = part.columns.shape[1]
+        step = max(1, CHUNK // size**2)
+        for low in range(0, len(part.blocks), step):
+            blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
+            lower = factor[blocks]
+            y = torch.linalg.solve_triangular(lower, equations.coupling[part.rows[low : low + step]].mT, upper=False)
+            g = torch.linalg.solve_triangular(lower, equations.eliminated_gradient[blocks][..., None], upper=False)
+            right.index_add_(0, columns.flatten(), -(y.mT @ g).flatten())
+            if bool((columns == columns[0]).all()):
+                stacked = y.flatten(0, 1)
+                place = columns[0][:, None] * k + columns[0][None, :]
+                matrix[place.flatten()] -= (stacked.mT @ stacked).flatten()
+            else:
+                place = columns[:, :, None] * k + columns[:, None, :]
+                matrix.index_add_(0, place.flatten(), -(y.mT @ y).flatten())
+    return Reduced(equations, matrix.view(k, k), right, factor, True)
+
+
+def back_substitute(reduced: Reduced, kept_step: Float[Tensor, " k"]) -> Float[Tensor, "count e"]:
+    """de = E^-1 (ge - W' dk)."""
+    equations = reduced.equations
+    right = equations.eliminated_gradient.clone()
+    for part in equations.structure.size_classes:
+        coupled = (equations.coupling[part.rows] * kept_step[part.columns][..., None]).sum(1)
+        right.index_add_(0, part.blocks, -coupled)
+    return torch.cholesky_solve(right[..., None], reduced.factor)[..., 0]
+
+
+def eliminated_covariance(reduced: Reduced, kept_covariance: Float[Tensor, "k k"]) -> Float[Tensor, "count e e"]:
+    """E^-1 + E^-1 W' Cov_k W E^-1 of every eliminated block (unit variance); NaN where a block is not observed."""
+    equations = reduced.equations
+    result = torch.full_like(equations.eliminated, float("nan"))
+    for part in equations.structure.size_classes:
+        size = part.columns.shape[1]
+        step = max(1, CHUNK // size**2)
+        for low in range(0, len(part.blocks), step):
+            blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
+            gain = torch.cholesky_solve(equations.coupling[part.rows[low : low + step]].mT, reduced.factor[blocks])
+            local = kept_covariance[columns[:, :, None], columns[:, None, :]]
+            result[blocks] = torch.cholesky_inverse(reduced.factor[blocks]) + gain @ local @ gain.mT
+    return result
+
+
+def joint_eliminated_covariance(
+    reduced: Reduced, kept_covariance: Float[Tensor, "k k"], blocks: Int[Tensor, " b"]
+) -> Float[Tensor, "be be"]:
+    """The dense covariance of some eliminated blocks together (unit variance), in the order given; NaN where not observed.
+
+    Cov(e_i, e_j) = [i = j] E_i^-1 + G_i Cov_k G_j' with G = E^-1 W'.
+    """
+    equations = reduced.equations
+    count, dim = equations.eliminated.shape[:2]
+    place = torch.full((count,), -1, device=blocks.device)
+    place[blocks] = torch.arange(len(blocks), device=blocks.device)
+    gain = kept_covariance.new_full((len(blocks), dim, len(kept_covariance)), float("nan"))
+    own = kept_covariance.new_full((len(blocks), dim, dim), float("nan"))
+    for part in equations.structure.size_classes:
+        wanted = torch.nonzero(place[part.blocks] >= 0).flatten()
+        at, factor = place[part.blocks[wanted]], reduced.factor[part.blocks[wanted]]
+        own[at] = torch.cholesky_inverse(factor)
+        local = torch.cholesky_solve(equations.coupling[part.rows[wanted]].mT, factor)
+        columns = part.columns[wanted][:, None, :].expand(-1, dim, -1)
+        gain[at] = torch.zeros_like(gain[at]).scatter_(-1, columns, local)
+    flat = gain.flatten(0, 1)
+    return torch.block_diag(*own) + flat @ kept_covariance @ flat.mT
