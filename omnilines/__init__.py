@@ -1,0 +1,1 @@
+"""Calibrate wide-angle cameras and rebuild straight lines in 3D without undistorting an image."""

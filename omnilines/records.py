@@ -1,0 +1,154 @@
+"""The frozen tables and results that the stages hand to each other. Arrays are NumPy; nothing here computes."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from camera_models.pose import Pose
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Observed target corners, one row each; a view is one board pose at one instant in one photo."""
+
+    view: Int[np.ndarray, " n"]
+    """Index of each row's view into `images` and `view_names`."""
+    view_names: tuple[str, ...]
+    images: tuple[str, ...]
+    """POSIX path of each view's photo relative to the photo folder."""
+    board_m: Float[np.ndarray, "n 3"]
+    pixels: Float[np.ndarray, "n 2"]
+    sigma_px: Float[np.ndarray, " n"] | None = None
+    """Standard deviation of each corner where the detector states one."""
+    ids: Int[np.ndarray, " n"] | None = None
+    """Position of each corner in its pattern where known."""
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """What became of one view in a calibration."""
+
+    name: str
+    image: str
+    used: bool
+    reason: str | None
+    """Why it was not used, one sentence; None when it was."""
+    corners_used: int = 0
+    corners_rejected: int = 0
+    rms_px_per_point: float | None = None
+    cam_from_board: Pose | None = None
+    camera: str = "cam0"
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Observed image segments (chords of arcs), one row each."""
+
+    image: Int[np.ndarray, " n"]
+    """Index of each row's photo into `images`."""
+    images: tuple[str, ...]
+    track: Int[np.ndarray, " n"]
+    """Index of each row's track into `tracks`; -1 where not matched."""
+    tracks: tuple[str, ...]
+    endpoints_px: Float[np.ndarray, "n 2 2"]
+    """(row, end, (u, v))."""
+    sigma_px: Float[np.ndarray, " n"] | None = None
+    covariance_px2: Float[np.ndarray, "n 2 2 2"] | None = None
+    """2x2 covariance of each end point where given."""
+    cameras: tuple[str, ...] | None = None
+    """Camera of each photo where the file names it."""
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+
+@dataclass(frozen=True)
+class ImagePoses:
+    """`cam_from_world` of photos."""
+
+    images: tuple[str, ...]
+    cam_from_world: Pose
+    cameras: tuple[str, ...] | None = None
+    covariance: Float[np.ndarray, "n 6 6"] | None = None
+    """Of the left perturbation (rotation_rad, translation_m) of each pose, in the gauge the adjustment states."""
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+LINE_STATUSES = (
+    "ok",
+    "weak",
+    "two_views",
+    "parallel_planes",
+    "epipolar",
+    "through_centre",
+    "behind",
+    "at_infinity",
+    "too_few_views",
+    "inconsistent",
+    "unsupported",
+)
+"""Every status a line can have; the end points are known for `ok` and `weak` only."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """3D lines, one row per track."""
+
+    tracks: tuple[str, ...]
+    ends_m: Float[np.ndarray, "n 2 3"]
+    """(track, end, xyz); NaN where the status is neither `ok` nor `weak`."""
+    views: Int[np.ndarray, " n"]
+    rms_px: Float[np.ndarray, " n"]
+    """Of the orthogonal distances of both observed end points over all views; NaN where there is no line."""
+    sigma_m: Float[np.ndarray, " n"]
+    """Largest standard deviation of either end across the line; NaN where there is no line."""
+    status: tuple[str, ...]
+    covariance: Float[np.ndarray, "n 4 4"] | None = None
+    """In the line chart (right perturbation of S, 3; phi, 1)."""
+    chart_centre_m: Float[np.ndarray, "n 3"] | None = None
+    chart_scale_m: Float[np.ndarray, " n"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+    @property
+    def known(self) -> Bool[np.ndarray, " n"]:
+        """Rows that hold a line."""
+        return np.array([s in ("ok", "weak") for s in self.status], dtype=bool)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One figure compared with its limit."""
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Polyline:
+    """A curve of pixels to be drawn over a photo."""
+
+    image: str
+    pixels: Float[np.ndarray, "k 2"]
+    label: str = ""
+    kind: str = "model"
+    """`model` for what the estimate predicts, `observed` for what was seen."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Named figures for a report or a table on standard output: (name, text) rows under a title."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = field(default=())

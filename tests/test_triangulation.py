@@ -1,0 +1,306 @@
+"""Every triangulation against exact lines, under rigid motions and scalings, and by Monte Carlo on the dissertation's set-up."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import pytest
+import torch
+
+from camera_models.errors import InputError
+from camera_models.pose import Pose
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.sphere import angle_between
+from omnilines.records import LINE_STATUSES
+from omnilines.triangulation import TRIANGULATIONS, triangulate
+from omnilines.triangulation.averaging import subsets
+from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.result import Triangulation
+
+METHODS = [name for name, _ in TRIANGULATIONS]
+DUAL_VARIANTS = [("unit", "shifted"), ("published", "shifted"), ("unit", "file"), ("published", "file")]
+
+
+def normal(*shape: int, seed: int) -> torch.Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def unit(v: torch.Tensor) -> torch.Tensor:
+    return v / v.norm(dim=-1, keepdim=True)
+
+
+def observe(ends: torch.Tensor, centres: torch.Tensor, track: torch.Tensor) -> PlaneObservations:
+    """Exact arcs of segments (t, 2, 3) from a camera centre per row; cameras see in all directions."""
+    world = unit(ends[track] - centres[:, None])
+    upright = Pose(torch.eye(3, dtype=torch.float64).expand(len(track), 3, 3), -centres)
+    return PlaneObservations.from_arcs(world, upright, track, len(ends))
+
+
+def scene(
+    tracks: int, seed: int, views: Sequence[int] = (3, 4, 5, 8, 12)
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Segments, camera centres by row, tracks of unequal length in random order, and a point on each segment's line."""
+    ends = 3 * normal(tracks, 2, 3, seed=seed)
+    counts = torch.tensor([views[i % len(views)] for i in range(tracks)])
+    track = torch.arange(tracks).repeat_interleave(counts)
+    track = track[torch.randperm(len(track), generator=torch.Generator().manual_seed(seed))]
+    return ends, 5 * normal(len(track), 3, seed=seed + 1), track, counts
+
+
+def assert_exact(result: Triangulation, ends: torch.Tensor, size: float, tolerance: float = 1e-9) -> None:
+    truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+    assert bool(result.known.all()), result.status_names
+    assert float(truth.angle_to(result.lines).max()) < tolerance
+    distance = torch.stack([result.lines.distance_to(ends[:, e]) for e in range(2)])
+    assert float(distance.max()) < tolerance * size
+
+
+@pytest.mark.parametrize("with_arcs", [True, False])
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_free_lines_are_exact_in_tracks_of_unequal_length(method: str, with_arcs: bool) -> None:
+    ends, centres, track, counts = scene(60, seed=1)
+    ends[:10] -= ends[:10, :1]
+    # Ten lines through the world origin, ten more with the origin in the middle of the segment.
+    ends[10:20, 1] = -0.7 * ends[10:20, 0]
+    observations = observe(ends, centres, track)
+    assert float(angle_between(observations.arcs[:, 0], observations.arcs[:, 1]).max()) > math.pi / 2
+    result = triangulate(method, observations if with_arcs else replace(observations, arcs=None))
+    assert_exact(result, ends, size=5)
+    assert torch.equal(result.views, counts)
+    assert float(result.residual_rad.max()) < 1e-9
+    pluecker = (result.lines.direction * result.lines.moment).sum(-1)
+    assert float(pluecker.abs().max()) < 1e-12
+
+
+@pytest.mark.parametrize("weights, origin", DUAL_VARIANTS)
+def test_noise_free_lines_are_exact_for_every_form_of_the_dual_method(weights: str, origin: str) -> None:
+    ends, centres, track, _ = scene(40, seed=2)
+    result = triangulate("dual", observe(ends, centres, track), weights=weights, origin=origin)
+    assert_exact(result, ends, size=5)
+
+
+def test_the_published_origin_names_lines_whose_planes_all_pass_through_it() -> None:
+    ends, centres, track, _ = scene(6, seed=3)
+    ends[2, 1] = -2 * ends[2, 0]
+    names = triangulate("dual", observe(ends, centres, track), origin="file").status_names
+    assert names[2] == "unsupported" and set(names) - {"unsupported"} <= {"ok", "weak"}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_results_follow_rigid_motion_scale_and_the_order_of_rows(method: str) -> None:
+    # Up to 8 views averaging takes all subsets; beyond its budget the draw depends on the order of the rows.
+    ends, centres, track, _ = scene(30, seed=4, views=(3, 4, 5, 8))
+    clean = observe(ends, centres, track)
+    arcs = unit(clean.arcs + 1e-3 * normal(*clean.arcs.shape, seed=5))
+    upright = Pose(torch.eye(3, dtype=torch.float64).expand(len(track), 3, 3), -centres)
+    base = triangulate(method, PlaneObservations.from_arcs(arcs, upright, track, 30))
+    motion = Pose.exp(torch.tensor([0.4, -1.1, 0.8, 3.0, -70.0, 20.0], dtype=torch.float64))
+    scale = 250.0
+    order = torch.randperm(len(track), generator=torch.Generator().manual_seed(6))
+    moved_centres = scale * motion.transform(centres)[order]
+    moved = PlaneObservations.from_arcs(
+        (arcs @ motion.rotation.mT)[order], Pose(upright.rotation, -moved_centres), track[order], 30
+    )
+    result = triangulate(method, moved)
+    one = base.lines.transform(Pose(motion.rotation.expand(30, 3, 3), motion.translation.expand(30, 3)))
+    expected = PlueckerLines(one.direction, scale * one.moment)
+    assert result.status_names == base.status_names and set(base.status_names) <= {"ok", "weak"}
+    assert float(result.lines.angle_to(expected).max()) < 1e-9
+    away = result.lines.distance_to(scale * motion.transform(ends[:, 0]))
+    torch.testing.assert_close(away / scale, base.lines.distance_to(ends[:, 0]), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_far_away_track_does_not_change_the_others(method: str) -> None:
+    ends, centres, track, _ = scene(8, seed=7)
+    alone = triangulate(method, observe(ends, centres, track))
+    more = torch.cat([ends, ends[:1] + 1e5])
+    joint = triangulate(method, observe(more, torch.cat([centres, 1e5 + centres[:8]]), torch.cat([track, torch.full((8,), 8)])))
+    torch.testing.assert_close(joint.lines[:8].moment, alone.lines.moment, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_line_a_million_metres_away_has_its_direction_and_is_weak(method: str) -> None:
+    centres = 4 * normal(8, 3, seed=8)
+    ends = torch.tensor([[[1e6, 0.0, 0.0], [1e6, 2e5, 3e5]]], dtype=torch.float64)
+    result = triangulate(method, observe(ends, centres, torch.zeros(8, dtype=torch.int64)))
+    assert result.status_names == ("weak",)
+    truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+    # A plane angle of 1e-5 leaves 1e-16 / 1e-5 of double precision, times the few planes.
+    assert float(truth.angle_to(result.lines)) < 1e-9
+
+
+# --- degeneracies are named
+
+
+def named(method: str, ends: list[list[float]], centres: list[list[float]], noise: float = 0.0) -> str:
+    rows = torch.tensor(centres, dtype=torch.float64)
+    segment = torch.tensor([ends], dtype=torch.float64)
+    clean = unit(segment[0] - rows[:, None])
+    arcs = unit(clean + noise * normal(*clean.shape, seed=11))
+    upright = Pose(torch.eye(3, dtype=torch.float64).expand(len(rows), 3, 3), -rows)
+    result = triangulate(method, PlaneObservations.from_arcs(arcs, upright, torch.zeros(len(rows), dtype=torch.int64), 1))
+    (name,) = result.status_names
+    assert bool(torch.isnan(result.lines.moment).all()) == (name not in ("ok", "weak"))
+    return name
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_two_views_give_a_weak_line_and_one_gives_none(method: str) -> None:
+    ends, centres, track, _ = scene(3, seed=9, views=(2, 2, 1))
+    result = triangulate(method, observe(ends, centres, track))
+    assert result.status_names == ("weak", "weak", "too_few_views")
+    assert torch.isnan(result.lines.moment[2]).all() and torch.isnan(result.residual_rad).all()
+    assert_exact(triangulate(method, observe(ends[:2], centres[track < 2], track[track < 2])), ends[:2], size=5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_degenerate_geometry_is_named(method: str, noise: float) -> None:
+    up = [[-1.0, 0.0, 5.0], [1.0, 0.2, 5.0]]
+    flat = [[-1.0, 0.0, 5.0], [1.0, 0.0, 5.0]]
+    # Cameras and segment in the plane y = 0.
+    in_plane = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.5], [0.5, 0.0, 1.0]]
+    assert named(method, flat, in_plane[:2], noise) == "epipolar"
+    assert named(method, flat, in_plane, noise) in ("epipolar", "parallel_planes")
+    # A baseline of 1 m, 2 cm of it across the plane.
+    assert named(method, flat, [[0.0, 0.0, 0.0], [1.0, 0.02, 0.0]], noise) == "parallel_planes"
+    assert named(method, [[-1e5, 0.0, 5e5], [1e5, 0.0, 5e5]], [[0.0, 0.0, 0.0], [0.1, 1.0, 0.0]]) == "at_infinity"
+    assert named(method, up, [[0.0, 0.0, 0.0], [0.3, 1.0, 0.0], [-0.4, -1.0, 0.2]], noise) == "ok"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_line_through_a_camera_centre_and_one_behind_are_named(method: str) -> None:
+    # The second plane contains the first centre, so the planes meet in a line through that centre.
+    arcs = unit(torch.tensor([[[-1.0, 0, 5], [1, 0, 5]], [[-1, 0, 0], [-2, 1, 5]]], dtype=torch.float64))
+    centres = torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64)
+    upright = Pose(torch.eye(3, dtype=torch.float64).expand(2, 3, 3), -centres)
+    observations = PlaneObservations.from_arcs(arcs, upright, torch.zeros(2, dtype=torch.int64), 1)
+    assert triangulate(method, observations).status_names == ("through_centre",)
+    ends, centres, track, _ = scene(5, seed=12)
+    behind = observe(ends, centres, track)
+    flipped = triangulate(method, replace(behind, arcs=-behind.arcs))
+    assert flipped.status_names == ("behind",) * 5
+    assert torch.isnan(flipped.lines.direction).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_arcs_that_are_not_of_one_line_are_inconsistent_and_errors_of_poses_are_not(method: str) -> None:
+    ends, centres, track, _ = scene(40, seed=15, views=(8, 12))
+    clean = observe(ends, centres, track)
+    upright = Pose(torch.eye(3, dtype=torch.float64).expand(len(track), 3, 3), -centres)
+    random = PlaneObservations.from_arcs(unit(normal(len(track), 2, 3, seed=16)), upright, track, 40)
+    names = triangulate(method, random).status_names
+    assert names.count("inconsistent") >= 36 and not {"ok", "weak"} & set(names)
+    off = Pose.exp(0.05 * normal(len(track), 6, seed=17))
+    perturbed = PlaneObservations.from_arcs(clean.arcs, off @ upright, track, 40)
+    assert float(triangulate(method, perturbed).known.double().mean()) > 0.9
+
+
+# --- what users can get wrong
+
+
+def test_wrong_input_is_refused_in_one_sentence() -> None:
+    ends, centres, track, _ = scene(3, seed=13)
+    good = observe(ends, centres, track)
+    with pytest.raises(InputError, match="dual, averaging, svd, found 'ml'"):
+        triangulate("ml", good)
+    with pytest.raises(InputError, match="0 to 1, found 0 to 2"):
+        replace(good, tracks=2)
+    with pytest.raises(InputError, match="1 of"):
+        replace(good, normal=good.normal * torch.where(torch.arange(len(track)) == 1, 0.0, 1.0)[:, None].double())
+    with pytest.raises(InputError, match="weights unit or published"):
+        triangulate("dual", good, iterations=-1)
+    with pytest.raises(InputError, match="at least 2 planes"):
+        triangulate("averaging", good, subset=1)
+
+
+def test_an_empty_table_gives_no_lines() -> None:
+    nothing = torch.zeros(0, 3, dtype=torch.float64)
+    ran = 0
+    for method in METHODS:
+        result = triangulate(method, PlaneObservations(nothing, nothing, torch.zeros(0, dtype=torch.int64), 4))
+        assert result.status_names == ("too_few_views",) * 4
+        ran += 1
+    assert ran == 3
+
+
+def test_every_status_is_one_of_the_records() -> None:
+    ends, centres, track, _ = scene(4, seed=14)
+    result = triangulate("dual", observe(ends, centres, track))
+    assert set(result.status_names) <= set(LINE_STATUSES) and len(result) == 4
+
+
+def test_subsets_are_all_of_them_or_a_seeded_draw() -> None:
+    assert len(subsets(8, 4, 128, 0)) == 70
+    drawn = subsets(20, 10, 128, 0)
+    assert drawn.shape == (128, 10) and torch.equal(drawn, subsets(20, 10, 128, 0))
+    assert not torch.equal(drawn, subsets(20, 10, 128, 1))
+    assert bool((drawn[:, 1:] > drawn[:, :-1]).all())
+
+
+# --- noise
+
+
+def dissertation_scene(trials: int, noise_px: float, step_deg: float) -> tuple[torch.Tensor, PlaneObservations]:
+    """40 lines in [-1, 1]^3, 8 cameras on a circle of radius 4 m at height 3 m looking at the centre, noise on the end points."""
+    azimuth = torch.deg2rad(torch.arange(8, dtype=torch.float64) * step_deg)
+    centres = torch.stack([4 * azimuth.cos(), 4 * azimuth.sin(), torch.full_like(azimuth, 3.0)], -1)
+    z = unit(-centres)
+    x = unit(torch.linalg.cross(z, torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).expand(8, 3)))
+    rotation = torch.stack([x, torch.linalg.cross(z, x), z], -2)
+    poses = Pose(rotation, -(rotation @ centres[..., None]).squeeze(-1))
+    matrix = torch.tensor([[1520.4, 0.0, 302.32], [0.0, 1525.9, 246.87], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    ends = 2 * torch.rand(40 * trials, 2, 3, generator=torch.Generator().manual_seed(20), dtype=torch.float64) - 1
+    track, camera = torch.arange(len(ends)).repeat_interleave(8), torch.arange(8).repeat(len(ends))
+    pixels = poses[camera].transform(ends[track]) @ matrix.mT
+    pixels = pixels[..., :2] / pixels[..., 2:] + noise_px * normal(len(track), 2, 2, seed=21)
+    rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1) @ torch.linalg.inv(matrix).mT
+    return ends, PlaneObservations.from_arcs(unit(rays), poses[camera], track, len(ends))
+
+
+def rms_m(result: Triangulation, ends: torch.Tensor) -> float:
+    squares = torch.stack([result.lines.distance_to(ends[:, e]) for e in range(2)]).square()
+    return float(squares[:, result.known].mean().sqrt())
+
+
+@pytest.mark.parametrize("step_deg", [45.0, 9.0])
+def test_methods_compared_on_the_dissertations_set_up(step_deg: float, record_property: Callable[[str, float], None]) -> None:
+    ends, observations = dissertation_scene(trials=5, noise_px=0.5, step_deg=step_deg)
+    options = {
+        "dual": ("dual", {}),
+        "dual, published weights": ("dual", {"weights": "published"}),
+        "dual, published weights, file's origin": ("dual", {"weights": "published", "origin": "file"}),
+        "svd": ("svd", {}),
+        "averaging": ("averaging", {}),
+    }
+    results = {name: triangulate(method, observations, **given) for name, (method, given) in options.items()}
+    error = {name: 1e3 * rms_m(result, ends) for name, result in results.items()}
+    print(step_deg, {name: f"{value:.3f} mm" for name, value in error.items()})
+    for name, value in error.items():
+        record_property(f"rms_mm {name}", value)
+    known = torch.stack([r.known for r in results.values()]).double().mean()
+    assert float(known) > 0.99
+    assert error["dual"] < 1.01 * error["dual, published weights"]
+    assert 1.2 * error["dual"] < error["dual, published weights, file's origin"]
+    assert error["dual"] < 1.02 * error["svd"]
+    assert error["averaging"] < 1.1 * error["dual"]
+    # The residuals show the noise that was put in: 0.5 px at the mean scale of the matrix, a little less off the axis.
+    sigma = float(results["dual"].residual_rad.square().mean().sqrt())
+    assert sigma == pytest.approx(0.5 / 1523, rel=0.1)
+
+
+def test_the_error_does_not_depend_on_where_the_world_origin_is() -> None:
+    ends, observations = dissertation_scene(trials=1, noise_px=0.5, step_deg=45.0)
+    truth = triangulate("dual", observations)
+    shift = torch.tensor([30.0, -4.0, 12.0], dtype=torch.float64)
+    moved = triangulate("dual", replace(observations, centre=observations.centre + shift))
+    assert rms_m(moved, ends + shift) == pytest.approx(rms_m(truth, ends), rel=1e-9)
+    published = {
+        where: rms_m(
+            triangulate("dual", replace(observations, centre=observations.centre + d), weights="published", origin="file"),
+            ends + d,
+        )
+        for where, d in (("centre", 0 * shift), ("away", shift))
+    }
+    assert published["centre"] != pytest.approx(published["away"], rel=0.05)
