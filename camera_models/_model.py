@@ -4,6 +4,7 @@ Pixels are (u right, v down) with the centre of the first pixel at (0, 0). The c
 the angle off axis is theta = atan2(hypot(x, y), z) in [0, pi].
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -26,6 +27,8 @@ class CameraModel(ABC):
 
     NAME: ClassVar[str]
     PARAMETER_NAMES: tuple[str, ...]
+    LARGEST_ANGLE: ClassVar[float] = math.pi
+    """Angle off axis (rad) that no instance of the model reaches."""
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)

@@ -30,6 +30,7 @@ class Pinhole(CameraModel):
     """Perspective camera; zero distortion coefficients make it the ideal one."""
 
     NAME = "pinhole"
+    LARGEST_ANGLE = math.pi / 2
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int], coefficients: int = 5) -> None:

@@ -1,0 +1,55 @@
+"""What a set of board views can and cannot determine: degenerate sets are named, and the field of view that the data support."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel, GeometryError
+from camera_models.pose import Pose
+
+PARALLEL_DEG = 3.0
+"""Boards whose normals all agree within this angle count as parallel: their tilt is then mostly noise."""
+
+
+def refuse_parallel_boards(cam_from_board: Pose) -> None:
+    """Raise GeometryError when all boards are parallel: focal length and distance cannot then be told apart."""
+    normals = cam_from_board.rotation[..., 2]
+    _, _, vt = torch.linalg.svd(normals)
+    mean = vt[0]
+    spread = torch.atan2(torch.linalg.cross(normals, mean.expand_as(normals)).norm(dim=-1), (normals @ mean).abs())
+    widest = math.degrees(float(spread.max()))
+    if widest < PARALLEL_DEG:
+        raise GeometryError(
+            f"Boards tilted against each other were expected, found all boards parallel: {len(normals)} views within "
+            f"{widest:.1f} degrees of each other; add photos with the board tilted by 20 to 45 degrees about different axes."
+        )
+
+
+def angles_off_axis(model: CameraModel, pixels: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
+    """Angle (rad) of every pixel's bearing from the bearing of the centre pixel."""
+    bearings, _ = model.unproject(pixels)
+    axis, _ = model.unproject(model.centre_px)
+    sideways = torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1)
+    return torch.atan2(sideways, (bearings * axis).sum(-1))
+
+
+def supported_angles_deg(model: CameraModel, pixels: Float[Tensor, "n 2"]) -> tuple[float, float]:
+    """Smallest and largest angle off axis (degrees) at which corners were seen; the smallest is 0 unless a blind
+    centre is wider than a tenth of the largest."""
+    angles = angles_off_axis(model, pixels)
+    low, high = math.degrees(float(angles.min())), math.degrees(float(angles.max()))
+    return (low if low > 0.1 * high else 0.0), high
+
+
+def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size: tuple[int, int]) -> tuple[str, ...]:
+    """Sentences on parts of the image without corners."""
+    radius = (pixels - model.centre_px).norm(dim=-1)
+    shorter = min(image_size) / 2
+    if float(radius.max()) < 2 / 3 * shorter:
+        return (
+            f"No corner lies in the outer third of the image (the farthest is {float(radius.max()):.0f} px from the centre of "
+            f"{shorter:.0f} px): the calibration is extrapolated there; add photos with the board near the rim.",
+        )
+    return ()

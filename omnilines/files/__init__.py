@@ -1,0 +1,25 @@
+"""The files of a scene folder: tables (CSV), covariances (NPZ), line drawings (PLY), photos."""
+
+from omnilines.files.corners import read_corners, write_corners
+from omnilines.files.lines import read_lines, write_covariance, write_lines
+from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
+from omnilines.files.ply import write_ply
+from omnilines.files.poses import read_poses, write_poses
+from omnilines.files.segments import read_segments, write_segments
+
+__all__ = [
+    "PHOTO_SUFFIXES",
+    "PhotoRef",
+    "find_photos",
+    "read_corners",
+    "read_lines",
+    "read_photo",
+    "read_poses",
+    "read_segments",
+    "write_corners",
+    "write_covariance",
+    "write_lines",
+    "write_ply",
+    "write_poses",
+    "write_segments",
+]

@@ -1,0 +1,121 @@
+"""Photos on disk: finding them in folders, naming them as the tables do, reading them."""
+
+import contextlib
+import os
+import re
+import threading
+import unicodedata
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt
+
+from camera_models.errors import InputError
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
+
+
+@dataclass(frozen=True)
+class PhotoRef:
+    """A photo and the name it has in tables."""
+
+    path: Path
+    name: str
+    """POSIX path relative to the photo folder."""
+
+
+def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
+    """The photos in folders (and their subfolders) and among files, each once, in natural order (2.jpg before 10.jpg).
+
+    The photo folder, which names are relative to, is the folder given; of several folders or files it is the deepest one that
+    holds them all. Files whose name begins with a dot are left out. Raises InputError where a path does not exist, a file named
+    is not of PHOTO_SUFFIXES, a name is not valid text, or there is no photo.
+    """
+    found: dict[str, None] = {}
+    folders = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            folders.append(os.path.abspath(path))
+            found |= dict.fromkeys(_photos_in(path))
+        elif not path.exists():
+            raise InputError(f"{path} does not exist; give photos or a folder of photos.")
+        elif path.suffix.lower() not in PHOTO_SUFFIXES:
+            raise InputError(f"{path} is not a photo; expected a file ending in {' '.join(PHOTO_SUFFIXES)}.")
+        else:
+            folders.append(os.path.abspath(path.parent))
+            found[os.path.abspath(path)] = None
+    if not found:
+        named = " ".join(map(str, paths)) or "an empty list of paths"
+        raise InputError(f"No image found in {named}; expected files ending in {' '.join(PHOTO_SUFFIXES)}.")
+    root = os.path.commonpath(folders)
+    photos = [PhotoRef(Path(path), Path(os.path.relpath(path, root)).as_posix()) for path in found]
+    for photo in photos:
+        # Control characters, and bytes that are not UTF-8: tables could not hold them.
+        if any(unicodedata.category(character) in ("Cc", "Cs") for character in photo.name):
+            raise InputError(f"The name of the image {photo.name!r} holds characters that are not text; rename it.")
+    return sorted(photos, key=lambda photo: _natural(photo.name))
+
+
+def _photos_in(folder: Path) -> Iterator[str]:
+    for parent, folders, files in os.walk(os.path.abspath(folder)):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (
+            os.path.join(parent, name) for name in files if name.lower().endswith(PHOTO_SUFFIXES) and not name.startswith(".")
+        )
+
+
+def _natural(name: str) -> tuple[list[tuple[str, int]], str]:
+    pieces = re.findall(r"([^0-9]*)([0-9]*)", name.lower())
+    return [(text, int(digits or -1)) for text, digits in pieces], name
+
+
+def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
+    """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
+
+    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, or holds
+    other numbers than 8 or 16 bit ones.
+    """
+    file = Path(path)
+    try:
+        data = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    except OSError as error:
+        raise InputError(f"The image {file} cannot be read ({error.strerror}); check the path.") from error
+    if not len(data):
+        raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
+    try:
+        with _quiet_codecs():
+            pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error as error:
+        raise InputError(f"The image {file} cannot be decoded ({error.err}); convert it to PNG or JPEG.") from None
+    if pixels is None:
+        raise InputError(f"The image {file} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
+    return pixels
+
+
+_stderr_is_taken = threading.Lock()
+
+
+@contextlib.contextmanager
+def _quiet_codecs() -> Iterator[None]:
+    # libjpeg and libpng write about damaged files to the process's standard error, past OpenCV's logging and past Python.
+    with _stderr_is_taken:
+        try:
+            kept = os.dup(2)
+        except OSError:
+            kept = -1  # standard error is closed: there is nothing to keep quiet
+        if kept < 0:
+            yield
+            return
+        sink = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(sink, 2)
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            os.close(sink)

@@ -1,0 +1,47 @@
+"""`poses.csv`: `cam_from_world` of photos, one row each."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
+from camera_models.pose import Pose
+from omnilines.files.tables import name_cells, number_cells, read_table, write_table
+from omnilines.records import ImagePoses
+
+COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
+
+
+def read_poses(path: str | Path) -> ImagePoses:
+    """Poses in the order of the file: X_cam = R(q) X_world + t, t in metres, q = (w, x, y, z), normalised when read.
+
+    `camera` may be empty in every row. Raises InputError naming file, line and column where a value is missing or not a finite
+    number, a quaternion has length zero, or a photo stands twice.
+    """
+    table = read_table(path, COLUMNS)
+    image, images = table.names("image")
+    _, first = np.unique(image, return_index=True)
+    once = np.zeros(len(table), dtype=bool)
+    once[first] = True
+    table.require(once, "image", "each image once", "remove one of its rows")
+    cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
+    quaternions = table.numbers("qw", "qx", "qy", "qz")
+    table.require(np.linalg.norm(quaternions, axis=1) > 1e-12, "qw", "a unit quaternion, not one of length zero")
+    rotation = rotation_from_file(torch.from_numpy(quaternions))
+    return ImagePoses(images, Pose(rotation, torch.from_numpy(table.numbers("tx", "ty", "tz"))), cameras)
+
+
+def write_poses(path: str | Path, poses: ImagePoses) -> None:
+    """Write poses in one step, `camera` empty where none is named; raises InputError on NaN or an unwritable path.
+
+    Rotations come back within 3e-14 rad, and to the bit once they have been through a file.
+    """
+    numbers = torch.cat([quaternion_for_file(poses.cam_from_world.rotation), poses.cam_from_world.translation], -1)
+    columns = {
+        "image": name_cells(poses.images, None, path, "image"),
+        "camera": [""] * len(poses) if poses.cameras is None else name_cells(poses.cameras, None, path, "camera"),
+    }
+    for name, values in zip(COLUMNS[2:], numbers.detach().cpu().numpy().T, strict=True):
+        columns[name] = number_cells(values, path, name)
+    write_table(path, columns)

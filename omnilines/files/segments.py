@@ -1,0 +1,67 @@
+"""`segments.csv`: observed image segments (chords of arcs), one row each."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from camera_models.errors import InputError
+from omnilines.files.tables import Table, name_cells, number_cells, read_table, write_table
+from omnilines.records import Segments
+
+COLUMNS = ("image", "track", "u1_px", "v1_px", "u2_px", "v2_px")
+COVARIANCE = ("suu1", "suv1", "svv1", "suu2", "suv2", "svv2")
+OPTIONAL = ("camera", "sigma_px", *COVARIANCE)
+
+
+def read_segments(path: str | Path) -> Segments:
+    """Segments; photos and tracks in the order of first appearance, track -1 where the cell is empty.
+
+    Raises InputError naming file, line and column where a value is missing or not a finite number, the two ends are one pixel,
+    a photo has two cameras, or a covariance (px^2) is incomplete or not one.
+    """
+    table = read_table(path, COLUMNS, OPTIONAL)
+    image, images = table.names("image")
+    track, tracks = table.names("track", may_be_empty=True)
+    ends = table.numbers("u1_px", "v1_px", "u2_px", "v2_px").reshape(-1, 2, 2)
+    table.require((ends[:, 0] != ends[:, 1]).any(1), "u2_px", "an end point other than the first", "remove the row")
+    sigma = None
+    if table.has("sigma_px"):
+        sigma = table.numbers("sigma_px")[:, 0]
+        table.require(sigma > 0, "sigma_px", "a standard deviation above 0")
+    cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
+    return Segments(image, images, track, tracks, ends, sigma, _covariance(table), cameras)
+
+
+def _covariance(table: Table) -> Float[np.ndarray, "n 2 2 2"] | None:
+    given = [name for name in COVARIANCE if table.has(name)]
+    if not given:
+        return None
+    absent = [name for name in COVARIANCE if name not in table.columns]
+    if absent:
+        raise InputError(
+            f"{table.path}: the column {absent[0]} is missing beside {given[0]}; give all of {','.join(COVARIANCE)}."
+        )
+    suu1, suv1, svv1, suu2, suv2, svv2 = table.numbers(*COVARIANCE).T
+    for end, (suu, suv, svv) in enumerate(((suu1, suv1, svv1), (suu2, suv2, svv2)), 1):
+        table.require(suu > 0, f"suu{end}", "a variance above 0")
+        table.require(svv > 0, f"svv{end}", "a variance above 0")
+        limit = np.sqrt(suu) * np.sqrt(svv) * (1 + 1e-9)
+        table.require(np.abs(suv) <= limit, f"suv{end}", f"a covariance of at most sqrt(suu{end} svv{end})")
+    return np.stack([suu1, suv1, suv1, svv1, suu2, suv2, suv2, svv2], 1).reshape(-1, 2, 2, 2)
+
+
+def write_segments(path: str | Path, segments: Segments) -> None:
+    """Write segments in one step; photos without one leave no trace; raises InputError on NaN or an unwritable path."""
+    columns = {"image": name_cells(segments.images, segments.image, path, "image")}
+    if segments.cameras is not None:
+        columns["camera"] = name_cells(segments.cameras, segments.image, path, "camera")
+    columns["track"] = name_cells(segments.tracks, segments.track, path, "track")
+    for name, values in zip(COLUMNS[2:], segments.endpoints_px.reshape(-1, 4).T, strict=True):
+        columns[name] = number_cells(values, path, name)
+    if segments.sigma_px is not None:
+        columns["sigma_px"] = number_cells(segments.sigma_px, path, "sigma_px")
+    if segments.covariance_px2 is not None:
+        for name, values in zip(COVARIANCE, segments.covariance_px2.reshape(-1, 8)[:, [0, 1, 3, 4, 5, 7]].T, strict=True):
+            columns[name] = number_cells(values, path, name)
+    write_table(path, columns)

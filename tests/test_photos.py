@@ -1,0 +1,172 @@
+"""Photos are found in natural order under the names that tables use, and read upright; bad ones are named, quietly."""
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_models.errors import InputError
+from omnilines.files import PHOTO_SUFFIXES, find_photos, read_photo
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+
+
+def found(*paths: str | Path) -> list[str]:
+    return [photo.name for photo in find_photos(list(paths))]
+
+
+def test_a_folder_in_natural_order(tmp_path: Path) -> None:
+    touch(
+        tmp_path,
+        "img10.JPG",
+        "img2.jpg",
+        "IMG1.jpg",
+        "notes.txt",
+        ".hidden.jpg",
+        ".thumbs/img3.jpg",
+        "b/2.png",
+        "b/10.Png",
+        "jpg",
+    )
+    assert found(tmp_path) == ["b/2.png", "b/10.Png", "IMG1.jpg", "img2.jpg", "img10.JPG"]
+    assert found(str(tmp_path)) == found(tmp_path)
+    assert all(photo.path == tmp_path / photo.name for photo in find_photos([tmp_path]))
+
+
+def test_every_suffix_is_found_and_readable(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (8, 9), dtype=np.uint8)
+    assert len(PHOTO_SUFFIXES) == 8
+    for suffix in PHOTO_SUFFIXES:
+        assert cv2.imwrite(str(tmp_path / f"a{suffix}"), pixels)
+    photos = find_photos([tmp_path])
+    assert sorted(photo.path.suffix for photo in photos) == sorted(PHOTO_SUFFIXES)
+    assert all(read_photo(photo.path).shape[:2] == (8, 9) for photo in photos)
+
+
+def test_files_and_several_folders_share_the_deepest_folder(tmp_path: Path) -> None:
+    touch(tmp_path, "cam0/1.jpg", "cam0/2.jpg", "cam1/1.jpg")
+    assert found(tmp_path / "cam0" / "2.jpg", tmp_path / "cam0" / "1.jpg") == ["1.jpg", "2.jpg"]
+    assert found(tmp_path / "cam0", tmp_path / "cam1") == ["cam0/1.jpg", "cam0/2.jpg", "cam1/1.jpg"]
+    assert found(tmp_path / "cam0", tmp_path / "cam1" / "1.jpg") == ["cam0/1.jpg", "cam0/2.jpg", "cam1/1.jpg"]
+    assert found(tmp_path / "cam0", tmp_path / "cam0" / ".." / "cam0" / "1.jpg") == ["1.jpg", "2.jpg"]
+
+
+def test_relative_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    touch(tmp_path, "p/1.jpg")
+    monkeypatch.chdir(tmp_path)
+    assert found("p") == found("p/1.jpg") == ["1.jpg"] and found(".") == ["p/1.jpg"]
+
+
+def test_real_photos_are_named_as_in_the_tables(shared_data: Path) -> None:
+    names = found(shared_data / "calibration" / "fisheye1" / "images")
+    assert names == [f"Fisheye1_{k}.jpg" for k in range(1, 16)]
+
+
+def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
+    touch(tmp_path, "notes.txt")
+    with pytest.raises(InputError, match=r"No image found in .*; expected files ending in \.jpg \.jpeg"):
+        find_photos([tmp_path])
+    with pytest.raises(InputError, match="No image found in an empty list"):
+        find_photos([])
+    with pytest.raises(InputError, match=r"none\.jpg does not exist"):
+        find_photos([tmp_path / "none.jpg"])
+    with pytest.raises(InputError, match=r"notes\.txt is not a photo; expected a file ending in"):
+        find_photos([tmp_path / "notes.txt"])
+    with open(os.fsencode(tmp_path) + b"/\xff.jpg", "wb"):
+        pass
+    with pytest.raises(InputError, match=r"holds characters that are not text; rename it"):
+        find_photos([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "expected"),
+    [
+        ((6, 7), np.uint8, (6, 7)),
+        ((6, 7), np.uint16, (6, 7)),
+        ((6, 7, 3), np.uint8, (6, 7, 3)),
+        ((6, 7, 3), np.uint16, (6, 7, 3)),
+        ((6, 7, 4), np.uint8, (6, 7, 3)),
+    ],
+)
+def test_pixels_come_as_they_were_written(shape: tuple[int, ...], dtype: type, expected: tuple[int, ...], tmp_path: Path) -> None:
+    pixels = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape, dtype=dtype)
+    path = tmp_path / "ünïcode 写真 1.png"
+    path.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    read = read_photo(path)
+    assert read.dtype == dtype and read.shape == expected
+    assert np.array_equal(read, pixels if len(shape) == 2 else pixels[..., :3])
+
+
+def exif(orientation: int) -> bytes:
+    """A JPEG APP1 segment with nothing but the orientation tag (Exif 2.3, tag 0x0112)."""
+    tiff = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+    return b"\xff\xe1" + struct.pack(">H", len(tiff) + 8) + b"Exif\0\0" + tiff
+
+
+@pytest.mark.parametrize(
+    ("orientation", "turned"), [(1, lambda a: a), (3, lambda a: a[::-1, ::-1]), (6, lambda a: np.rot90(a, -1))]
+)
+def test_exif_orientation_turns_the_photo_upright(
+    orientation: int, turned: Callable[[np.ndarray], np.ndarray], tmp_path: Path
+) -> None:
+    ramp = np.add.outer(np.arange(40) * 4, np.arange(64)).astype(np.uint8)
+    jpeg = cv2.imencode(".jpg", ramp)[1].tobytes()
+    (tmp_path / "plain.jpg").write_bytes(jpeg)
+    (tmp_path / "turned.jpg").write_bytes(jpeg[:2] + exif(orientation) + jpeg[2:])
+    assert np.array_equal(read_photo(tmp_path / "turned.jpg"), turned(read_photo(tmp_path / "plain.jpg")))
+
+
+def damaged(kind: str) -> bytes:
+    pixels = np.random.default_rng(2).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+    jpeg, png, tiff = (cv2.imencode(suffix, pixels)[1].tobytes() for suffix in (".jpg", ".png", ".tif"))
+    middle = len(png) // 2
+    return {
+        "text": b"not a photo at all",
+        "jpeg cut short": jpeg[: len(jpeg) // 2],
+        "jpeg header": jpeg[:50],
+        "png cut short": png[:middle],
+        "png changed": png[:middle] + bytes([png[middle] ^ 255]) + png[middle + 1 :],
+        "tiff cut short": tiff[: len(tiff) // 2],
+    }[kind]
+
+
+DAMAGED = ["text", "jpeg cut short", "jpeg header", "png cut short", "png changed", "tiff cut short"]
+
+
+@pytest.mark.parametrize("kind", DAMAGED)
+def test_a_damaged_image_is_named_quietly(kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.jpg").write_bytes(damaged(kind))
+    with pytest.raises(
+        InputError, match=r"The image .*bad\.jpg cannot be decoded: it is damaged, cut short or of another format"
+    ):
+        read_photo(tmp_path / "bad.jpg")
+    os.write(2, b"afterwards\n")
+    assert capfd.readouterr().err == "afterwards\n"
+
+
+def test_empty_absent_and_float_images_are_named(tmp_path: Path) -> None:
+    touch(tmp_path, "empty.jpg")
+    with pytest.raises(InputError, match=r"empty\.jpg is empty \(0 bytes\)"):
+        read_photo(tmp_path / "empty.jpg")
+    with pytest.raises(InputError, match=r"none\.jpg cannot be read \(No such file"):
+        read_photo(tmp_path / "none.jpg")
+    (tmp_path / "f.tif").write_bytes(cv2.imencode(".tif", np.ones((4, 4), np.float32))[1].tobytes())
+    with pytest.raises(InputError, match=r"f\.tif must have 8 or 16 bits per channel, found float32"):
+        read_photo(tmp_path / "f.tif")
+
+
+def test_photos_are_read_with_standard_error_closed(tmp_path: Path) -> None:
+    assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((3, 5), np.uint8))
+    script = "import os, sys; os.close(2); from omnilines.files.photos import read_photo; print(read_photo(sys.argv[1]).shape)"
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.png")], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "(3, 5)"
