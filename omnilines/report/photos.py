@@ -1,0 +1,126 @@
+"""Photos with what was observed and what the model predicts drawn over them."""
+
+import base64
+import os
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from markupsafe import Markup
+
+from omnilines.records import Polyline
+from omnilines.report.page import Section, fragment
+
+MAX_WIDTH_PX = 1600
+_STEPS = ((1600, 88), (1600, 78), (1600, 66), (1280, 72), (1280, 60), (960, 66), (800, 58), (640, 50))
+"""(width in pixels, JPEG quality) tried in turn until a photo fits its share of the page."""
+_SMALLEST_SHARE_BYTES = 60_000
+"""Below this a photo shows too little: fewer photos are embedded instead."""
+
+
+@dataclass(frozen=True)
+class _Photo:
+    name: str
+    size: tuple[int, int]
+    """Of the original, which the curves refer to."""
+    data_uri: str
+    caption: str
+    model: tuple[tuple[str, str], ...]
+    """(label, SVG path) of each curve."""
+    observed: tuple[tuple[str, str], ...]
+
+
+def photos_section(
+    photo_folder: str | os.PathLike[str],
+    curves: Sequence[Polyline],
+    *,
+    images: Sequence[str] | None = None,
+    title: str = "Photos",
+) -> Section:
+    """The photos under `photo_folder` with `curves` over them: kind `model` as lines, kind `observed` as points.
+
+    `images` orders and limits the photos (by default those that `curves` name, in that order); paths are relative to the
+    folder. Pixels are those of the photo as OpenCV reads it, the centre of the first pixel at (0, 0). Photos are scaled and
+    compressed to the page's limit; those that do not fit or cannot be read are named in the page.
+    """
+    names = list(dict.fromkeys(images if images is not None else (c.image for c in curves)))
+    by_image: dict[str, list[Polyline]] = {name: [] for name in names}
+    for curve in curves:
+        if curve.image in by_image:
+            by_image[curve.image].append(curve)
+    folder = pathlib.Path(photo_folder)
+    return Section(title, lambda allowed_bytes: _render(folder, by_image, allowed_bytes))
+
+
+def _render(folder: pathlib.Path, by_image: dict[str, list[Polyline]], allowed_bytes: int) -> Markup:
+    names = list(by_image)
+    places = max(1, allowed_bytes // _SMALLEST_SHARE_BYTES)
+    chosen = names if len(names) <= places else [names[k] for k in np.linspace(0, len(names) - 1, places).round().astype(int)]
+    left_out = dict.fromkeys(set(names) - set(chosen), "no room in the page")
+    left = allowed_bytes - sum(len(name.encode()) + 100 for name in names)
+    photos = []
+    for k, name in enumerate(chosen):
+        pixels = _read(folder / name)
+        if pixels is None:
+            left_out[name] = "it cannot be read"
+            continue
+        photo = _embed(name, pixels, by_image[name], left // (len(chosen) - k))
+        if photo is None:
+            left_out[name] = "no room in the page"
+            continue
+        photos.append(photo)
+        left -= _size_bytes(photo)
+    ordered = [(name, left_out[name]) for name in names if name in left_out]
+    return fragment("photos", photos=photos, left_out=ordered, total=len(names))
+
+
+def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The photo as OpenCV sees it (turned as its EXIF says); None where there is none."""
+    if not path.is_file():
+        return None
+    data = np.fromfile(path, dtype=np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+
+
+def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyline], share_bytes: int) -> _Photo | None:
+    """The photo in at most `share_bytes` with its curves; None where even the smallest is larger."""
+    height, width = pixels.shape[:2]
+    model = tuple((c.label, _line_path(c.pixels)) for c in curves if c.kind == "model")
+    observed = tuple((c.label, _point_path(c.pixels)) for c in curves if c.kind != "model")
+    points = sum(int(np.isfinite(c.pixels).all(1).sum()) for c in curves if c.kind != "model")
+    for step_width, quality in _STEPS:
+        shown = min(width, step_width)
+        scaled = pixels
+        if shown < width:
+            scaled = cv2.resize(pixels, (shown, max(1, round(height * shown / width))), interpolation=cv2.INTER_AREA)
+        jpeg = cv2.imencode(".jpg", scaled, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        uri = "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
+        scale = "" if shown == width else f", shown {shown} px wide"
+        caption = f"{width} × {height} px{scale}; {points:,} observed points, {len(model):,} curves"
+        photo = _Photo(name, (width, height), uri, caption, model, observed)
+        if _size_bytes(photo) <= share_bytes:
+            return photo
+    return None
+
+
+def _size_bytes(photo: _Photo) -> int:
+    """What the photo takes in the page: its data, its curves (an observed path is written twice) and the tags around them."""
+    paths = sum(len(label.encode()) + len(path) + 80 for label, path in (*photo.model, *photo.observed, *photo.observed))
+    return len(photo.data_uri) + paths + 4 * len(photo.name.encode()) + 800
+
+
+def _line_path(pixels: Float[np.ndarray, "k 2"]) -> str:
+    """SVG path through the points, lifted over those that are not finite."""
+    known = np.isfinite(pixels).all(1)
+    starts = known & ~np.concatenate([[False], known[:-1]])
+    return "".join(
+        f"{'M' if start else 'L'}{u:.1f} {v:.1f}" for (u, v), start, ok in zip(pixels, starts, known, strict=True) if ok
+    )
+
+
+def _point_path(pixels: Float[np.ndarray, "k 2"]) -> str:
+    """SVG path of one dot per point: strokes of no length with round ends."""
+    return "".join(f"M{u:.2f} {v:.2f}h0" for u, v in pixels[np.isfinite(pixels).all(1)])

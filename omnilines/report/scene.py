@@ -1,0 +1,193 @@
+"""The 3D view: boards, lines, cameras and, where known, the truth, in a scene that can be turned."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from omnilines.records import ImagePoses, Lines
+from omnilines.report.page import Section, fragment
+from omnilines.report.plots import PALETTE, QUIET, Trace, axis, broken, numbers, plot, sample, sample_note
+
+SHOWN_LINES = 10_000
+"""More lines than this are sampled for the view, and the page says so."""
+
+
+def scene_section(
+    *,
+    boards: Sequence[tuple[str, Float[np.ndarray, "4 3"]]] = (),
+    lines: Lines | None = None,
+    groups: Sequence[str] | None = None,
+    cameras: ImagePoses | None = None,
+    truth_m: Float[np.ndarray, "n 2 3"] | None = None,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    title: str = "Scene",
+    caption: str = "",
+) -> Section:
+    """A 3D view of what stands in one frame, in metres.
+
+    `boards` are (name, corners in order around the quadrilateral). `groups` labels each of `lines` for colour and legend
+    (by default its status); lines without end points are counted, not drawn. `cameras` are drawn as pyramids that open along
+    the optical axis. `truth_m` holds the ends of the true lines. `up` is the direction drawn upwards: (0, -1, 0) for a camera
+    frame, z for a world.
+    """
+    ends = np.empty((0, 2, 3)) if lines is None else lines.ends_m[lines.known]
+    centres = np.empty((0, 3)) if cameras is None else cameras.cam_from_world.centre.numpy().reshape(-1, 3)
+    corners = np.stack([quad for _, quad in boards]) if boards else np.empty((0, 4, 3))
+    truth = np.empty((0, 2, 3)) if truth_m is None else truth_m
+    points = np.concatenate([ends.reshape(-1, 3), centres, corners.reshape(-1, 3), truth.reshape(-1, 3)])
+    if not len(points):
+        return Section(title, fragment("plots", intro="There is nothing to show in 3D.", plots=[]))
+    traces = [*_boards(boards), *_truth(truth_m), *_lines(lines, groups), *_cameras(cameras, _pyramid_height(points, centres))]
+    ranges, outside = _ranges(points)
+    layout = {
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "legend": {"x": 0, "y": 1, "itemsizing": "constant"},
+        "showlegend": True,
+        "scene": {
+            "aspectmode": "data",
+            "camera": {"up": _xyz(np.array(up)), "eye": _eye(np.array(up)), "center": _xyz(-0.08 * np.array(up))},
+            "dragmode": "turntable" if up == (0.0, 0.0, 1.0) else "orbit",
+            **{f"{name}axis": axis(f"{name} (m)", nticks=6, **own) for name, own in zip("xyz", ranges, strict=True)},
+        },
+    }
+    hint = (
+        "Drag to turn, scroll to zoom, right-drag to move. A click in the legend hides or shows a group, a double click shows it "
+        "alone."
+    )
+    hint += " Hover over a line for its track, status and standard deviation." if lines is not None else ""
+    hint += f" {outside:,} far points lie outside the view." if outside else ""
+    figure = plot(traces, layout, label="3D view", caption=f"{caption} {_counts(lines)}{hint}".strip(), wide=True, aspect=1.6)
+    return Section(title, fragment("plots", intro="", plots=[figure]))
+
+
+def _counts(lines: Lines | None) -> str:
+    if lines is None:
+        return ""
+    known = int(lines.known.sum())
+    text = f"{known:,} of {len(lines):,} tracks have a line in space."
+    return f"{text}{sample_note(known, SHOWN_LINES)} ".replace("points", "lines")
+
+
+def _boards(boards: Sequence[tuple[str, Float[np.ndarray, "4 3"]]]) -> list[Trace]:
+    if not boards:
+        return []
+    quads = np.stack([quad for _, quad in boards])
+    first = 4 * np.arange(len(quads))[:, None]
+    triangles = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
+    x, y, z = quads.reshape(-1, 3).T
+    outline = broken(quads[:, [0, 1, 2, 3, 0]])
+    names = [name for name, _ in boards]
+    return [
+        {
+            "type": "mesh3d",
+            "x": numbers(x),
+            "y": numbers(y),
+            "z": numbers(z),
+            **{key: triangles[:, k].tolist() for k, key in enumerate("ijk")},
+            "color": PALETTE[2],
+            "opacity": 0.18,
+            "hoverinfo": "skip",
+            "legendgroup": "boards",
+            "showlegend": False,
+            "flatshading": True,
+        },
+        _strokes(outline, [n for name in names for n in [name] * 6], "boards", PALETTE[2], width=3),
+    ]
+
+
+def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
+    if lines is None:
+        return []
+    labels = list(lines.status if groups is None else groups)
+    rows = np.flatnonzero(lines.known)
+    rows = rows[sample(len(rows), SHOWN_LINES)]
+    traces = []
+    for k, label in enumerate(dict.fromkeys(labels[i] for i in rows)):
+        own = [int(i) for i in rows if labels[i] == label]
+        # The middle is there to be hovered over: only vertices answer the mouse.
+        ends = lines.ends_m[own]
+        path = broken(np.stack([ends[:, 0], ends.mean(1), ends[:, 1]], 1))
+        text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
+        traces.append(_strokes(path, text, label, PALETTE[(0, 1, 3, 5, 6, 7, 2, 4)[k % len(PALETTE)]], width=4))
+    return traces
+
+
+def _describe(lines: Lines, row: int) -> str:
+    return (
+        f"{lines.tracks[row]}: {lines.status[row]}, {lines.views[row]} views<br>"
+        f"sigma {1e3 * lines.sigma_m[row]:.3g} mm, residual {lines.rms_px[row]:.3g} px"
+    )
+
+
+def _truth(truth_m: Float[np.ndarray, "n 2 3"] | None) -> list[Trace]:
+    if truth_m is None:
+        return []
+    path = broken(truth_m[sample(len(truth_m), SHOWN_LINES)])
+    return [_strokes(path, [], "truth", QUIET, width=2)]
+
+
+def _cameras(cameras: ImagePoses | None, height_m: float) -> list[Trace]:
+    """Pyramids from each centre along its optical axis; their bases are 4:3 and stand as the image does, a mark at its top."""
+    if cameras is None:
+        return []
+    u, v = 0.6 * height_m, 0.45 * height_m
+    a, b, c, d = np.array([[-u, -v, height_m], [u, -v, height_m], [u, v, height_m], [-u, v, height_m]])
+    apex, top = np.zeros(3), np.array([0.0, -1.5 * v, height_m])
+    outline = np.stack([apex, a, b, c, d, a, top, b, apex, c, d, apex])
+    world_from_cam = cameras.cam_from_world.inverse()
+    rotation = world_from_cam.rotation.numpy().reshape(-1, 3, 3)
+    centres = world_from_cam.translation.numpy().reshape(-1, 1, 3)
+    path = broken(outline @ rotation.transpose(0, 2, 1) + centres)
+    text = [name for name in cameras.images for _ in range(len(outline) + 1)]
+    return [_strokes(path, text, "cameras", PALETTE[4], width=3)]
+
+
+def _strokes(path: Float[np.ndarray, "m 3"], text: list[str], name: str, colour: str, width: int) -> Trace:
+    """One trace of broken curves under one name of the legend; without `text` it does not answer the mouse."""
+    trace: Trace = {
+        "type": "scatter3d",
+        "mode": "lines",
+        "x": numbers(path[:, 0]),
+        "y": numbers(path[:, 1]),
+        "z": numbers(path[:, 2]),
+        "line": {"color": colour, "width": width},
+        "name": name,
+        "legendgroup": name,
+    }
+    return {**trace, **({"text": text, "hovertemplate": "%{text}<extra></extra>"} if text else {"hoverinfo": "skip"})}
+
+
+def _pyramid_height(points: Float[np.ndarray, "n 3"], centres: Float[np.ndarray, "m 3"]) -> float:
+    """A fifteenth of the scene, and not so large that neighbouring cameras hide each other."""
+    extent = float(np.linalg.norm(np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0))) or 1.0
+    if len(centres) < 2:
+        return extent / 15
+    step = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+    return float(np.clip(0.8 * step, extent / 60, extent / 15))
+
+
+def _ranges(points: Float[np.ndarray, "n 3"]) -> tuple[list[dict[str, Any]], int]:
+    """Options of the three axes, and how many points they leave out: a few far ends must not shrink all else to a dot."""
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    reach = 2 * max(float((high - low).max()), 1e-9)
+    inside = ((points >= low - reach) & (points <= high + reach)).all(1)
+    if inside.all():
+        return [{}, {}, {}], 0
+    near = points[inside]
+    pad = 0.03 * float(np.ptp(near, axis=0).max())
+    limits = np.stack([near.min(0) - pad, near.max(0) + pad], 1)
+    return [{"range": numbers(limit)} for limit in limits], int(len(points) - inside.sum())
+
+
+def _eye(up: Float[np.ndarray, "3"]) -> dict[str, float]:
+    """A view point above and aside: in a camera frame, behind the camera."""
+    up = up / np.linalg.norm(up)
+    aside = np.array([0.7, -1.0, -0.6])
+    aside = aside - (aside @ up) * up
+    return _xyz(1.8 * aside / np.linalg.norm(aside) + 0.9 * up)
+
+
+def _xyz(vector: Float[np.ndarray, "3"]) -> dict[str, float]:
+    return dict(zip("xyz", (round(float(c), 4) for c in vector), strict=True))

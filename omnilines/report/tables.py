@@ -1,0 +1,94 @@
+"""Sections that are tables: figures and notes, checks, parameters, views."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from markupsafe import Markup
+
+from omnilines.records import Check, Summary, ViewResult
+from omnilines.report.page import Section, fragment
+
+
+def summary_section(*summaries: Summary, title: str = "Summary") -> Section:
+    """Tables of named figures, each under its own title, with their notes."""
+    return Section(title, fragment("summary", summaries=summaries, title=title))
+
+
+def checks_section(checks: tuple[Check, ...], title: str = "Checks") -> Section:
+    """Each figure beside its limit and whether it holds."""
+    rows = [
+        {"name": c.name, "value": _figure(c.value), "limit": f"{c.limit:.6g}", "unit": c.unit, "holds": c.holds} for c in checks
+    ]
+    return Section(title, fragment("checks", rows=rows, failed=sum(not c.holds for c in checks)))
+
+
+def parameters_section(
+    model_name: str,
+    names: Sequence[str],
+    values: Float[np.ndarray, " p"],
+    sigmas: Float[np.ndarray, " p"] | None,
+    title: str = "Camera parameters",
+) -> Section:
+    """The parameters of a camera model with one standard deviation each (zero or NaN: held, not estimated)."""
+    spreads = np.full(len(values), np.nan) if sigmas is None else sigmas
+    rows = [
+        {"name": name, "value": _with_sigma(float(value), float(sigma)), "relative": _relative(float(value), float(sigma))}
+        for name, value, sigma in zip(names, values, spreads, strict=True)
+    ]
+    return Section(title, fragment("parameters", model=model_name, rows=rows, has_sigma=sigmas is not None))
+
+
+def views_section(views: Sequence[ViewResult], title: str = "Views") -> Section:
+    """One row per view: whether it was used, why not, its corners and its residual with a bar for comparison."""
+    residuals = [v.rms_px_per_point for v in views if v.rms_px_per_point is not None and math.isfinite(v.rms_px_per_point)]
+    longest = max(residuals, default=0.0) or 1.0
+    rows = [
+        {
+            "view": v,
+            "rms": None if v.rms_px_per_point is None else _figure(v.rms_px_per_point, 3),
+            "share": 0.0 if v.rms_px_per_point not in residuals else round(100 * (v.rms_px_per_point or 0.0) / longest, 1),
+        }
+        for v in views
+    ]
+    cameras = len({v.camera for v in views})
+    return Section(title, fragment("views", rows=rows, used=sum(v.used for v in views), cameras=cameras))
+
+
+def _figure(value: float, digits: int = 4) -> str:
+    """A number with `digits` significant digits, without an exponent where it is of ordinary size."""
+    if not math.isfinite(value):
+        return "not known" if math.isnan(value) else str(value)
+    if value == int(value) and abs(value) < 1e6:
+        return str(int(value))
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 7:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def _with_sigma(value: float, sigma: float) -> Markup:
+    """`value ± sigma`, both cut at the second significant digit of sigma; a power of ten is taken out of small numbers."""
+    if not (math.isfinite(sigma) and sigma > 0 and math.isfinite(value)):
+        return Markup(_power_of_ten(f"{value:.7g}"))
+    size = math.floor(math.log10(max(abs(value), sigma)))
+    power = size if size < -2 or size > 6 else 0
+    decimals = max(0, 1 - math.floor(math.log10(sigma)) + power)
+    scale = 10.0**-power
+    text = f"{value * scale:.{decimals}f} ± {sigma * scale:.{decimals}f}"
+    return Markup(text) if power == 0 else Markup(f"({text}) × 10<sup>{power}</sup>")
+
+
+def _power_of_ten(text: str) -> str:
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa} × 10<sup>{int(exponent)}</sup>" if mark else text
+
+
+def _relative(value: float, sigma: float) -> str:
+    """The standard deviation as a share of the value."""
+    if not (math.isfinite(sigma) and sigma > 0):
+        return "held"
+    if value == 0 or sigma > abs(value):
+        return "not told from 0"
+    return f"{100 * sigma / abs(value):.2g} %"
