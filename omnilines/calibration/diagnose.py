@@ -11,19 +11,48 @@ from camera_models.pose import Pose
 
 PARALLEL_DEG = 3.0
 """Boards whose normals all agree within this angle count as parallel: their tilt is then mostly noise."""
+NEARLY_PARALLEL_DEG = 15.0
+"""Where the camera is left open, boards within this angle are named as the cause."""
+OPEN_SHARE = 0.1
+"""A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
 
 
-def refuse_parallel_boards(cam_from_board: Pose) -> None:
-    """Raise GeometryError when all boards are parallel: focal length and distance cannot then be told apart."""
+def board_spread_deg(cam_from_board: Pose) -> float:
+    """Largest angle (degrees) between a board's normal and the mean normal of all boards."""
     normals = cam_from_board.rotation[..., 2]
     _, _, vt = torch.linalg.svd(normals)
     mean = vt[0]
-    spread = torch.atan2(torch.linalg.cross(normals, mean.expand_as(normals)).norm(dim=-1), (normals @ mean).abs())
-    widest = math.degrees(float(spread.max()))
-    if widest < PARALLEL_DEG:
+    away = torch.atan2(torch.linalg.cross(normals, mean.expand_as(normals)).norm(dim=-1), (normals @ mean).abs())
+    return math.degrees(float(away.max()))
+
+
+def refuse_parallel_boards(cam_from_board: Pose, limit_deg: float = PARALLEL_DEG) -> None:
+    """Raise GeometryError when all boards are parallel: focal length and distance cannot then be told apart."""
+    widest = board_spread_deg(cam_from_board)
+    if widest < limit_deg:
         raise GeometryError(
-            f"Boards tilted against each other were expected, found all boards parallel: {len(normals)} views within "
+            f"Boards tilted against each other were expected, found all boards parallel: {len(cam_from_board)} views within "
             f"{widest:.1f} degrees of each other; add photos with the board tilted by 20 to 45 degrees about different axes."
+        )
+
+
+def refuse_open_camera(
+    model: CameraModel, covariance: Float[Tensor, "p p"], pixels: Float[Tensor, "n 2"], cam_from_board: Pose
+) -> None:
+    """Raise GeometryError when the angle off axis of the corners is uncertain by more than OPEN_SHARE of itself."""
+    radius = (pixels - model.centre_px).norm(dim=-1)
+    outer = pixels[radius >= radius.median()]
+    bearings, _ = model.unproject(outer)
+    _, _, _, by_parameter = model.project_with_jacobians(bearings)
+    by_parameter = model.unproject_jacobian(outer) @ by_parameter
+    spread = (by_parameter @ covariance @ by_parameter.mT).diagonal(dim1=-2, dim2=-1).sum(-1).clamp_min(0).sqrt()
+    share = float((spread / angles_off_axis(model, outer).clamp_min(1e-12)).median())
+    if not share <= OPEN_SHARE:
+        refuse_parallel_boards(cam_from_board, NEARLY_PARALLEL_DEG)
+        found = f"an uncertainty of {100 * share:.0f} percent" if math.isfinite(share) else "that they do not"
+        raise GeometryError(
+            f"The corners of {len(cam_from_board)} views were expected to determine the angles of the camera, found {found}; "
+            "add photos with the board at other tilts and nearer to the rim."
         )
 
 

@@ -12,7 +12,13 @@ from torch import Tensor
 
 from camera_models import CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
-from omnilines.calibration.diagnose import coverage_notes, refuse_parallel_boards, supported_angles_deg
+from omnilines.calibration.diagnose import (
+    NEARLY_PARALLEL_DEG,
+    coverage_notes,
+    refuse_open_camera,
+    refuse_parallel_boards,
+    supported_angles_deg,
+)
 from omnilines.calibration.initialise import (
     BoardPoints,
     centre_candidates,
@@ -219,12 +225,14 @@ def _result(
     basis = model.calibration_basis()
     freedom = 2 * len(points.view) - basis.shape[1] - 6 * len(views)
     if solution.outcome is Outcome.DEGENERATE or freedom <= 0:
+        refuse_parallel_boards(state.cam_from_board, NEARLY_PARALLEL_DEG)
         raise GeometryError(
             f"The corners of {len(views)} views were expected to determine the camera, found that they leave "
             f"{_weakest_name(solution, basis, model)} open; add photos with the board at other tilts and nearer to the rim."
         )
     covariance = basis @ solution.kept_covariance() @ basis.mT * (solution.cost / freedom)
     covariance = 0.5 * (covariance + covariance.mT)
+    refuse_open_camera(model, covariance, points.pixels, state.cam_from_board)
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, views)).numpy()

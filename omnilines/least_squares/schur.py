@@ -145,7 +145,8 @@ def back_substitute(reduced: Reduced, kept_step: Float[Tensor, " k"]) -> Float[T
 def eliminated_covariance(reduced: Reduced, kept_covariance: Float[Tensor, "k k"]) -> Float[Tensor, "count e e"]:
     """E^-1 + E^-1 W' Cov_k W E^-1 of every eliminated block (unit variance); NaN where a block is not observed."""
     equations = reduced.equations
-    result = torch.full_like(equations.eliminated, float("nan"))
+    seen = (torch.diagonal(equations.eliminated, dim1=-2, dim2=-1) > 0).any(-1)
+    result = torch.where(seen[:, None, None], torch.cholesky_inverse(reduced.factor), float("nan"))
     for part in equations.structure.size_classes:
         size = part.columns.shape[1]
         step = max(1, CHUNK // size**2)
@@ -153,7 +154,7 @@ def eliminated_covariance(reduced: Reduced, kept_covariance: Float[Tensor, "k k"
             blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
             gain = torch.cholesky_solve(equations.coupling[part.rows[low : low + step]].mT, reduced.factor[blocks])
             local = kept_covariance[columns[:, :, None], columns[:, None, :]]
-            result[blocks] = torch.cholesky_inverse(reduced.factor[blocks]) + gain @ local @ gain.mT
+            result.index_add_(0, blocks, gain @ local @ gain.mT)
     return result
 
 
