@@ -124,14 +124,14 @@ class Pinhole(CameraModel):
 
         grid = [*np.linspace(0.01, 1, 100), *np.geomspace(1, FURTHEST_SLOPE, 200)]
         radii = torch.tensor([r for r in grid if r < slope] + [slope * (1 - 1e-12)], dtype=torch.float64)
-        folded = torch.nonzero(~sound(radii))
-        if len(folded) == 0:
-            return slope
-        first = int(folded[0])
-        low, high = (float(radii[first - 1]) if first else 0.0), float(radii[first])
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if bool(sound(torch.tensor([middle], dtype=torch.float64))) else (low, middle)
+        # Each round looks between the last sound radius and the first folded one, 64 times finer than the one before.
+        for _ in range(7):
+            folded = torch.nonzero(~sound(radii))
+            if len(folded) == 0:
+                return slope
+            first = int(folded[0])
+            low, high = (float(radii[first - 1]) if first else 0.0), float(radii[first])
+            radii = torch.linspace(low, high, 65, dtype=torch.float64)[1:]
         return low
 
     @cached_property

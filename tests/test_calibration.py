@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+import camera_models
 from camera_models import GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.calibration.initialise import centre_candidates, radial_centres, radial_start, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.single import board_points, calibrate_camera
+from omnilines.commands.calibrate import calibrate_photos
 from omnilines.files import read_corners
 from omnilines.records import Corners
 
@@ -294,3 +296,27 @@ def test_a_narrow_model_says_that_it_cannot_hold_a_wide_lens():
         calibrate_camera(corners, (1280, 960), "pinhole")
     with pytest.raises(InputError, match="use --model scaramuzza"):
         calibrate_camera(corners, (1280, 960), "opencv-fisheye", mirror=True)
+
+
+@pytest.mark.slow
+def test_photos_and_published_corners_give_the_same_bearings(shared_data, tmp_path):
+    """At least 13 of 15 photos used, at most 0.35 px, and bearings that agree with the fit to `corners.csv`: the difference after
+    the best common rotation lies within what the covariances of both fits predict (99 percent of 200 joint draws)."""
+    folder = shared_data / "calibration/fisheye1"
+    calibrate_photos([folder / "images"], "checkerboard:8x6:32.5mm", tmp_path)
+    stored = camera_models.load(tmp_path / "calibration.yaml")
+    photos, estimate = stored["cam0"], stored.estimates["cam0"]
+    assert sum(view.used for view in stored.views) >= 13
+    assert estimate.rms_px_per_axis <= 0.35
+    corners = calibrate_camera(read_corners(folder / "corners.csv"), (1032, 778), "scaramuzza", loss="none")
+    reach = min(estimate.max_angle_deg, corners.max_angle_deg)
+    measured = bearing_error_deg(photos, corners.model, reach)
+    rng = np.random.default_rng(0)
+    middle = corners.model.parameters.numpy()
+    drawn = []
+    for _ in range(200):
+        first = middle + rng.multivariate_normal(np.zeros(len(middle)), estimate.covariance, check_valid="ignore")
+        second = middle + rng.multivariate_normal(np.zeros(len(middle)), corners.covariance, check_valid="ignore")
+        drawn.append(bearing_error_deg(photos.with_parameters(first), corners.model.with_parameters(second), reach))
+    print(f"bearing difference {measured:.4f} deg, predicted median {np.median(drawn):.4f}, 99 % {np.quantile(drawn, 0.99):.4f}")
+    assert measured <= np.quantile(drawn, 0.99)

@@ -127,13 +127,17 @@ def _upper_rows(points: BoardPoints, centre: Tensor) -> tuple[Tensor, Tensor, Te
 
 def _best_signs(gains: Float[Tensor, "v m"], matrix: Float[Tensor, "m m"]) -> Float[Tensor, " v"]:
     """Signs that maximise (sum s_i b_i)' M^-1 (sum s_i b_i): leading eigenvector, then single flips while they help."""
-    q = gains @ torch.linalg.pinv(matrix, hermitian=True) @ gains.mT
-    signs = torch.sign(torch.linalg.eigh(q)[1][:, -1])
+    values, vectors = torch.linalg.eigh(matrix)
+    sound = values > 1e-14 * values[-1]
+    # The quadratic form is G G' of rank m, never formed: it would be views x views.
+    g = gains @ vectors[:, sound] * values[sound].rsqrt()
+    signs = torch.sign(g @ torch.linalg.eigh(g.mT @ g)[1][:, -1])
     signs = torch.where(signs == 0, torch.ones_like(signs), signs)
+    own = (g * g).sum(-1)
     for _ in range(10 * len(signs)):
-        gain = -signs * (q @ signs) + torch.diagonal(q)
+        gain = own - signs * (g @ (g.mT @ signs))
         best = int(torch.argmax(gain))
-        if float(gain[best]) <= 1e-12 * float(q.abs().max()):
+        if float(gain[best]) <= 1e-12 * float(own.max()):
             break
         signs[best] = -signs[best]
     return signs

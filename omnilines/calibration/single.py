@@ -35,6 +35,8 @@ LEAST_CORNERS = 6
 """Corners a view must have: fewer do not determine its radial start."""
 HALF_ANGLES_DEG = (25.0, 45.0, 70.0, 90.0, 110.0)
 """Equidistant lenses tried beside the closed-form start, by the angle at the farthest corner."""
+GOOD_START = 0.005
+"""A closed-form start with a typical residual below this share of the image's longer side needs no alternatives."""
 REJECT_SIGMA = 4.5
 """Corners farther than this many robust standard deviations (of the norm) are rejected."""
 
@@ -154,28 +156,41 @@ def _weights(corners: Corners, rows: Bool[np.ndarray, " n"]) -> Tensor | None:
 def _best_start(
     points: BoardPoints, image_size: tuple[int, int], model: str, mirror: bool, options: dict[str, Any]
 ) -> CameraAndBoards:
-    """The start with the least robust residual among the closed form at each centre candidate and a few equidistant lenses."""
-    best: tuple[float, CameraAndBoards] | None = None
-    for centre in centre_candidates(points, image_size):
-        curves = []
+    """The start with the least robust residual: the closed form at each centre candidate and, where none of these comes near
+    the corners, a few equidistant lenses."""
+    centres = centre_candidates(points, image_size)
+    found = []
+    for centre in centres:
         start = radial_start(points, centre)
         if start is not None:
             _refuse_wide_angles(float(start.theta[-1]), model)
-            curves.append((start.rho_px, start.theta))
-        reach = float((points.pixels - centre).norm(dim=-1).max())
-        curves += [equidistant_start(points, centre, math.radians(angle), reach) for angle in HALF_ANGLES_DEG]
-        for rho, theta in curves:
-            camera = model_class(model).from_radial_curve(rho, theta, centre, image_size, mirror=mirror, **options)
-            bearings, seen = camera.unproject(points.pixels)
-            state = CameraAndBoards(camera, resect_boards(points, bearings))
-            error = state.residual_px(points).norm(dim=-1)
-            # A corner that the start cannot even see is as bad as the image is large.
-            error = torch.where(seen & torch.isfinite(error), error, float(max(image_size)))
-            score = float(torch.log1p(error).mean())
-            if best is None or score < best[0]:
-                best = (score, state)
-    assert best is not None
-    return best[1]
+            found.append(_start_from(points, (start.rho_px, start.theta), centre, image_size, model, mirror, options))
+    if not found or min(score for score, _ in found) > math.log1p(GOOD_START * max(image_size)):
+        for centre in centres:
+            reach = float((points.pixels - centre).norm(dim=-1).max())
+            for angle in HALF_ANGLES_DEG:
+                curve = equidistant_start(points, centre, math.radians(angle), reach)
+                found.append(_start_from(points, curve, centre, image_size, model, mirror, options))
+    return min(found, key=lambda scored: scored[0])[1]
+
+
+def _start_from(
+    points: BoardPoints,
+    curve: tuple[Tensor, Tensor],
+    centre: Tensor,
+    image_size: tuple[int, int],
+    model: str,
+    mirror: bool,
+    options: dict[str, Any],
+) -> tuple[float, CameraAndBoards]:
+    """The model nearest to a radial curve with boards resected by it, and its score: the mean of log(1 + residual)."""
+    camera = model_class(model).from_radial_curve(*curve, centre, image_size, mirror=mirror, **options)
+    bearings, seen = camera.unproject(points.pixels)
+    state = CameraAndBoards(camera, resect_boards(points, bearings))
+    error = state.residual_px(points).norm(dim=-1)
+    # A corner that the start cannot even see is as bad as the image is large.
+    error = torch.where(seen & torch.isfinite(error), error, float(max(image_size)))
+    return float(torch.log1p(error).mean()), state
 
 
 def _refuse_wide_angles(angle: float, model: str) -> None:

@@ -88,9 +88,7 @@ def board_curves(result: CameraCalibration, corners: Corners) -> list[Polyline]:
         seen = view.cam_from_board.transform(torch.as_tensor(points.reshape(-1, 3))).numpy()
         pixels, valid = result.model.project(seen)
         pixels = np.where(valid[:, None], pixels, np.nan).reshape(len(ends), -1, 2)
-        # One curve a board: NaN lifts the pen between lines.
-        broken = np.concatenate([pixels, np.full((len(ends), 1, 2), np.nan)], 1).reshape(-1, 2)
-        curves.append(Polyline(view.image, broken, "board lines as the calibration predicts them", "model"))
+        curves += [Polyline(view.image, line, "board line as the calibration predicts it", "model") for line in pixels]
         curves.append(Polyline(view.image, corners.pixels[rows], "observed corners", "observed"))
     return curves
 
