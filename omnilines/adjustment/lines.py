@@ -41,6 +41,7 @@ class LineProblem:
 
     def __init__(self, arcs: Arcs, factor: Float[Tensor, "n 2 3"], held: Bool[Tensor, " images"]) -> None:
         self.arcs, self.factor, self.held = arcs, factor, held
+        self.observing = torch.bincount(arcs.image, minlength=len(held)) > 0
         self.free = torch.nonzero(~held).flatten()
         place = torch.full((len(held),), -1, device=held.device)
         place[self.free] = torch.arange(len(self.free), device=held.device)
@@ -68,14 +69,14 @@ class LineProblem:
         return LinesAndPoses(Pose(rotation, translation), chart)
 
     def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
-        """Columns of d pose for a common turn, shift and scale of the scene, lengths in units of the lines' distance."""
+        """Columns of d pose (rad, m) for a common turn, shift and scale of the scene, about which the residuals say nothing."""
         rotation, centre = state.cam_from_world.rotation[self.free], state.cam_from_world.centre
-        fixed = torch.nonzero(self.held).flatten()
+        # A held pose anchors the scene only where a photo observes it.
+        fixed = torch.nonzero(self.held & self.observing).flatten()
         if len(fixed) > 1 or not len(self.free):
             return rotation.new_zeros(6 * len(self.free), 0)
-        origin = centre[fixed[0]] if len(fixed) else centre.mean(0)
-        unit = state.chart.scale[torch.isfinite(state.chart.scale)].median()
-        arm = (centre[self.free] - origin) / unit
+        origin = centre[fixed[0]] if len(fixed) else centre[self.free].mean(0)
+        arm = centre[self.free] - origin
         # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
         scale = torch.cat([torch.zeros_like(arm), -(rotation @ arm[..., None])[..., 0]], -1).reshape(-1, 1)
         if len(fixed):
@@ -176,9 +177,7 @@ def motion_across(chart: LineChart, points_m: Float[Tensor, "t k 3"]) -> Float[T
     return hat(chart.S[:, :, 0])[:, None] @ (by_moment - hat(points_m) @ by_direction)
 
 
-def end_sigma_m(
-    chart: LineChart, covariance: Float[Tensor, "t 4 4"], ends_m: Float[Tensor, "t 2 3"]
-) -> Float[Tensor, " t"]:
+def end_sigma_m(chart: LineChart, covariance: Float[Tensor, "t 4 4"], ends_m: Float[Tensor, "t 2 3"]) -> Float[Tensor, " t"]:
     """Largest standard deviation (m) of either end of each line across the line; NaN where the covariance is."""
     across = motion_across(chart, ends_m)
     spread = across @ covariance[:, None] @ across.mT

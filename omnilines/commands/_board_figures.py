@@ -2,18 +2,25 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
+import scipy.stats
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines import structure
-from omnilines.adjustment.accuracy import AlignedLines, align_lines
+from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_lines, jackknife_error, predict_error
 from omnilines.adjustment.arcs import Arcs, poses_of
+from omnilines.adjustment.lines import Adjusted
+from omnilines.calibration.board_lines import BoardLines
+from omnilines.calibration.single import CameraCalibration
 from omnilines.costs import sector
 from omnilines.geometry.line import PlueckerLines, segment_ends
 from omnilines.geometry.sphere import distance_to_great_circle
+from omnilines.least_squares import Outcome
+from omnilines.records import Corners, ImagePoses
 
 # (key in JSON, name for people, unit): the smaller the better.
 FIGURES: tuple[tuple[str, str, str], ...] = (
@@ -47,6 +54,81 @@ class LineState:
     """To the board, by a similarity."""
     orthogonal_px: Float[Tensor, "n 2"]
     figures: dict[str, float]
+
+    @property
+    def aligned_ends_m(self) -> Float[Tensor, "t 2 3"]:
+        """`ends_m` in the frame of the board."""
+        return self.aligned.pose.transform((self.aligned.scale * self.ends_m).reshape(-1, 3)).reshape(-1, 2, 3)
+
+
+CHANCE = 0.001
+"""Probability with which noise alone may exceed the limit of an error over its prediction."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The actual RMS error of the adjusted lines against a predicted one."""
+
+    actual_m: float
+    predicted_m: float
+    limit: float
+    """Of actual over predicted: sum |e|^2 / tr(C) follows about F(nu, f), nu the effective freedom of the error (a few modes of
+    bending and twisting make up most of it) and f the freedom that C was estimated from; this is its 0.999 quantile's root."""
+
+    @property
+    def ratio(self) -> float:
+        return self.actual_m / self.predicted_m
+
+
+@dataclass(frozen=True, eq=False)
+class BoardExperiment:
+    """All that was found, for tables, checks and the report."""
+
+    corners: Corners
+    calibration: CameraCalibration
+    board: BoardLines
+    perturbed: ImagePoses
+    """cam_from_board of the photos used, disturbed."""
+    status: tuple[str, ...]
+    """Of each board line after triangulation."""
+    arcs: Arcs
+    """Of the lines that are known, renumbered."""
+    tracks: Int[Tensor, " t"]
+    """Board line of each of these."""
+    adjusted: Adjusted
+    before: LineState
+    after: LineState
+    cost: str
+
+    @cached_property
+    def predicted(self) -> PredictedError:
+        """From the residuals of the lines, every end point with an error of its own."""
+        return predict_error(self.adjusted, self.after.aligned)
+
+    @cached_property
+    def by_noise(self) -> Agreement:
+        """Against the error that independent noise of the end points predicts."""
+        freedom = 2 * len(self.arcs) - 4 * len(self.tracks) - 6 * len(self.perturbed) + 7
+        return self._agreement(self.predicted.rms_m, freedom)
+
+    @cached_property
+    def by_photos(self) -> Agreement:
+        """Against the error that the scatter between photos predicts, which holds what the end points of a photo share."""
+        scatter = jackknife_error(self.arcs, self.adjusted, self.after.aligned, self.cost)
+        return self._agreement(scatter.rms_m, len(self.perturbed) - 1)
+
+    def _agreement(self, predicted_m: float, freedom: int) -> Agreement:
+        quantile = scipy.stats.f.ppf(1 - CHANCE, self.predicted.effective_freedom, max(freedom, 1))
+        return Agreement(self.after.aligned.rms_m, predicted_m, math.sqrt(float(quantile)))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what did not go as it should."""
+        unknown = [f"{name} ({status})" for name, status in zip(self.board.segments.tracks, self.status, strict=True)
+                   if status not in ("ok", "weak")]  # fmt: skip
+        lost = (f"The perturbed poses do not determine the lines {', '.join(unknown)}; they are left out.",) if unknown else ()
+        outcome = self.adjusted.outcome
+        return lost + (() if outcome is Outcome.CONVERGED else (outcome.value,))
 
 
 def measure(

@@ -111,7 +111,7 @@ def _calibrate(
     result = replace(result, views=result.views + skipped)
     folder = output_folder(out)
     files = (folder / "calibration.yaml", folder / "corners.csv")
-    save(files[0], _calibration(result, mirror, inputs))
+    save(files[0], calibration_record(result, mirror, inputs))
     write_corners(files[1], corners)
     progress("writing the report", 0, 0)
     summaries = _summaries(result)
@@ -121,7 +121,8 @@ def _calibrate(
     return CommandResult(summaries, _data(result), files=(*files, report), report=report, warnings=warnings)
 
 
-def _calibration(result: CameraCalibration, mirror: bool, inputs: Mapping[str, Any]) -> Calibration:
+def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[str, Any]) -> Calibration:
+    """What `calibration.yaml` holds of a result."""
     estimate = CameraEstimate(
         sigma=result.sigma,
         covariance=result.covariance,
