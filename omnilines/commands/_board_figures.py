@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from camera_models._arrays import Array, as_tensor
 from camera_models.pose import Pose
 from omnilines import structure
 from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_lines, jackknife_error, predict_error
@@ -172,8 +173,8 @@ def _structure(aligned: AlignedLines, board_ends_m: Tensor, column: Tensor) -> d
     points, direction = aligned.points_m, aligned.lines.direction
     off_plane, to_plane = structure.coplanarity(points)
     means, pairs = structure.orthogonality(direction[~column], direction[column])
-    found = torch.cat([structure.spacing(points[family]) for family in (~column, column)])
-    true = torch.cat([structure.spacing(board_ends_m[family]) for family in (~column, column)])
+    found = torch.cat([as_tensor(structure.spacing(points[family])) for family in (~column, column)])
+    true = torch.cat([as_tensor(structure.spacing(board_ends_m[family])) for family in (~column, column)])
     relative = found / true
     return {
         "coplanarity_rms_mm": 1e3 * float(off_plane),
@@ -187,5 +188,5 @@ def _structure(aligned: AlignedLines, board_ends_m: Tensor, column: Tensor) -> d
     }
 
 
-def _rms(values: Tensor) -> float:
-    return float(values.square().mean().sqrt())
+def _rms(values: Array) -> float:
+    return float(as_tensor(values).square().mean().sqrt())

@@ -192,7 +192,10 @@ def _scene(experiment: BoardExperiment) -> Section:
     stages = [line_table(experiment, experiment.before, blank), scene_tables(experiment)[0]]
     both = Lines(
         tuple(f"{track} {when}" for when, stage in zip(("before", "after"), stages, strict=True) for track in stage.tracks),
-        *(np.concatenate([getattr(stage, name) for stage in stages]) for name in ("ends_m", "views", "rms_px", "sigma_m")),
+        np.concatenate([stage.ends_m for stage in stages]),
+        np.concatenate([stage.views for stage in stages]),
+        np.concatenate([stage.rms_px for stage in stages]),
+        np.concatenate([stage.sigma_m for stage in stages]),
         stages[0].status + stages[1].status,
     )
     ends = experiment.board.ends_m

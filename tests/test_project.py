@@ -1,0 +1,213 @@
+"""The project holds together: README, docs and changelog say what the code does, modules stay small, imports keep direction."""
+
+import contextlib
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
+from typing import Any
+
+import pytest
+import typer
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import camera_models
+import omnilines.files.corners
+import omnilines.files.lines
+import omnilines.files.poses
+import omnilines.files.segments
+from camera_models.formats.calibration_data import SIGN_SOURCES
+from omnilines.cli import app
+from omnilines.records import LINE_STATUSES
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PACKAGES = ("camera_models", "calib_patterns", "omnilines")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+README = (ROOT / "README.md").read_text()
+FORMATS = (ROOT / "docs" / "formats.md").read_text()
+
+
+def section(text: str, title: str) -> str:
+    """What stands under a heading of the second level."""
+    found = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.M | re.S)
+    assert found, f"no section '{title}'"
+    return found[1]
+
+
+def table(text: str) -> list[list[str]]:
+    """Cells of the rows of the first table in a text, without its header."""
+    found = re.search(r"^\|.*\n\|[-|]+\n((?:\|.*\n)+)", text, re.M)
+    assert found, "no table"
+    return [[cell.strip() for cell in line[1:-1].split("|")] for line in found[1].splitlines()]
+
+
+def leaf_commands(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every command of the command line, sub-commands written with a blank."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from leaf_commands(command, f"{prefix}{name} ")
+        else:
+            yield f"{prefix}{name}", command
+
+
+COMMANDS = dict(leaf_commands(typer.main.get_command(app)))
+
+
+def test_readme_lists_every_camera_model_with_its_parameters() -> None:
+    rows = table(section(README, "Camera models"))
+    assert [row[0] for row in rows] == [f"`{name}`" for name, _ in camera_models.MODELS]
+    for name, parameters, _ in rows:
+        documented = parameters.removesuffix(" ...").split()
+        model = camera_models.model_class(name.strip("`")).examples()[0]
+        assert documented[: len(model.PARAMETER_NAMES)] == list(model.PARAMETER_NAMES)[: len(documented)]
+
+
+def test_readme_lists_every_command() -> None:
+    listed = [row[0].strip("`") for row in table(section(README, "Commands"))]
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+def test_every_command_takes_json_and_has_it_documented() -> None:
+    documented = set(re.findall(r"`([a-z ]+)`", "".join(re.findall(r"^(`.*):$", section(FORMATS, "JSON"), re.M))))
+    assert documented == COMMANDS.keys()
+    for name, command in COMMANDS.items():
+        assert "--json" in {option for parameter in command.params for option in parameter.opts}, name
+
+
+def test_commands_written_in_the_documents_exist() -> None:
+    documents = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    calls = [line for path in documents for line in re.findall(r"^    (?:\$ )?omnilines (.+)$", path.read_text(), re.M)]
+    assert len(calls) >= len(COMMANDS)
+    for call in calls:
+        names = [name for name in COMMANDS if f"{call} ".startswith(f"{name} ")]
+        assert len(names) == 1, call
+        known = {option for parameter in COMMANDS[names[0]].params for option in parameter.opts}
+        given = set(re.findall(r"(?<=\s)--[a-z-]+", call))
+        assert given <= known, f"{call}: {given - known}"
+
+
+def test_every_link_in_the_documents_leads_somewhere() -> None:
+    links = 0
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for target in re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", path.read_text()):
+            assert (path.parent / target).exists(), f"{path.name}: {target}"
+            links += 1
+    assert links > 3
+
+
+def test_documented_columns_are_those_of_the_readers() -> None:
+    rows = {row[0].strip("`"): [re.findall(r"[\w,]+", cell) for cell in row[1:]] for row in table(section(FORMATS, "Tables"))}
+    modules = {
+        "corners.csv": omnilines.files.corners,
+        "poses.csv": omnilines.files.poses,
+        "segments.csv": omnilines.files.segments,
+        "lines.csv": omnilines.files.lines,
+    }
+    assert rows.keys() == modules.keys()
+    for name, module in modules.items():
+        required, optional = rows[name]
+        assert required == [",".join(module.COLUMNS)]
+        documented = {column for cell in optional if cell != "or" for column in cell.split(",")}
+        assert set(getattr(module, "OPTIONAL", ())) == documented
+
+
+def test_documented_statuses_are_those_of_the_records() -> None:
+    listed = [cells[0] for cells in (line.strip("|").split("|") for line in section(FORMATS, "Tables").splitlines()) if cells]
+    statuses = [cell.strip(" `") for cell in listed if re.fullmatch(r" `[a-z_]+` ", cell)]
+    assert statuses == list(LINE_STATUSES)
+    for source in SIGN_SOURCES:
+        assert re.search(rf"sign_source: .*\b{source}\b", FORMATS)
+
+
+def test_changelog_has_the_version() -> None:
+    assert version("omnilines") == PYPROJECT["project"]["version"]
+    assert re.search(rf"^## {re.escape(PYPROJECT['project']['version'])}\b", (ROOT / "CHANGELOG.md").read_text(), re.M)
+
+
+def test_modules_are_short() -> None:
+    modules = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    assert len(modules) > 20
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in modules}
+    assert {name: length for name, length in lengths.items() if length > 400} == {}
+
+
+def test_imports_keep_their_direction() -> None:
+    lint_imports = pathlib.Path(sys.executable).with_name("lint-imports")
+    if not lint_imports.exists():
+        if os.environ.get("CI"):
+            pytest.fail("CI must have import-linter (make lint installs it); it is absent.")
+        pytest.skip("import-linter is absent; make lint installs it")
+    done = subprocess.run([lint_imports, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_constraints_hold_every_direct_dependency() -> None:
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    pins = [Requirement(line) for line in lines]
+    assert all(re.fullmatch(r"==[\w.]+", str(pin.specifier)) for pin in pins)
+    pinned = {canonicalize_name(pin.name): pin for pin in pins}
+    assert len(pinned) == len(pins)
+    project = PYPROJECT["project"]
+    wanted = [*project["dependencies"], *PYPROJECT["build-system"]["requires"]]
+    for extra in project["optional-dependencies"].values():
+        wanted += extra
+    for requirement in map(Requirement, wanted):
+        pin = pinned[canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(str(pin.specifier).removeprefix("==")), requirement
+        assert f"{requirement.name}".lower() in (ROOT / "THIRD_PARTY.md").read_text().lower()
+
+
+def closure(requirements: list[str]) -> dict[str, str]:
+    """Versions of the installed distributions that the requirements and their own requirements ask for, on this machine."""
+    found: dict[str, str] = {}
+    waiting = [(Requirement(text), ("",)) for text in requirements]
+    while waiting:
+        requirement, extras = waiting.pop()
+        name = canonicalize_name(requirement.name)
+        wanted = requirement.marker is None or any(requirement.marker.evaluate({"extra": extra}) for extra in extras)
+        if not wanted or name in found:
+            continue
+        found[name] = version(name)
+        waiting += [(Requirement(text), ("", *requirement.extras)) for text in requires(name) or ()]
+    return found
+
+
+def test_constraints_are_complete() -> None:
+    # Of what is installed: lint's packages are absent where only the tests were asked for.
+    project = PYPROJECT["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    with contextlib.suppress(PackageNotFoundError):
+        wanted = [*wanted, *closure(project["optional-dependencies"]["lint"])]
+    installed = {name: found.partition("+")[0] for name, found in closure(wanted).items()}
+    assert len(installed) > 30
+    pins = dict(re.findall(r"^([\w.-]+)==([\w.]+)$", (ROOT / "constraints.txt").read_text(), re.M))
+    assert installed.items() <= pins.items(), dict(installed.items() - pins.items())
+
+
+HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["validate", "--help"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    script = (
+        "import json, sys\n"
+        "from omnilines.cli import main\n"
+        "try:\n"
+        f"    main({arguments!r})\n"
+        "except SystemExit as end:\n"
+        "    assert not end.code, end.code\n"
+        "print()\n"
+        "print(json.dumps(sorted(name.partition('.')[0] for name in sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    loaded = set(json.loads(done.stdout.splitlines()[-1]))
+    assert "typer" in loaded
+    assert not loaded & set(HEAVY)
