@@ -14,29 +14,44 @@ from camera_models.errors import GeometryError, InputError, OmnilinesError
 
 if TYPE_CHECKING:
     from camera_models._model import CameraModel
+    from camera_models.double_sphere import DoubleSphere
+    from camera_models.equirectangular import Equirectangular
+    from camera_models.extended_unified import ExtendedUnified
+    from camera_models.fitting import Conversion, convert
     from camera_models.formats.native import Calibration, CameraEstimate, load, save
     from camera_models.opencv_fisheye import OpenCVFisheye
     from camera_models.pinhole import Pinhole
     from camera_models.pose import Pose
     from camera_models.scaramuzza import Scaramuzza
+    from camera_models.unified import Unified
 
-# In the order of how many lenses each was made for, narrow first.
+# Narrow lenses first, then the richest curve before those of fewer parameters, last what is not calibrated.
 MODELS: tuple[tuple[str, str], ...] = (
     ("pinhole", "camera_models.pinhole:Pinhole"),
     ("opencv-fisheye", "camera_models.opencv_fisheye:OpenCVFisheye"),
     ("scaramuzza", "camera_models.scaramuzza:Scaramuzza"),
+    ("unified", "camera_models.unified:Unified"),
+    ("extended-unified", "camera_models.extended_unified:ExtendedUnified"),
+    ("double-sphere", "camera_models.double_sphere:DoubleSphere"),
+    ("equirectangular", "camera_models.equirectangular:Equirectangular"),
 )
 
 _LAZY = {
     "CameraModel": "camera_models._model",
     "Calibration": "camera_models.formats.native",
     "CameraEstimate": "camera_models.formats.native",
+    "Conversion": "camera_models.fitting",
+    "DoubleSphere": "camera_models.double_sphere",
+    "Equirectangular": "camera_models.equirectangular",
+    "ExtendedUnified": "camera_models.extended_unified",
+    "convert": "camera_models.fitting",
     "load": "camera_models.formats.native",
     "save": "camera_models.formats.native",
     "OpenCVFisheye": "camera_models.opencv_fisheye",
     "Pinhole": "camera_models.pinhole",
     "Pose": "camera_models.pose",
     "Scaramuzza": "camera_models.scaramuzza",
+    "Unified": "camera_models.unified",
 }
 
 __all__ = [
@@ -44,6 +59,10 @@ __all__ = [
     "Calibration",
     "CameraEstimate",
     "CameraModel",
+    "Conversion",
+    "DoubleSphere",
+    "Equirectangular",
+    "ExtendedUnified",
     "GeometryError",
     "InputError",
     "OmnilinesError",
@@ -51,6 +70,8 @@ __all__ = [
     "Pinhole",
     "Pose",
     "Scaramuzza",
+    "Unified",
+    "convert",
     "load",
     "model_class",
     "save",

@@ -29,6 +29,10 @@ class CameraModel(ABC):
     PARAMETER_NAMES: tuple[str, ...]
     LARGEST_ANGLE: ClassVar[float] = math.pi
     """Angle off axis (rad) that no instance of the model reaches."""
+    CALIBRATED: ClassVar[bool] = True
+    """Whether the model has parameters to estimate; where not, `from_radial_curve` raises InputError."""
+    PERIODIC: ClassVar[bool] = False
+    """Whether the image closes around the sphere: u and u + width are the same pixel, and the ray behind the camera is seen."""
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)
@@ -128,6 +132,13 @@ class CameraModel(ABC):
     def calibration_basis(self) -> Float[Tensor, "p q"]:
         """Directions of the parameter vector that a calibration with free poses can estimate; the default is all of them."""
         return torch.eye(len(self.PARAMETER_NAMES), dtype=torch.float64)
+
+    def rivals(self, largest_angle: float) -> "Sequence[CameraModel]":
+        """Instances with nearly the same curve up to `largest_angle` (rad) in other minima of a fit; the default is none.
+
+        Where there are any, a refinement is repeated from each of them and the best is taken.
+        """
+        return ()
 
     def with_parameters(self, parameters: Array | Sequence[float | int]) -> "CameraModel":
         """The same model and image with another parameter vector."""

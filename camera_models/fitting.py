@@ -1,0 +1,165 @@
+"""One camera model fitted to another over a field of view, both in the same camera frame.
+
+The parameters minimise the distance in pixels between the images of the source's bearings, over a grid of the source's pixels,
+from the target's own start (Levenberg-Marquardt, J. More 1978). No rotation is fitted: a
+bearing keeps its direction, so poses and lines stay what they are.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from camera_models import model_class
+from camera_models._model import CameraModel
+from camera_models.errors import InputError
+
+FITTED, MEASURED = 60, 180
+"""Pixels of the source along the longer side of the image at which the target is fitted, and at which its error is measured."""
+AXIAL = 32
+"""Azimuths over which the source's radial curve is averaged for the start."""
+LEAST_PIXELS = 50
+"""A field of view in which fewer pixels of the grid lie holds too little of the image to fit a model to."""
+TIGHT = 1e-12
+"""Relative change of the sum of squares and of the parameters at which a fit ends."""
+AFFINE = ("skew", "c", "d", "e")
+"""Parameters that a calibration may hold or tie to each other, because its free poses absorb them; given bearings decide them."""
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """The fitted model, and how far it is from the source over the pixels of the source's image within `fov_deg`."""
+
+    model: CameraModel
+    rms_px: float
+    """sqrt(mean of squared distances between a pixel and the target's image of its bearing)."""
+    max_px: float
+    rms_deg: float
+    """The same for the angle between the two bearings of a pixel."""
+    max_deg: float
+    fov_deg: float
+    """Twice the largest angle off axis that was compared."""
+
+
+def convert(model: CameraModel, target_name: str, fov_deg: float | None = None, **options: Any) -> Conversion:
+    """The camera of another model that is nearest to `model`, within `fov_deg` across and inside the image.
+
+    Without `fov_deg` it is all that the image of the source sees. `options` go to the target (`degree`, `coefficients`).
+
+    Raises InputError for an unknown model, a field of view out of range or one that the target cannot hold: beyond its largest
+    angle, a mirror where the target has none, a model without parameters to fit.
+    """
+    target = model_class(target_name)
+    axis = model.unproject(model.centre_px)[0].detach()
+    pixels, bearings, half = _seen(model, axis, FITTED, fov_deg)
+    if half >= target.LARGEST_ANGLE:
+        raise InputError(_cannot_hold(target_name, half, f"it ends below {2 * math.degrees(target.LARGEST_ANGLE):.0f}"))
+    # A model is its own start, with all its coefficients, unless options ask for others.
+    own = type(model) is target and target.CALIBRATED and not options
+    start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
+    fits = [_refine(start, bearings, pixels)]
+    fits += [_refine(rival, bearings, pixels) for rival in fits[0].rivals(half)]
+    fitted = min(fits, key=lambda fit: float((fit.project(bearings)[0] - pixels).norm()))
+    pixels, bearings, half = _seen(model, axis, MEASURED, fov_deg)
+    projected, imaged = fitted.project(bearings)
+    again, seen = fitted.unproject(pixels)
+    lost = int((~(imaged & seen)).sum())
+    if lost:
+        raise InputError(
+            _cannot_hold(target_name, half, f"{lost} of {len(pixels)} pixels are outside the domain of the best fit")
+        )
+    off_px = (projected - pixels).norm(dim=-1)
+    off_deg = torch.rad2deg(_angle(again, bearings))
+    rms_px, rms_deg = (float((off**2).mean().sqrt()) for off in (off_px, off_deg))
+    return Conversion(fitted, rms_px, float(off_px.max()), rms_deg, float(off_deg.max()), 2 * math.degrees(half))
+
+
+def _cannot_hold(target: str, half: float, why: str) -> str:
+    return (
+        f"Camera model {target} was expected to hold a field of view of {2 * math.degrees(half):.1f} degrees, found that {why}; "
+        "give a smaller one or another model."
+    )
+
+
+def _angle(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
+    return torch.atan2(torch.linalg.cross(a, b).norm(dim=-1), (a * b).sum(-1))
+
+
+def _seen(
+    model: CameraModel, axis: Float[Tensor, "3"], count: int, fov_deg: float | None
+) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 3"], float]:
+    """Pixels on a grid over the image, corners included, with a bearing within the field of view; the largest angle (rad)."""
+    if fov_deg is not None and not 0 < fov_deg <= 360:
+        raise InputError(
+            f"A field of view above 0 and up to 360 degrees was expected, found {fov_deg:g}; give one in this range."
+        )
+    w, h = model.image_size
+    steps = [max(2, round(count * side / max(w, h))) for side in (w, h)]
+    rows = [torch.linspace(0, side - 1, step, dtype=torch.float64) for side, step in zip((w, h), steps, strict=True)]
+    pixels = torch.stack(torch.meshgrid(*rows, indexing="xy"), -1).reshape(-1, 2)
+    with torch.no_grad():
+        bearings, valid = model.unproject(pixels)
+    angle = _angle(bearings, axis.expand_as(bearings))
+    widest = math.pi if fov_deg is None else 0.5 * math.radians(fov_deg)
+    use = valid & (angle <= widest)
+    if int(use.sum()) < LEAST_PIXELS:
+        raise InputError(
+            f"A field of view that covers part of the image was expected, found {int(use.sum())} of {len(pixels)} grid pixels "
+            "within it; give a wider one."
+        )
+    return pixels[use], bearings[use], float(angle[use].max())
+
+
+def _start(model: CameraModel, target: type[CameraModel], mirror: bool, half: float, options: dict[str, Any]) -> CameraModel:
+    """The target's start from the radial curve of the source, averaged over the azimuth."""
+    theta = torch.linspace(0, min(half, 0.999 * model.max_angle), 101, dtype=torch.float64)[1:]
+    azimuth = torch.linspace(0, 2 * math.pi, AXIAL + 1, dtype=torch.float64)[:-1, None]
+    # Half a step off the axes: there lie the poles of a panorama.
+    azimuth = azimuth + math.pi / AXIAL
+    s, z = torch.sin(theta), (-1.0 if mirror else 1.0) * torch.cos(theta)
+    ring = torch.stack([s * torch.cos(azimuth), s * torch.sin(azimuth), z.expand(AXIAL, -1)], -1)
+    with torch.no_grad():
+        rho = (model.project(ring)[0] - model.centre_px).norm(dim=-1).mean(0)
+        centre = model.centre_px.detach()
+    try:
+        return target.from_radial_curve(rho, theta, centre, model.image_size, mirror=mirror, **options)
+    except InputError as error:
+        if mirror and target.CALIBRATED:
+            raise InputError(_cannot_hold(target.NAME, half, "the camera is a mirror that looks along -z")) from error
+        raise
+
+
+def _directions(model: CameraModel) -> Float[Tensor, "p q"]:
+    """The directions that a calibration estimates, and one for each affine parameter that these leave open."""
+    basis = model.calibration_basis()
+    for index, name in enumerate(model.PARAMETER_NAMES):
+        unit = torch.eye(len(basis), dtype=torch.float64)[:, index : index + 1]
+        wider = torch.cat([basis, unit], -1)
+        if name in AFFINE and int(torch.linalg.matrix_rank(wider)) > basis.shape[1]:
+            basis = wider
+    return basis
+
+
+def _refine(start: CameraModel, bearings: Float[Tensor, "n 3"], pixels: Float[Tensor, "n 2"]) -> CameraModel:
+    """Least squares of the distance in pixels; a bearing outside the domain counts from the edge that stands for it."""
+    basis = _directions(start)
+
+    def moved(step: np.ndarray) -> CameraModel:
+        return start.with_parameters(start.parameters + basis @ torch.as_tensor(step))
+
+    def residual(step: np.ndarray) -> np.ndarray:
+        return (moved(step).project(bearings)[0] - pixels).flatten().numpy()
+
+    def jacobian(step: np.ndarray) -> np.ndarray:
+        by_parameter = moved(step).project_with_jacobians(bearings)[3]
+        return (by_parameter @ basis).flatten(0, 1).numpy()
+
+    zero = np.zeros(basis.shape[1])
+    return moved(
+        least_squares(residual, zero, jacobian, method="lm", x_scale="jac", ftol=TIGHT, xtol=TIGHT, gtol=TIGHT, max_nfev=100).x
+    )
