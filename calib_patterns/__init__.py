@@ -1,0 +1,36 @@
+"""Calibration targets: geometry, rendering and detection.
+
+`PATTERNS` lists them without importing their modules; `pattern` reads a specification such as `checkerboard:8x6:32.5mm`.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+from camera_models.errors import InputError
+
+if TYPE_CHECKING:
+    from calib_patterns._pattern import Pattern
+
+__all__ = ["PATTERNS", "pattern", "pattern_class"]
+
+PATTERNS: tuple[tuple[str, str], ...] = (("checkerboard", "calib_patterns.checkerboard:Checkerboard"),)
+"""(name in a specification, "module:Class"), the most common target first, as help texts list them."""
+
+
+def pattern_class(name: str) -> "type[Pattern]":
+    """The class of a registered name; raises InputError for an unknown one."""
+    location = dict(PATTERNS).get(name)
+    if location is None:
+        known = ", ".join(known_name for known_name, _ in PATTERNS)
+        raise InputError(f"Expected a pattern that starts with one of: {known}; found '{name}'; write it as name:arguments.")
+    module, _, attribute = location.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def pattern(specification: str) -> "Pattern":
+    """The target written as `name:arguments`, for example `checkerboard:8x6:32.5mm` (lengths in mm, cm or m).
+
+    Raises InputError when the name is unknown or the arguments are malformed.
+    """
+    name, _, arguments = specification.strip().partition(":")
+    return pattern_class(name)._from_arguments(arguments)

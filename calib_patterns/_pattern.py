@@ -1,0 +1,123 @@
+"""The contract of every calibration target.
+
+Board frame: the first corner at the origin or near it, x to the right and y down as printed, z = 0 on the printed surface;
+by the right-hand rule z points into the board, away from who looks at its front.
+"""
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from camera_models.errors import InputError
+
+METRES_PER_UNIT = {"mm": -3, "cm": -2, "m": 0}
+"""Decimal exponent of each unit of length that a specification may use."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Corners of one target found in one photo; empty when there are none."""
+
+    ids: Int[np.ndarray, " n"]
+    """Rows of `Pattern.points_m`, ascending."""
+    pixels: Float[np.ndarray, "n 2"]
+    """(u, v), the centre of the first pixel at (0, 0)."""
+    sigma_px: Float[np.ndarray, " n"]
+    """Standard deviation of each coordinate, root mean square of both axes."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @staticmethod
+    def empty() -> "Detection":
+        """No corner."""
+        return Detection(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
+
+
+class Pattern(ABC):
+    """A flat calibration target whose corners have names (row indices) and known positions."""
+
+    NAME: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def _from_arguments(cls, arguments: str) -> "Pattern":
+        """The pattern of what follows `name:` in a specification; raises InputError with one sentence when malformed."""
+
+    @classmethod
+    @abstractmethod
+    def examples(cls) -> "Sequence[Pattern]":
+        """Realistic instances, looped over by the law suite."""
+
+    @property
+    @abstractmethod
+    def specification(self) -> str:
+        """The text that `calib_patterns.pattern` reads back to an equal pattern."""
+
+    @property
+    @abstractmethod
+    def points_m(self) -> Float[np.ndarray, "n 3"]:
+        """Corner positions in the board frame, metres, z = 0; the row index is the corner's id."""
+
+    @property
+    @abstractmethod
+    def size_m(self) -> tuple[float, float]:
+        """Printed extent along x and y including its white margin."""
+
+    @property
+    @abstractmethod
+    def top_left_m(self) -> tuple[float, float]:
+        """Where the printed extent begins in the board frame: its smallest x and y."""
+
+    @abstractmethod
+    def reflectance(
+        self, points_m: Float[np.ndarray, "*batch 2"], footprint_m: Float[np.ndarray, "*batch 2"]
+    ) -> Float[np.ndarray, "*batch"]:
+        """Mean reflectance in [0, 1] over boxes of widths `footprint_m` along x and y centred at `points_m` on the board plane.
+
+        Exact for boxes of any size, zero included. Defined inside the printed extent; outside it continues the margin's white.
+        """
+
+    @abstractmethod
+    def detect(self, image: np.ndarray, *, mirrored: bool = False) -> tuple[Detection, str | None]:
+        """The corners seen in a photo, and otherwise one sentence saying why there are none.
+
+        `image`: (h, w) grey or (h, w, 3) BGR, uint8 or uint16; InputError for anything else. `mirrored` states that the photo
+        was taken through an odd number of mirrors, so that the target's handedness is reversed in it.
+        """
+
+    def ids_are_known(self, ids: Int[np.ndarray, " n"]) -> bool:
+        """Whether every id names a corner of this pattern."""
+        return bool(np.all((ids >= 0) & (ids < len(self.points_m))))
+
+
+def parse_length(text: str, specification: str) -> float:
+    """Metres of a positive length such as `32.5mm`; raises InputError naming the whole specification."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(mm|cm|m)\s*", text)
+    length = float(Decimal(match[1]).scaleb(METRES_PER_UNIT[match[2]])) if match else 0.0
+    if not length > 0:
+        raise InputError(
+            f"Pattern '{specification}' needs a positive length in mm, cm or m, found '{text}'; write it like 32.5mm."
+        )
+    return length
+
+
+def format_length_mm(length_m: float) -> str:
+    """The shortest text in millimetres that `parse_length` reads back to the same number."""
+    return f"{Decimal(repr(length_m)).scaleb(3).normalize():f}mm"
+
+
+def check_image(image: np.ndarray) -> None:
+    """Raise InputError unless the image is (h, w) or (h, w, 3) of uint8 or uint16."""
+    shape_is_right = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+    if not shape_is_right or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
+        raise InputError(
+            f"Expected a photo as (height, width) or (height, width, 3) of 8 or 16 bit, found {image.dtype} of shape "
+            f"{tuple(image.shape)}; read it with cv2.imread."
+        )

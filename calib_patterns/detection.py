@@ -1,0 +1,208 @@
+"""Finding a whole checkerboard in a wide-angle photo: an ordered ensemble of searches, each hit refined and verified.
+
+The searches differ in scale and contrast, since strongly curved boards, small squares and large blurred photos each defeat some
+of them. What a search returns is only a start: every corner is fitted (saddle.py), and a grid counts when its corners are
+saddles of alternating sign, its squares are unfolded and it bends smoothly.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from calib_patterns._pattern import Detection
+from calib_patterns.saddle import SaddleFit, fit_saddles, grid_derivatives
+
+SEARCH_SIDE_PX = 1400
+"""Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
+MAX_SEARCH_PIXELS = 6e6
+"""Enlargements beyond this are left out."""
+MIN_GOOD_SHARE = 0.8
+"""Share of the corners that must be fitted well for a grid to count."""
+_CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+_SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+
+Grey = np.ndarray
+Finder = Callable[[Grey, int, int], np.ndarray | None]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """One member of the ensemble."""
+
+    finder: Finder
+    scale: float
+    """Relative to the base scale of the photo."""
+    equalise: bool
+
+
+def _classic(image: Grey, nx: int, ny: int) -> np.ndarray | None:
+    """Quadrilaterals of an adaptive threshold, linked into a grid."""
+    found, corners = cv2.findChessboardCorners(image, (nx, ny), None, _CLASSIC)
+    return corners if found else None
+
+
+def _sector_based(image: Grey, nx: int, ny: int) -> np.ndarray | None:
+    """Duda and Frese, Accurate Detection and Localization of Checkerboard Corners for Calibration, BMVC 2018."""
+    found, corners = cv2.findChessboardCornersSB(image, (nx, ny), flags=_SECTOR)
+    return corners if found else None
+
+
+# The quick and most successful first; a photo without a board costs the whole list.
+_ENSEMBLE = (
+    _Search(_classic, 1.0, False),
+    _Search(_sector_based, 1.0, False),
+    _Search(_classic, 2.0, False),
+    _Search(_classic, 1.0, True),
+    _Search(_classic, 1.5, False),
+    _Search(_sector_based, 2.0, False),
+    _Search(_sector_based, 0.5, False),
+    _Search(_classic, 0.5, False),
+    _Search(_classic, 2.0, True),
+    _Search(_sector_based, 1.0, True),
+    _Search(_classic, 3.0, False),
+)
+
+
+def grey_of(image: np.ndarray) -> Grey:
+    """(h, w) of the photo's own depth."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def _stretched(grey: Grey) -> Grey:
+    """8 bits that span the photo's own range, but for 0.1 percent at either end."""
+    thinned = grey[:: max(1, grey.shape[0] // 500), :: max(1, grey.shape[1] // 500)]
+    low, high = np.percentile(thinned, [0.1, 99.9])
+    scale = 255.0 / max(high - low, 1.0)
+    return cv2.convertScaleAbs(np.clip(grey, low, high), alpha=scale, beta=-low * scale)
+
+
+def _rescaled(image: Grey, scale: float) -> Grey:
+    if scale == 1.0:
+        return image
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+
+
+def _candidates(grey: Grey, nx: int, ny: int) -> Iterator[tuple[Float[np.ndarray, "ny nx 2"], float]]:
+    """Grids in full-scale pixels with the scale they were found at, in the order of the ensemble."""
+    stretched = _stretched(grey)
+    base = min(1.0, SEARCH_SIDE_PX / max(grey.shape))
+    for search in _ENSEMBLE:
+        scale = base * search.scale
+        if scale > 1 and scale**2 * grey.size > MAX_SEARCH_PIXELS:
+            continue
+        image = _rescaled(stretched, scale)
+        if search.equalise:
+            image = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image)
+        corners = search.finder(image, nx, ny)
+        if corners is not None:
+            # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5), by factors that rounding sets off from `scale`.
+            factors = np.array(grey.shape[::-1]) / np.array(image.shape[::-1])
+            grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5
+            yield grid, scale
+
+
+def unfolded(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
+    """Whether all quadrilaterals of neighbouring corners are convex and turn the same way."""
+    ring = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]])
+    edges = np.roll(ring, -1, axis=0) - ring
+    following = np.roll(edges, -1, axis=0)
+    turn = edges[..., 0] * following[..., 1] - edges[..., 1] * following[..., 0]
+    return bool((turn > 0).all() or (turn < 0).all())
+
+
+def _smooth(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
+    """Whether neighbouring squares differ by less than their own size, as they do in any lens (a skipped row does not)."""
+    across, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
+    worst = [
+        (np.linalg.norm(np.diff(steps, axis=axis), axis=-1) / np.linalg.norm(steps, axis=-1).mean(axis, keepdims=True)).max()
+        for steps, axis in ((across, 1), (down, 0))
+    ]
+    return bool(max(worst) < 0.9)
+
+
+def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> SaddleFit:
+    """Two fits: the second has its windows and curvatures from the refined grid."""
+    coarse = fit_saddles(grey, grid, start_blur_px=max(1.0, 1.0 / scale))
+    return fit_saddles(grey, coarse.pixels, start_blur_px=float(np.clip(np.median(coarse.blur_px), 0.5, 4.0)))
+
+
+def _good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
+    """Corners where a saddle of the board's own contrast and sign stands clear of what the fit leaves."""
+    ny, nx = fit.contrast.shape
+    alternating = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, fit.contrast, -fit.contrast)
+    sign = np.sign(np.median(alternating))
+    strength = alternating * sign
+    clear = (strength > 2.5 * fit.residual) & (strength > 0.15 * np.median(strength))
+    return fit.converged & clear & (fit.sigma_px < 1.0)
+
+
+def _verified(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> bool:
+    """Whether the fitted grid is a board."""
+    return bool(good.mean() >= MIN_GOOD_SHARE) and unfolded(fit.pixels) and _smooth(fit.pixels)
+
+
+def _numberings(nx: int, ny: int, flip: bool) -> list[tuple[np.ndarray, bool]]:
+    """Orders (ny, nx) of the found corners with the wanted handedness, and whether each exchanges the diagonals of a corner."""
+    index = np.arange(nx * ny).reshape(ny, nx)
+    index = index[:, ::-1] if flip else index
+    turns = (0, 1, 2, 3) if nx == ny else (0, 2)
+    return [(np.rot90(index, turn), flip != (turn % 2 == 1)) for turn in turns]
+
+
+def _board_order(fit: SaddleFit, mirrored: bool) -> np.ndarray:
+    """Found corners (flat indices, (ny, nx)) in the board's own order, chosen as `Checkerboard.detect` states."""
+    ny, nx = fit.contrast.shape
+    flat = fit.pixels.reshape(-1, 2)
+    signs = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, 1.0, -1.0)
+    # Positive contrast: bright towards (-x, -y) and (+x, +y). Robust signs, so that a corner that is covered does not decide.
+    contrast = (np.sign(np.median(fit.contrast * signs)) * signs).reshape(-1)
+
+    def preference(numbering: tuple[np.ndarray, bool]) -> tuple[bool, float]:
+        order, exchanged = numbering
+        black_first = bool((contrast[order[0, 0]] < 0) != exchanged)
+        x_axis = (flat[order[:, -1]] - flat[order[:, 0]]).mean(0)
+        return black_first, float(x_axis[0] / np.linalg.norm(x_axis))
+
+    left_handed = bool(np.median(np.linalg.det(grid_derivatives(fit.pixels)[0])) < 0)
+    return max(_numberings(nx, ny, left_handed != mirrored), key=preference)[0]
+
+
+def why_not(grey: Grey, name: str) -> str:
+    """One sentence: the likeliest reason why a target was not found."""
+    full = 65535 if grey.dtype == np.uint16 else 255
+    low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
+    if high < 0.12:
+        return f"The photo is too dark to show a {name}: 99 percent of it is below {100 * high:.0f} percent of full scale."
+    if low > 0.9:
+        return f"The photo is overexposed: 99 percent of it is above {100 * low:.0f} percent of full scale."
+    if high - low < 0.08:
+        return f"The photo has too little contrast to show a {name}: it spans {100 * (high - low):.0f} percent of full scale."
+    reduced = _rescaled(_stretched(grey), min(1.0, SEARCH_SIDE_PX / max(grey.shape))).astype(np.float32)
+    steepest = float(np.percentile(np.abs(np.diff(reduced, axis=1)), 99.9))
+    if steepest < 12:
+        return (
+            f"The photo is too blurred to show a {name}: its steepest edges rise by {steepest:.0f} of 255 grey levels per pixel."
+        )
+    return f"No {name} was found: it has to be seen whole, with its white margin, its squares at least 8 px wide."
+
+
+def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> tuple[Detection, str | None]:
+    """The corners of an nx x ny board in the order of `Checkerboard.points_m`, or none and why."""
+    grey = grey_of(image)
+    name = f"checkerboard of {nx}x{ny} inner corners"
+    rejected = False
+    for grid, scale in _candidates(grey, nx, ny):
+        fit = _refined(grey, grid, scale)
+        good = _good_corners(fit)
+        if _verified(fit, good):
+            order = _board_order(fit, mirrored).reshape(-1)
+            ids = np.flatnonzero(good.reshape(-1)[order])
+            picked = order[ids]
+            return Detection(ids, fit.pixels.reshape(-1, 2)[picked], fit.sigma_px.reshape(-1)[picked]), None
+        rejected = True
+    if rejected:
+        return Detection.empty(), f"A grid like a {name} was found, but its corners do not alternate like a checkerboard's."
+    return Detection.empty(), why_not(grey, name)
