@@ -65,7 +65,7 @@ class _Sampler:
         # While boards are swung out, the corners of the corners' convex hull stand for all.
         self.hull = self.points[ConvexHull(self.points[:, :2]).vertices]
         tree = cKDTree(self.points)
-        nearest = tree.query(self.points, k=2)[0][:, 1].max()
+        nearest = np.asarray(tree.query(self.points, k=2)[0])[:, 1].max()
         self.neighbours = tree.query_pairs(1.01 * nearest, output_type="ndarray")
         axis, _ = model.unproject(model.centre_px.detach()[None].numpy())
         # The bearing of the centre pixel is +z, or -z for a mirror: angles are measured from it.

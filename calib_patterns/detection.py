@@ -139,9 +139,34 @@ def _good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
     return fit.converged & clear & (fit.sigma_px < 1.0)
 
 
-def _verified(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> bool:
-    """Whether the fitted grid is a board."""
-    return bool(good.mean() >= MIN_GOOD_SHARE) and unfolded(fit.pixels) and _smooth(fit.pixels)
+def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"]:
+    """The grid with one more row and column on every side, extrapolated to second order."""
+    for axis in (0, 1):
+        rows = np.moveaxis(grid, axis, 0)
+        before, after = 3 * rows[:1] - 3 * rows[1:2] + rows[2:3], 3 * rows[-1:] - 3 * rows[-2:-1] + rows[-3:-2]
+        grid = np.moveaxis(np.concatenate([before, rows, after]), 0, axis)
+    return grid
+
+
+def _goes_on(grey: Grey, fit: SaddleFit) -> bool:
+    """Whether the board has another row or column of inner corners beyond one of the sides of the grid."""
+    start = _extended(fit.pixels)
+    wider = fit_saddles(grey, start, start_blur_px=float(np.clip(np.median(fit.blur_px), 0.5, 4.0)))
+    square = np.linalg.norm(grid_derivatives(start)[0], axis=-2).min(-1)
+    good = _good_corners(wider) & (np.linalg.norm(wider.pixels - start, axis=-1) < 0.3 * square)
+    sides = (good[0, 1:-1], good[-1, 1:-1], good[1:-1, 0], good[1:-1, -1])
+    return max(float(side.mean()) for side in sides) > 0.6
+
+
+def _flaw(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> str | None:
+    """What keeps the fitted grid from being the board, None when nothing does."""
+    if good.mean() < MIN_GOOD_SHARE:
+        return "its corners do not alternate like a checkerboard's"
+    if not (unfolded(fit.pixels) and _smooth(fit.pixels)):
+        return "its rows and columns are folded or uneven"
+    if _goes_on(grey, fit):
+        return "its squares go on beyond it; give the number of inner corners that the board has"
+    return None
 
 
 def _numberings(nx: int, ny: int, flip: bool) -> list[tuple[np.ndarray, bool]]:
@@ -193,16 +218,14 @@ def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> 
     """The corners of an nx x ny board in the order of `Checkerboard.points_m`, or none and why."""
     grey = grey_of(image)
     name = f"checkerboard of {nx}x{ny} inner corners"
-    rejected = False
+    flaw: str | None = None
     for grid, scale in _candidates(grey, nx, ny):
         fit = _refined(grey, grid, scale)
         good = _good_corners(fit)
-        if _verified(fit, good):
+        flaw = _flaw(grey, fit, good)
+        if flaw is None:
             order = _board_order(fit, mirrored).reshape(-1)
             ids = np.flatnonzero(good.reshape(-1)[order])
             picked = order[ids]
             return Detection(ids, fit.pixels.reshape(-1, 2)[picked], fit.sigma_px.reshape(-1)[picked]), None
-        rejected = True
-    if rejected:
-        return Detection.empty(), f"A grid like a {name} was found, but its corners do not alternate like a checkerboard's."
-    return Detection.empty(), why_not(grey, name)
+    return Detection.empty(), why_not(grey, name) if flaw is None else f"A grid like a {name} was found, but {flaw}."

@@ -25,6 +25,8 @@ AXIAL = 32
 """Azimuths over which the source's radial curve is averaged for the start."""
 LEAST_PIXELS = 50
 """A field of view in which fewer pixels of the grid lie holds too little of the image to fit a model to."""
+NARROW = math.radians(60)
+"""Angle off axis up to which the grid covers only the part of the image that the field of view fills."""
 TIGHT = 1e-12
 """Relative change of the sum of squares and of the parameters at which a fit ends."""
 AFFINE = ("skew", "c", "d", "e")
@@ -46,7 +48,7 @@ class Conversion:
     """Twice the largest angle off axis that was compared."""
 
 
-def convert(model: CameraModel, target_name: str, fov_deg: float | None = None, **options: Any) -> Conversion:
+def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = None, **options: Any) -> Conversion:
     """The camera of another model that is nearest to `model`, within `fov_deg` across and inside the image.
 
     Without `fov_deg` it is all that the image of the source sees. `options` go to the target (`degree`, `coefficients`).
@@ -81,7 +83,7 @@ def convert(model: CameraModel, target_name: str, fov_deg: float | None = None, 
 
 def _cannot_hold(target: str, half: float, why: str) -> str:
     return (
-        f"Camera model {target} was expected to hold a field of view of {2 * math.degrees(half):.1f} degrees, found that {why}; "
+        f"Camera model {target} was expected to hold a field of view of {2 * math.degrees(half):.0f} degrees, found that {why}; "
         "give a smaller one or another model."
     )
 
@@ -91,21 +93,22 @@ def _angle(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> Float[
 
 
 def _seen(
-    model: CameraModel, axis: Float[Tensor, "3"], count: int, fov_deg: float | None
+    model: CameraModel, axis: Float[Tensor, "3"], count: int, fov_deg: float | int | None
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 3"], float]:
     """Pixels on a grid over the image, corners included, with a bearing within the field of view; the largest angle (rad)."""
     if fov_deg is not None and not 0 < fov_deg <= 360:
         raise InputError(
             f"A field of view above 0 and up to 360 degrees was expected, found {fov_deg:g}; give one in this range."
         )
-    w, h = model.image_size
-    steps = [max(2, round(count * side / max(w, h))) for side in (w, h)]
-    rows = [torch.linspace(0, side - 1, step, dtype=torch.float64) for side, step in zip((w, h), steps, strict=True)]
+    widest = math.pi if fov_deg is None else 0.5 * math.radians(fov_deg)
+    low, high = _box(model, axis, widest)
+    sides = (high - low).clamp_min(1e-9)
+    steps = [max(2, round(count * float(side / sides.max()))) for side in sides]
+    rows = [torch.linspace(float(a), float(b), step, dtype=torch.float64) for a, b, step in zip(low, high, steps, strict=True)]
     pixels = torch.stack(torch.meshgrid(*rows, indexing="xy"), -1).reshape(-1, 2)
     with torch.no_grad():
         bearings, valid = model.unproject(pixels)
     angle = _angle(bearings, axis.expand_as(bearings))
-    widest = math.pi if fov_deg is None else 0.5 * math.radians(fov_deg)
     use = valid & (angle <= widest)
     if int(use.sum()) < LEAST_PIXELS:
         raise InputError(
@@ -113,6 +116,24 @@ def _seen(
             "within it; give a wider one."
         )
     return pixels[use], bearings[use], float(angle[use].max())
+
+
+def _box(model: CameraModel, axis: Float[Tensor, "3"], angle: float) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
+    """Least and largest pixel of the image that can lie within `angle` of the axis."""
+    image = torch.tensor([[0.0, 0.0], [side - 1.0 for side in model.image_size]], dtype=torch.float64)
+    if angle > NARROW:
+        return image[0], image[1]
+    azimuth = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
+    s = math.sin(angle)
+    ring = torch.stack(
+        [s * torch.cos(azimuth), s * torch.sin(azimuth), float(axis[2]) * math.cos(angle) * azimuth.new_ones(181)], -1
+    )
+    with torch.no_grad():
+        rim, seen = model.project(ring)
+    if not bool(seen.all()):
+        return image[0], image[1]
+    low, high = (torch.minimum(torch.maximum(edge, image[0]), image[1]) for edge in (rim.amin(0), rim.amax(0)))
+    return low, high
 
 
 def _start(model: CameraModel, target: type[CameraModel], mirror: bool, half: float, options: dict[str, Any]) -> CameraModel:

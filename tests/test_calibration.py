@@ -8,7 +8,16 @@ import pytest
 import torch
 
 import camera_models
-from camera_models import GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza
+from camera_models import (
+    DoubleSphere,
+    ExtendedUnified,
+    GeometryError,
+    InputError,
+    OpenCVFisheye,
+    Pinhole,
+    Scaramuzza,
+    Unified,
+)
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.calibration.initialise import centre_candidates, radial_centres, radial_start, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -73,6 +82,10 @@ WIDE = Scaramuzza([645.2, 478.7, 1.0004, 2e-4, 2e-4, 235.0, -1.42e-3, 0.0, -1.7e
 LENSES = {
     "opencv-fisheye": (FISHEYE, 85),
     "scaramuzza": (Scaramuzza([655.0, 466.0, 1.001, 3e-4, 3e-4, 338.0, -1.2e-3, 1.27e-6, -2.2e-9], (1280, 960)), 85),
+    # xi, k1 and k2 can make up for one another; this lens and its reach tell them apart.
+    "unified": (Unified([540.0, 541.0, 655.0, 466.0, 0, 1.2, -0.3, 0.12, 2e-4, -3e-4], (1280, 960)), 90),
+    "extended-unified": (ExtendedUnified([338.0, 339.0, 655.0, 466.0, 0.6, 1.1], (1280, 960)), 85),
+    "double-sphere": (DoubleSphere([290.0, 291.0, 655.0, 466.0, -0.18, 0.59], (1280, 960)), 85),
     "pinhole": (Pinhole([700.0, 702.0, 655.0, 466.0, 0, -0.28, 0.09, 2e-4, -3e-4, -0.012, 0, 0, 0], (1280, 960)), 40),
 }
 
@@ -178,6 +191,17 @@ def test_starts_without_a_guess(reach):
             tried += 1
         assert len(poses) >= 8
     assert tried == 6
+
+
+@pytest.mark.parametrize("name", ["unified", "extended-unified", "double-sphere"])
+@pytest.mark.parametrize("reach", [50, 89])
+def test_sphere_models_start_without_a_guess(name, reach):
+    """On another model's lens, which they hold to a small share of the noise."""
+    corners, poses = simulated(FISHEYE, facing_poses(20, reach, seed=100), 0.2, 0)
+    result = calibrate_camera(corners, FISHEYE.image_size, name)
+    assert len(poses) >= 8 and all(view.used for view in result.views)
+    assert result.rms_px_per_axis < 0.21
+    assert bearing_error_deg(result.model, FISHEYE, reach - 5) < 0.1
 
 
 def test_boards_beyond_ninety_degrees():

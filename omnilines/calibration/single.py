@@ -14,6 +14,7 @@ from camera_models import CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import (
     NEARLY_PARALLEL_DEG,
+    angles_off_axis,
     coverage_notes,
     refuse_open_camera,
     refuse_parallel_boards,
@@ -37,6 +38,13 @@ HALF_ANGLES_DEG = (25.0, 45.0, 70.0, 90.0, 110.0)
 """Equidistant lenses tried beside the closed-form start, by the angle at the farthest corner."""
 GOOD_START = 0.005
 """A closed-form start with a typical residual below this share of the image's longer side needs no alternatives."""
+IN_PIXELS = ("fx", "fy", "cx", "cy", "skew")
+TIED = 9.0
+"""Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
+DETECTOR_FLOOR_PX = 0.02
+"""Corners found in photos are never taken to be better than this when uncertainty is stated. On rendered boards without noise the
+detector is off by about 0.006 px, and some ten neighbouring corners alike: residuals, which only see what differs between
+neighbours, would promise three times too much."""
 REJECT_SIGMA = 4.5
 """Corners farther than this many robust standard deviations (of the norm) are rejected."""
 
@@ -117,7 +125,7 @@ def calibrate_camera(
     final_rows[rows] = kept.numpy() & ~np.isin(points.view.numpy(), bad)
     final_points = board_points(corners, final_rows, [usable[v] for v in good])
     start = CameraAndBoards(state.model, state.cam_from_board[good])
-    solution = refine(final_points, start, weight=_weights(corners, final_rows), callback=callback, max_iterations=300)
+    solution = _refine_with_rivals(final_points, start, _weights(corners, final_rows), callback)
     refuse_parallel_boards(solution.state.cam_from_board)
     return _result(corners, final_points, final_rows, [usable[v] for v in good], solution, refusals, loss)
 
@@ -222,6 +230,30 @@ def _reject(
     return state, kept
 
 
+def _refine_with_rivals(
+    points: BoardPoints, start: CameraAndBoards, weight: Tensor | None, callback: Callable[[Progress], None] | None
+) -> Solution[CameraAndBoards]:
+    """Plain least squares from `start`, and from every other minimum that the model names; the best of them, and of those that
+    the data do not tell apart (chi-square up to TIED) the one with the smallest shape parameters."""
+    solution = refine(points, start, weight=weight, callback=callback, max_iterations=300)
+    poses = solution.state.cam_from_board
+    reach = float(angles_off_axis(solution.state.model, points.pixels).max())
+    others = [
+        refine(points, CameraAndBoards(rival, poses), weight=weight, callback=callback, max_iterations=300)
+        for rival in solution.state.model.rivals(reach)
+    ]
+    found = [solution, *others]
+    best = min(candidate.cost for candidate in found)
+    variance = best / max(1, 2 * len(points.view) - 6 * points.views - start.model.calibration_basis().shape[1])
+    tied = [candidate for candidate in found if candidate.cost <= best + TIED * variance]
+    return min(tied, key=lambda candidate: _shape(candidate.state.model))
+
+
+def _shape(model: CameraModel) -> float:
+    """Length of the vector of the parameters that have no unit of length."""
+    return math.hypot(*(value for name, value in model.named_parameters().items() if name not in IN_PIXELS))
+
+
 def _share_kept(points: BoardPoints, kept: Tensor) -> Tensor:
     return points.mean_by_view(kept.to(torch.float64)[:, None])[:, 0]
 
@@ -245,7 +277,10 @@ def _result(
             f"The corners of {len(views)} views were expected to determine the camera, found that they leave "
             f"{_weakest_name(solution, basis, model)} open; add photos with the board at other tilts and nearer to the rim."
         )
-    covariance = basis @ solution.kept_covariance() @ basis.mT * (solution.cost / freedom)
+    variance = solution.cost / freedom
+    if corners.sigma_px is not None:
+        variance = max(variance, DETECTOR_FLOOR_PX**2)
+    covariance = basis @ solution.kept_covariance() @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
     refuse_open_camera(model, covariance, points.pixels, state.cam_from_board)
     residual = np.full((len(corners), 2), np.nan)

@@ -1,0 +1,75 @@
+"""omnilines validate: render photos with a known camera, run the whole path from the files, compare with the truth."""
+
+from pathlib import Path
+
+from camera_models import load
+from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._validation import compare
+from omnilines.commands._validation_report import validation_data, validation_sections, validation_summaries
+from omnilines.commands.calibrate import calibrate_photos
+from omnilines.commands.reconstruct import write_scene
+from omnilines.commands.render import write_targets
+from omnilines.files import read_corners
+from omnilines.report import write_report
+
+PHOTOS = "photos"
+"""Folder of the photos and of the truth, inside the output folder."""
+
+
+def validate(
+    out: str | Path,
+    *,
+    model: str = "opencv-fisheye",
+    fov_deg: float = 190.0,
+    views: int = 20,
+    size: tuple[int, int] = (1280, 960),
+    noise: float = 2.0,
+    blur: float = 0.5,
+    seed: int = 0,
+    pattern_spec: str = "checkerboard:8x6:30mm",
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Check that the software recovers what it is given, from pixels to lines.
+
+    Renders photos of a target with a camera drawn from `seed` (see `render_targets` for the options), calibrates from the photo
+    files, rebuilds the rows and columns of the board as 3D lines with the calibrated camera and poses, and compares:
+
+    - at most 5 percent of the photos (rounded up) are without a usable target;
+    - the RMS angle between estimated and true bearings, uniform over the pixels as far out as boards were shown, after the best
+      common rotation, is at most 0.02 degrees, or 0.1 px at the mean angular size of a pixel (`fov_deg` over the shorter side of
+      the image) where that is more, as it is for small images;
+    - the parameters agree with the truth within their covariance: jointly, by the 99.9 percent quantile, and each within 4.5
+      standard deviations;
+    - so do the lines within theirs, after the best similarity, by the same quantile.
+
+    Writes `photos/` (photos and truth), calibration.yaml, corners.csv, the line scene and report.html into `out`. The result
+    holds when every check does. Raises InputError for options out of range and GeometryError where the data determine nothing.
+    """
+    folder = output_folder(out)
+    truth = write_targets(
+        folder / PHOTOS,
+        pattern_spec=pattern_spec,
+        model=model,
+        fov_deg=fov_deg,
+        views=views,
+        size=size,
+        noise=noise,
+        blur=blur,
+        seed=seed,
+        progress=progress,
+    )
+    photos = [folder / PHOTOS / name for name in truth.images]
+    calibrated = calibrate_photos(photos, pattern_spec, folder, model=model, progress=progress)
+    progress("rebuilding lines", 0, 0)
+    corners = read_corners(folder / "corners.csv")
+    validation = compare(truth, fov_deg, load(folder / "calibration.yaml"), corners)
+    scene = validation.scene
+    inputs = {"photos": folder / PHOTOS, "model": model, "fov_deg": fov_deg, "views": views, "noise": noise, "blur": blur}
+    tables = write_scene(folder, scene, validation.board.segments, validation.calibration, {**inputs, "seed": seed})
+    progress("writing the report", 0, 0)
+    summaries = validation_summaries(validation, fov_deg, seed)
+    sections = validation_sections(validation, summaries, folder / PHOTOS)
+    page = write_report(folder / "report.html", f"Validation of a {model} camera", sections)
+    files = (*truth.files, folder / "corners.csv", *tables, page)
+    data = validation_data(validation, fov_deg, seed)
+    return CommandResult(summaries, data, validation.checks, files, page, calibrated.warnings)

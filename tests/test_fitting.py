@@ -1,0 +1,147 @@
+"""Conversion between camera models: closed-form identities, errors recomputed on every pixel, and what a target cannot hold."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from camera_models import (
+    DoubleSphere,
+    Equirectangular,
+    ExtendedUnified,
+    InputError,
+    OpenCVFisheye,
+    Pinhole,
+    Scaramuzza,
+    Unified,
+    convert,
+)
+from camera_models.fitting import _refine
+
+SIZE = (1280, 960)
+STEREOGRAPHIC = Unified([300.0, 302.0, 640.0, 470.0, 0, 1.0, 0, 0, 0, 0], SIZE)
+FISHEYE = OpenCVFisheye.examples()[0]
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "expected"),
+    [
+        # r = s / (z + n) = (s / (n / 2 + z / 2)) / 2: the unified model with xi = 1 is alpha = 1/2 and xi = 0 of the others.
+        (STEREOGRAPHIC, "extended-unified", {"fx": 150.0, "fy": 151.0, "alpha": 0.5, "beta": 1.0}),
+        (STEREOGRAPHIC, "double-sphere", {"fx": 150.0, "fy": 151.0, "alpha": 0.5, "xi": 0.0}),
+        (
+            ExtendedUnified([200.0, 201.0, 640.0, 470.0, 0.6, 1.0], SIZE),
+            "unified",
+            {"fx": 500.0, "fy": 502.5, "xi": 1.5, "k1": 0.0},
+        ),
+        # tan(theta / 2) = rho / f: z = s (f^2 - rho^2) / (2 f rho), a parabola.
+        (
+            Unified([300.0, 300.0, 640.0, 470.0, 0, 1.0, 0, 0, 0, 0], SIZE),
+            "scaramuzza",
+            {"a0": 150.0, "a2": -1 / 600, "a4": 0, "c": 1},
+        ),
+        (
+            Pinhole([900.0, 905.0, 630.0, 470.0, 1.5, *[0.0] * 8], SIZE),
+            "scaramuzza",
+            {"a0": 900.0, "c": 905 / 900, "a2": 0, "d": 0},
+        ),
+        (Pinhole([900.0, 905.0, 630.0, 470.0, 1.5, *[0.0] * 8], SIZE), "pinhole", {"fx": 900.0, "skew": 1.5, "k1": 0.0}),
+    ],
+)
+def test_models_that_hold_each_other_exactly(source, target, expected):
+    result = convert(source, target, 160 if isinstance(source, Unified | ExtendedUnified) else None)
+    named = result.model.named_parameters()
+    assert result.model.NAME == target
+    for name, value in expected.items():
+        assert math.isclose(named[name], value, rel_tol=1e-5, abs_tol=1e-5), (name, named[name])
+    assert result.max_px < 1e-5 and result.max_deg < 1e-5
+
+
+def test_a_slanted_chip_needs_no_rotation():
+    """e and d are told apart, though a calibration with free poses cannot: the bearings are given."""
+    source = Scaramuzza.examples()[1]
+    result = convert(source, "scaramuzza", 190, degree=4)
+    np.testing.assert_allclose(result.model.parameters, source.parameters, rtol=1e-5, atol=1e-9)
+    assert result.max_px < 1e-6
+
+
+@pytest.mark.parametrize("target", ["opencv-fisheye", "scaramuzza", "unified", "extended-unified", "double-sphere"])
+@pytest.mark.parametrize("source", [FISHEYE, Unified.examples()[0], DoubleSphere.examples()[1]], ids=lambda m: m.NAME)
+def test_errors_are_those_of_every_pixel_in_the_field_of_view(source, target):
+    result = convert(source, target, 190)
+    assert 188 < result.fov_deg <= 190
+    w, h = source.image_size
+    pixels = np.stack(np.meshgrid(np.arange(0.0, w, 3), np.arange(0.0, h, 3)), -1).reshape(-1, 2)
+    bearings, valid = source.unproject(pixels)
+    axis = source.unproject(source.centre_px.numpy())[0]
+    use = valid & (np.degrees(np.arccos(np.clip(bearings @ axis, -1, 1))) <= 190 / 2)
+    projected, imaged = result.model.project(bearings[use])
+    again, seen = result.model.unproject(pixels[use])
+    assert imaged.all() and seen.all()
+    off_px = np.linalg.norm(projected - pixels[use], axis=-1)
+    off_deg = np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(again - bearings[use], axis=-1) / 2, 0, 1)))
+    for found, expected in (
+        (result.rms_px, np.sqrt(np.mean(off_px**2))),
+        (result.max_px, off_px.max()),
+        (result.rms_deg, np.sqrt(np.mean(off_deg**2))),
+        (result.max_deg, off_deg.max()),
+    ):
+        assert abs(found - expected) < 0.05 * expected + 1e-6
+    assert result.rms_px <= 0.5
+
+
+def test_wide_conversions_stay_below_a_fifth_of_a_pixel():
+    """What the models are for: 220 degrees of a 220 degree lens, there and back."""
+    source = OpenCVFisheye.examples()[1]
+    there = convert(source, "double-sphere", 220)
+    back = convert(there.model, "opencv-fisheye", 220)
+    assert there.rms_px < 1 and back.rms_px < 0.2
+    assert abs(back.model.parameters[0] - source.parameters[0]) < 0.05 * source.parameters[0]
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_double_sphere_minima_are_all_tried(index):
+    """From the other minimum a fit ends there; the rivals of that fit lead to the truth."""
+    truth = DoubleSphere.examples()[index]
+    rng = np.random.default_rng(index)
+    theta, phi = rng.uniform(0, math.radians(95), 2000), rng.uniform(-math.pi, math.pi, 2000)
+    bearings = torch.as_tensor(np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1))
+    pixels = truth.project(bearings)[0]
+    rivals = truth.rivals(math.radians(95))
+    assert rivals
+    elsewhere = [_refine(rival, bearings, pixels) for rival in rivals]
+    trapped = [fit for fit in elsewhere if float((fit.project(bearings)[0] - pixels).norm(dim=-1).mean()) > 1e-3]
+    assert trapped
+    for fit in trapped:
+        home = [_refine(rival, bearings, pixels) for rival in fit.rivals(math.radians(95))]
+        best = min(home, key=lambda model: float((model.project(bearings)[0] - pixels).norm()))
+        np.testing.assert_allclose(best.parameters, truth.parameters, rtol=1e-6)
+
+
+def test_a_panorama_is_fitted_over_a_narrow_field_only():
+    """No lens has the panorama's two axes: the error says so."""
+    source = Equirectangular([], (2048, 1024))
+    narrow, wide = convert(source, "pinhole", 20), convert(source, "opencv-fisheye", 100)
+    assert narrow.max_px < 0.5 < wide.rms_px
+    assert abs(narrow.model.parameters[0] - 2048 / (2 * math.pi)) < 5
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "fov", "message"),
+    [
+        (FISHEYE, "pinhole", 190, r"pinhole was expected to hold a field of view of 190 degrees.*below 180"),
+        (FISHEYE, "pinhole", 178, r"pinhole was expected to hold.*outside the domain"),
+        (Scaramuzza.examples()[2], "unified", 190, "unified was expected to hold.*a mirror that looks along -z"),
+        (Scaramuzza.examples()[2], "opencv-fisheye", 120, "a mirror that looks along -z"),
+        (FISHEYE, "equirectangular", 100, "is not calibrated"),
+        (FISHEYE, "fish", 100, "found 'fish'"),
+        (FISHEYE, "scaramuzza", 0, "above 0 and up to 360 degrees was expected, found 0"),
+        (FISHEYE, "scaramuzza", 400, "found 400"),
+        (FISHEYE, "scaramuzza", math.nan, "found nan"),
+        (Pinhole([600.0, 600.0, -500.0, 200.0, *[0.0] * 9], (640, 480)), "scaramuzza", 20, "give a wider one"),
+    ],
+)
+def test_what_cannot_be_converted(source, target, fov, message):
+    with pytest.raises(InputError, match=message):
+        convert(source, target, fov)
