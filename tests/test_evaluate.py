@@ -24,7 +24,7 @@ SIZE = (640, 480)
 BOARD = pattern("checkerboard:8x6:30mm")
 FISHEYE = OpenCVFisheye([160.0, 160.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0], SIZE)
 SLANTED = Scaramuzza([322.0, 236.0, 0.995, 0.004, -0.003, 150.0, -3.3e-3, 5e-6, -4e-8], SIZE)
-WIDEST = {"pinhole": 120.0, "opencv-fisheye": 220.0, "scaramuzza": 220.0}
+CALIBRATED = [name for name, _ in MODELS if name != "equirectangular"]
 
 
 def test_a_longer_equidistant_lens_is_off_in_proportion_to_the_angle() -> None:
@@ -83,13 +83,13 @@ def test_errors_of_parameters_follow_chi_square() -> None:
     factor = size[:, None] * mix
     covariance = basis @ factor @ factor.T @ basis.T
     found = []
-    for _ in range(2000):
+    for _ in range(400):
         estimate = truth.with_parameters(truth.parameters.numpy() + basis @ factor @ rng.standard_normal(q))
         found.append(parameter_errors(estimate, covariance, SLANTED))
     statistics = np.array([errors.statistic for errors in found])
     assert scipy.stats.kstest(statistics, scipy.stats.chi2(q).cdf).pvalue > 0.001
     z = np.array([errors.z for errors in found])
-    assert np.abs(z.std(0) - 1).max() < 0.1
+    assert np.abs(z.std(0) - 1).max() < 0.2
     assert found[0].limit == pytest.approx(scipy.stats.chi2.ppf(0.999, q))
     assert parameter_errors(estimate, covariance, SLANTED, 30.0).limit > found[0].limit
     assert found[0].names[:3] == ("cx", "cy", "c") and "e" not in found[0].names
@@ -124,7 +124,7 @@ def _adjusted_board(sigma_px: float, seed: int) -> tuple[Adjusted, np.ndarray, n
 
 def test_errors_of_lines_follow_their_covariance() -> None:
     found = []
-    for seed in range(60):
+    for seed in range(25):
         adjusted, ends, true, freedom = _adjusted_board(0.05, seed)
         found.append(line_errors(adjusted, ends[:, ::-1].copy(), true, freedom))
     size = 4 * len(true) - 7
@@ -133,7 +133,7 @@ def test_errors_of_lines_follow_their_covariance() -> None:
     assert scipy.stats.kstest(statistics / size, scipy.stats.f(size, freedom).cdf).pvalue > 0.001
     assert found[0].limit == pytest.approx(size * scipy.stats.f.ppf(0.999, size, freedom))
     ratio = np.sqrt(np.mean([errors.aligned.rms_m**2 / errors.predicted_rms_m**2 for errors in found]))
-    assert 0.8 < ratio < 1.05
+    assert 0.75 < ratio < 1.1
 
 
 def test_lines_are_compared_after_a_similarity() -> None:
@@ -150,11 +150,11 @@ def test_lines_are_compared_after_a_similarity() -> None:
     assert int(errors.distance_m.mean(1).argmax()) == 3 and 7e-4 < float(errors.distance_m.max()) < 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name, _ in MODELS])
+@pytest.mark.parametrize("name", CALIBRATED)
 def test_example_cameras_have_the_field_of_view_asked_for(name: str) -> None:
     centres, curves = set(), set()
     for seed in range(5):
-        for fov in (60.0, 90.0, WIDEST[name]):
+        for fov in (60.0, 90.0, 120.0 if name == "pinhole" else 220.0):
             model = example_camera(name, fov, SIZE, seed)
             cx, cy = model.centre_px.tolist()
             radius = min(cx + 0.5, SIZE[0] - 0.5 - cx, cy + 0.5, SIZE[1] - 0.5 - cy)
@@ -178,6 +178,8 @@ def test_what_a_model_cannot_hold_is_refused() -> None:
         example_camera("pinhole", 190.0, SIZE, 0)
     with pytest.raises(InputError, match="found 300"):
         example_camera("scaramuzza", 300.0, SIZE, 0)
+    with pytest.raises(InputError, match="not calibrated"):
+        example_camera("equirectangular", 190.0, SIZE, 0)
     with pytest.raises(InputError, match="seed"):
         example_camera("scaramuzza", 190.0, SIZE, -1)
     with pytest.raises(InputError, match="40x40"):

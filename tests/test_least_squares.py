@@ -78,6 +78,7 @@ class Curves:
 def test_same_optimum_as_scipy(held, loss):
     problem = Curves(held=held)
     ours = solve(problem, problem.start(), Loss(loss, 0.06), max_iterations=500)
+
     # SciPy's losses act on single residuals, ours on the norm of an observation: hand it the norms.
     def residuals(v):
         r = problem.residual(problem.unflat(v))
