@@ -34,7 +34,12 @@ app.add_typer(experiment_app, name="experiment")
 Photos = Annotated[list[Path], typer.Argument(help="Photos, or folders of photos; or one corners.csv.", show_default=False)]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
 PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
-Model = Annotated[str, typer.Option("--model", help="Camera model: pinhole, opencv-fisheye or scaramuzza.")]
+Model = Annotated[
+    str,
+    typer.Option(
+        "--model", help="Camera model: pinhole, opencv-fisheye, scaramuzza, unified, extended-unified or double-sphere."
+    ),
+]
 Size = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Mirror = Annotated[bool, typer.Option("--mirror", help="The camera looks into a mirror (a0 < 0).")]

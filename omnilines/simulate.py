@@ -45,6 +45,9 @@ def example_camera(model_name: str, fov_deg: float, image_size: tuple[int, int],
     rho = radius * (_rectilinear if kind.LARGEST_ANGLE <= math.pi / 2 else _equidistant)(theta.numpy() / half, half, rng)
     centre = torch.tensor([cx, cy], dtype=torch.float64)
     ideal = kind.from_radial_curve(torch.as_tensor(rho), theta, centre, image_size)
+    # A model of few parameters misses the edge by a little: scaled, its curve meets it.
+    edge, _ = ideal.project(torch.tensor([math.sin(half), 0.0, math.cos(half)], dtype=torch.float64))
+    ideal = kind.from_radial_curve(torch.as_tensor(rho * radius / float((edge - centre).norm())), theta, centre, image_size)
     camera = ideal.with_parameters(_out_of_true(ideal, half, rng))
     if camera.max_angle <= half:
         raise InputError(

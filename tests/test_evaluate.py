@@ -1,5 +1,6 @@
 """Metrics against closed forms, and simulated cameras and corners against what they promise."""
 
+import functools
 import math
 
 import numpy as np
@@ -107,9 +108,14 @@ def test_what_cannot_be_compared_is_refused() -> None:
         parameter_errors(plain, np.zeros((13, 13)), plain)
 
 
+@functools.cache
+def _eight_poses() -> Pose:
+    return random_board_poses(BOARD, FISHEYE, 8, math.radians(80.0), seed=1)
+
+
 def _adjusted_board(sigma_px: float, seed: int) -> tuple[Adjusted, np.ndarray, np.ndarray, int]:
     """Lines of the board from noisy corners in 8 photos with known camera and poses."""
-    poses = random_board_poses(BOARD, FISHEYE, 8, math.radians(80.0), seed=1)
+    poses = _eight_poses()
     corners = simulate_corners(FISHEYE, BOARD, poses, sigma_px, seed)
     board = board_lines(corners, np.ones(len(corners), dtype=bool))
     named = ImagePoses(corners.images, poses)
