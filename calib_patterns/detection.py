@@ -151,7 +151,8 @@ def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"
 def _goes_on(grey: Grey, fit: SaddleFit) -> bool:
     """Whether the board has another row or column of inner corners beyond one of the sides of the grid."""
     start = _extended(fit.pixels)
-    wider = fit_saddles(grey, start, start_blur_px=float(np.clip(np.median(fit.blur_px), 0.5, 4.0)))
+    # What is no saddle never settles; what is one does so within a few steps from here.
+    wider = fit_saddles(grey, start, start_blur_px=float(np.clip(np.median(fit.blur_px), 0.5, 4.0)), max_steps=8)
     square = np.linalg.norm(grid_derivatives(start)[0], axis=-2).min(-1)
     good = _good_corners(wider) & (np.linalg.norm(wider.pixels - start, axis=-1) < 0.3 * square)
     sides = (good[0, 1:-1], good[-1, 1:-1], good[1:-1, 0], good[1:-1, -1])

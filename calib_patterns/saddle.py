@@ -26,7 +26,7 @@ WINDOW_SQUARES = 0.42
 """The window reaches this far into the adjoining squares, short of the next edges and their blur."""
 MODEL_SIGMA_PX = 0.01
 """What the saddle leaves unmodelled (pixel integration, third-order distortion), added in quadrature to the noise's share."""
-_ITERATIONS = 20
+MAX_STEPS = 20
 _PARAMETERS = 11  # u, v, two edge angles, two log blurs, gain, a, a_u, a_v, b
 
 STENCIL = 5
@@ -188,33 +188,38 @@ def _start(
 
 
 def _levenberg_marquardt(
-    parameters: Float[np.ndarray, "n p"], curvature: Float[np.ndarray, "n 2"], patches: _Patches, max_blur_px: float
+    parameters: Float[np.ndarray, "n p"], curvature: Float[np.ndarray, "n 2"], patches: _Patches, max_blur_px: float, steps: int
 ) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"], Bool[np.ndarray, " n"]]:
     """The batch of fits: parameters, residuals and Jacobians there, and which have stopped moving."""
-    count = len(parameters)
-    damping = np.full(count, 1e-3)
+    parameters = parameters.copy()
+    damping = np.full(len(parameters), 1e-3)
     residual, jacobian = _evaluate(parameters, curvature, patches)
-    settled = np.zeros(count, dtype=bool)
-    for _ in range(_ITERATIONS):
-        normal = jacobian.transpose(0, 2, 1) @ jacobian
-        diagonal = np.einsum("nii->ni", normal)
-        normal = normal + (damping[:, None] * diagonal + 1e-9 * (1 + diagonal))[:, None, :] * np.eye(_PARAMETERS)
-        step = np.linalg.solve(normal, (jacobian.transpose(0, 2, 1) @ residual[..., None]))[..., 0]
-        trial = parameters + step
-        trial[:, 4:6] = np.clip(trial[:, 4:6], np.log(0.3), np.log(max_blur_px))
-        trial_residual, trial_jacobian = _evaluate(trial, curvature, patches)
-        better = np.sum(trial_residual**2, 1) <= np.sum(residual**2, 1)
-        settled |= np.abs(step[:, :2]).max(1) < 1e-3
-        damping = np.where(better, damping / 5, damping * 10)
-        parameters = np.where(better[:, None], trial, parameters)
-        residual = np.where(better[:, None], trial_residual, residual)
-        jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
-        if settled.all():
+    settled = np.zeros(len(parameters), dtype=bool)
+    for _ in range(steps):
+        # Only the corners that still move: most are done after five steps, and one that is covered takes them all.
+        at = np.flatnonzero(~settled)
+        if not at.size:
             break
+        slopes = jacobian[at].transpose(0, 2, 1)
+        normal = slopes @ jacobian[at]
+        diagonal = np.einsum("nii->ni", normal)
+        normal = normal + (damping[at, None] * diagonal + 1e-9 * (1 + diagonal))[:, None, :] * np.eye(_PARAMETERS)
+        step = np.linalg.solve(normal, slopes @ residual[at][..., None])[..., 0]
+        trial = parameters[at] + step
+        trial[:, 4:6] = np.clip(trial[:, 4:6], np.log(0.3), np.log(max_blur_px))
+        window = _Patches(patches.pixels[at], patches.grey[at], patches.mask[at])
+        trial_residual, trial_jacobian = _evaluate(trial, curvature[at], window)
+        better = np.sum(trial_residual**2, 1) <= np.sum(residual[at] ** 2, 1)
+        settled[at] = np.abs(step[:, :2]).max(1) < 1e-3
+        damping[at] *= np.where(better, 0.2, 10.0)
+        taken = at[better]
+        parameters[taken], residual[taken], jacobian[taken] = trial[better], trial_residual[better], trial_jacobian[better]
     return parameters, residual, jacobian, settled
 
 
-def fit_saddles(image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], start_blur_px: float = 1.0) -> SaddleFit:
+def fit_saddles(
+    image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], start_blur_px: float = 1.0, max_steps: int = MAX_STEPS
+) -> SaddleFit:
     """Refine a grid of checkerboard corners known to within about twice `start_blur_px` + 1 px.
 
     `image`: (h, w) grey, any depth. Corners whose window holds too few pixels or whose fit ran away come back unmoved with
@@ -230,7 +235,7 @@ def fit_saddles(image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], start_blu
     blur = np.clip(0.2 * singular, 0.5, start_blur_px)
     start = _start(patches, corners, squares, blur)
     curvature = _curvatures(squares, second.reshape(-1, 2, 2))
-    parameters, residual, jacobian, settled = _levenberg_marquardt(start, curvature, patches, max_blur_px)
+    parameters, residual, jacobian, settled = _levenberg_marquardt(start, curvature, patches, max_blur_px, max_steps)
 
     freedom = patches.mask.sum(1) - _PARAMETERS
     variance = np.sum(residual**2, 1) / np.maximum(freedom, 1)

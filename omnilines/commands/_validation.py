@@ -92,7 +92,7 @@ def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, co
     )
 
 
-def _at_most(name: str, value: float, limit: float, unit: str) -> Check:
+def _at_most(name: str, value: float | int, limit: float | int, unit: str) -> Check:
     return Check(name, float(value), float(limit), unit, bool(value <= limit))
 
 
