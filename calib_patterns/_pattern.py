@@ -30,6 +30,10 @@ class Detection:
     """(u, v), the centre of the first pixel at (0, 0)."""
     sigma_px: Float[np.ndarray, " n"]
     """Standard deviation of each coordinate, root mean square of both axes."""
+    blur_px: Float[np.ndarray, "n 2"] | None = None
+    """Standard deviation of the profile across both edges that cross in the corner: across the edge along the board's x, then
+    across that along its y. Photo noise aside, its square is the sum of those of lens, pixel, defocus and the motion across
+    the edge. None where the detector does not know it."""
 
     def __len__(self) -> int:
         return len(self.ids)

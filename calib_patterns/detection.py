@@ -123,10 +123,15 @@ def _smooth(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
     return bool(max(worst) < 0.9)
 
 
+def _typical_blur_px(fit: SaddleFit) -> float:
+    """Of the more blurred edge of a corner, within what a fit should start from."""
+    return float(np.clip(np.median(fit.blur_px.max(-1)), 0.5, 4.0))
+
+
 def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> SaddleFit:
     """Two fits: the second has its windows and curvatures from the refined grid."""
     coarse = fit_saddles(grey, grid, start_blur_px=max(1.0, 1.0 / scale))
-    return fit_saddles(grey, coarse.pixels, start_blur_px=float(np.clip(np.median(coarse.blur_px), 0.5, 4.0)))
+    return fit_saddles(grey, coarse.pixels, start_blur_px=_typical_blur_px(coarse))
 
 
 def _good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
@@ -152,7 +157,7 @@ def _goes_on(grey: Grey, fit: SaddleFit) -> bool:
     """Whether the board has another row or column of inner corners beyond one of the sides of the grid."""
     start = _extended(fit.pixels)
     # What is no saddle never settles; what is one does so within a few steps from here.
-    wider = fit_saddles(grey, start, start_blur_px=float(np.clip(np.median(fit.blur_px), 0.5, 4.0)), max_steps=8)
+    wider = fit_saddles(grey, start, start_blur_px=_typical_blur_px(fit), max_steps=8)
     square = np.linalg.norm(grid_derivatives(start)[0], axis=-2).min(-1)
     good = _good_corners(wider) & (np.linalg.norm(wider.pixels - start, axis=-1) < 0.3 * square)
     sides = (good[0, 1:-1], good[-1, 1:-1], good[1:-1, 0], good[1:-1, -1])
@@ -215,6 +220,16 @@ def why_not(grey: Grey, name: str) -> str:
     return f"No {name} was found: it has to be seen whole, with its white margin, its squares at least 8 px wide."
 
 
+def _detection(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], order: np.ndarray) -> Detection:
+    """The good corners of a grid in the board's order."""
+    ids = np.flatnonzero(good.reshape(-1)[order.reshape(-1)])
+    picked = order.reshape(-1)[ids]
+    # On a board as high as wide, the found rows may be the board's columns.
+    edges = [0, 1] if abs(int(order[0, 1] - order[0, 0])) == 1 else [1, 0]
+    blur_px = fit.blur_px.reshape(-1, 2)[picked][:, edges]
+    return Detection(ids, fit.pixels.reshape(-1, 2)[picked], fit.sigma_px.reshape(-1)[picked], blur_px)
+
+
 def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> tuple[Detection, str | None]:
     """The corners of an nx x ny board in the order of `Checkerboard.points_m`, or none and why."""
     grey = grey_of(image)
@@ -225,8 +240,5 @@ def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> 
         good = _good_corners(fit)
         flaw = _flaw(grey, fit, good)
         if flaw is None:
-            order = _board_order(fit, mirrored).reshape(-1)
-            ids = np.flatnonzero(good.reshape(-1)[order])
-            picked = order[ids]
-            return Detection(ids, fit.pixels.reshape(-1, 2)[picked], fit.sigma_px.reshape(-1)[picked]), None
+            return _detection(fit, good, _board_order(fit, mirrored)), None
     return Detection.empty(), why_not(grey, name) if flaw is None else f"A grid like a {name} was found, but {flaw}."

@@ -44,7 +44,8 @@ class SaddleFit:
     """b: half the grey-level step, positive where the square between increasing x and increasing y is the brighter."""
     residual: Float[np.ndarray, "ny nx"]
     """Root mean square of what the fit leaves, in grey levels."""
-    blur_px: Float[np.ndarray, "ny nx"]
+    blur_px: Float[np.ndarray, "ny nx 2"]
+    """w of both edges, the standard deviation of the profile across it: of the edge along +x, then of that along +y."""
     converged: Bool[np.ndarray, "ny nx"]
 
 
@@ -251,6 +252,6 @@ def fit_saddles(
         np.where(converged, sigma, np.inf).reshape(shape),
         parameters[:, 10].reshape(shape),
         np.sqrt(variance).reshape(shape),
-        np.exp(parameters[:, 4:6]).max(1).reshape(shape),
+        np.exp(parameters[:, 4:6]).reshape(*shape, 2),
         converged.reshape(shape),
     )

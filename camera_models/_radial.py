@@ -1,5 +1,6 @@
 """Monotone radial functions: valid domain of a polynomial, safeguarded Newton inverse, smooth functions of the off-axis angle."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -19,15 +20,38 @@ def first_sign_change(coefficients: Float[np.ndarray, " k"], scale: float) -> fl
     `scale` is the size of the x of interest: roots are sought in x / scale, where the coefficients are comparable.
     """
     scaled = np.asarray(coefficients, dtype=float) * scale ** np.arange(len(coefficients))
-    if not np.all(np.isfinite(scaled)):
+    if not np.isfinite(scaled).all():
         return 0.0
-    roots = np.roots(np.trim_zeros(scaled, "b")[::-1])
+    if (scaled >= 0).all():
+        return math.inf
+    roots = _roots(np.trim_zeros(scaled, "b"))
     # A double root that touches zero splits into a near-real pair; it counts only if the sign really changes behind it.
     real = np.sort(roots.real[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 0)])
     for low, high in zip(real, [*real[1:], *(2 * real[-1:])], strict=True):
         if np.polynomial.polynomial.polyval(0.5 * (low + high), scaled) < 0:
             return float(low) * scale
-    return float("inf")
+    return math.inf
+
+
+def _roots(coefficients: Float[np.ndarray, " k"]) -> np.ndarray:
+    """Roots of sum c_i x^i, the last c_i not zero: eigenvalues of the companion matrix, or the one of a straight line."""
+    leading = -coefficients[:-1] / coefficients[-1]
+    if len(leading) == 1:
+        return leading.astype(complex)
+    companion = np.zeros((len(leading), len(leading)))
+    companion[1:, :-1].flat[:: len(leading)] = 1.0
+    companion[:, -1] = leading
+    return np.linalg.eigvals(companion).astype(complex)
+
+
+def interpolate(
+    x: Float[Tensor, "*batch"], nodes: Float[Tensor, " k"], values: Float[Tensor, " k"]
+) -> Float[Tensor, "*batch"]:
+    """The piecewise linear curve through (node, value), nodes ascending; beyond the ends the value there."""
+    right = torch.searchsorted(nodes, x).clamp_(1, len(nodes) - 1)
+    low, high = nodes[right - 1], nodes[right]
+    share = ((x - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
+    return torch.lerp(values[right - 1], values[right], share)
 
 
 def invert_monotone(

@@ -17,9 +17,23 @@ def hat(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
 
 
+def _exponential_factors(w: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    """sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 of a = |w|, each (*batch, 1, 1); smooth at 0, where series are exact."""
+    a2 = (w * w).sum(-1)[..., None, None]
+    small = a2 < 1e-3
+    a = torch.where(small, torch.ones_like(a2), a2).sqrt()
+    sine = torch.sin(a) / a
+    first = torch.where(small, 1 - a2 / 6 * (1 - a2 / 20 * (1 - a2 / 42)), sine)
+    second = torch.where(small, 0.5 - a2 / 24 * (1 - a2 / 30 * (1 - a2 / 56)), 2 * (torch.sin(0.5 * a) / a) ** 2)
+    third = torch.where(small, 1 / 6 - a2 / 120 * (1 - a2 / 42 * (1 - a2 / 72)), (1 - sine) / a**2)
+    return first, second, third
+
+
 def rotation_from_vector(w: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """exp([w]x): the rotation by |w| radians about w."""
-    return torch.linalg.matrix_exp(hat(w))
+    """exp([w]x): the rotation by |w| radians about w (Rodrigues' formula)."""
+    first, second, _ = _exponential_factors(w)
+    h = hat(w)
+    return torch.eye(3, dtype=w.dtype, device=w.device) + first * h + second * (h @ h)
 
 
 def quaternion_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
@@ -87,11 +101,13 @@ class Pose:
     @staticmethod
     def exp(delta: Float[Tensor, "*batch 6"]) -> "Pose":
         """Exponential of a twist delta = (rotation_rad, translation_m); exp(delta) @ T is the left perturbation of T."""
-        twist = torch.zeros(*delta.shape[:-1], 4, 4, dtype=delta.dtype, device=delta.device)
-        twist[..., :3, :3] = hat(delta[..., :3])
-        twist[..., :3, 3] = delta[..., 3:]
-        motion = torch.linalg.matrix_exp(twist)
-        return Pose(motion[..., :3, :3], motion[..., :3, 3])
+        w = delta[..., :3]
+        first, second, third = _exponential_factors(w)
+        h = hat(w)
+        h2 = h @ h
+        eye = torch.eye(3, dtype=w.dtype, device=w.device)
+        across = eye + second * h + third * h2
+        return Pose(eye + first * h + second * h2, (across @ delta[..., 3:, None])[..., 0])
 
     def log(self) -> Float[Tensor, "*batch 6"]:
         """The twist with exp(twist) this pose; rotation angle at most pi."""

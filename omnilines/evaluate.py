@@ -176,27 +176,28 @@ class LineErrors:
     distance_m: Float[Tensor, "t 2"]
     """Of both true ends from the line."""
     predicted_rms_m: float
-    """Expected RMS of these distances, before any of it is absorbed by the similarity."""
+    """RMS of these distances that the stated noise predicts, before any of it is absorbed by the similarity."""
     statistic: float
-    """Squared Mahalanobis length of the error of all lines, least over the similarities."""
+    """Squared Mahalanobis length of the error of all lines for the stated noise, least over the similarities."""
     limit: float
-    """Its PROBABILITY quantile: n F(n, freedom), n = 4 t - 7."""
+    """Its PROBABILITY quantile: chi-square of 4 t - 7 degrees of freedom."""
 
 
 def line_errors(
     adjusted: Adjusted,
     ends_m: Float[Tensor, "t 2 3"] | Float[np.ndarray, "t 2 3"],
     true_ends_m: Float[Tensor, "t 2 3"] | Float[np.ndarray, "t 2 3"],
-    freedom: float | int,
 ) -> LineErrors:
     """Compare the t lines of an adjustment that held its poses with the true segments, in the same order.
 
     `ends_m` are the found ends, in either order, in a frame turned by less than a right angle from that of the truth; they
-    start the alignment. `freedom` is that of the residuals of the adjustment.
+    start the alignment. The covariance is that of the noise stated for the end points of the arcs, not scaled by the residuals:
+    lines that are wrong do not widen it.
 
-    With held poses the lines are independent of each other. Where these poses and the camera come from the corners that the
-    lines are made of, their common error is the projection of the corners' noise that the fit removed, so that the covariance of
-    the lines is at most the stated one and the limit is on the safe side. Raises GeometryError where all points lie on one line.
+    With held poses the lines are independent of each other. Where these poses and the camera were fitted to the corners that the
+    lines are made of, the residuals that reach the lines are (I - H) n, H the projection of the noise n onto what the fit can
+    follow, with the covariance S - H S <= S. So the camera and the poses add nothing, the covariance of the lines is at most the
+    stated one, and the limit is on the safe side. Raises GeometryError where all points lie on one line.
     """
     lines, true = adjusted.state.chart.lines(), as_tensor(true_ends_m)
     aligned = align_lines(lines, _in_order(as_tensor(ends_m), true), true)
@@ -206,7 +207,7 @@ def line_errors(
     by_chart = (aligned.scale * aligned.pose.rotation @ motion_across(adjusted.state.chart, aligned.unaligned_points_m)).flatten(
         1, 2
     )
-    covariance = adjusted.line_covariance
+    covariance = adjusted.whitened.eliminated_covariance()
     predicted = (by_chart @ covariance @ by_chart.mT).diagonal(dim1=-2, dim2=-1).sum() / (2 * len(lines))
     free = torch.cat(
         [-hat(aligned.points_m), torch.eye(3, dtype=true.dtype).expand(len(lines), 2, 3, 3), aligned.points_m[..., None]], -1
@@ -221,7 +222,7 @@ def line_errors(
         aligned.error_m.norm(dim=-1),
         math.sqrt(float(predicted)),
         float(left @ left),
-        _quantile(4 * len(lines) - 7, freedom),
+        _quantile(4 * len(lines) - 7, math.inf),
     )
 
 

@@ -42,6 +42,10 @@ class ViewResult:
     rms_px_per_point: float | None = None
     cam_from_board: Pose | None = None
     camera: str = "cam0"
+    leverage: float | None = None
+    """Share of the camera's parameters that this view decides: the shares of all views add up to 1."""
+    remarks: tuple[str, ...] = ()
+    """What a person should know of a view that is used all the same, one sentence each."""
 
 
 @dataclass(frozen=True)

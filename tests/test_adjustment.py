@@ -72,7 +72,7 @@ def dense_jacobian(problem: LineProblem, state: LinesAndPoses) -> tuple[Tensor, 
     eliminated = torch.zeros(problem.arcs.tracks, 4, dtype=torch.float64)
 
     def residual(k: Tensor, e: Tensor) -> Tensor:
-        return problem.residual(problem.retract(state, k, e)).flatten()
+        return problem.linearise(problem.retract(state, k, e)).residual.flatten()
 
     by_kept, by_line = torch.func.jacrev(residual, argnums=(0, 1))(kept, eliminated)
     return by_kept, by_line.flatten(1)

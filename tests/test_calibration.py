@@ -21,7 +21,8 @@ from camera_models import (
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.calibration.initialise import centre_candidates, radial_centres, radial_start, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.single import board_points, calibrate_camera
+from omnilines.calibration.single import calibrate_camera
+from omnilines.calibration.views import board_points
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.files import read_corners
 from omnilines.records import Corners
@@ -262,7 +263,7 @@ def test_jacobian_of_the_board_problem():
 
     def moved(step):
         kept, eliminated = step[: problem.structure.kept_size], step[problem.structure.kept_size :].view(views, 6)
-        return problem.residual(problem.retract(state, kept, eliminated)).flatten()
+        return problem.retract(state, kept, eliminated).residual_px(points).flatten()
 
     size = problem.structure.kept_size
     zero = torch.zeros(size + 6 * views, dtype=torch.float64)

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,47 +114,57 @@ def _eight_poses() -> Pose:
     return random_board_poses(BOARD, FISHEYE, 8, math.radians(80.0), seed=1)
 
 
-def _adjusted_board(sigma_px: float, seed: int) -> tuple[Adjusted, np.ndarray, np.ndarray, int]:
-    """Lines of the board from noisy corners in 8 photos with known camera and poses."""
+def _adjusted_board(sigma_px: float, seed: int, stated_px: float = 0.05) -> tuple[Adjusted, np.ndarray, np.ndarray]:
+    """Lines of the board from noisy corners in 8 photos with known camera and poses, and the noise that is said to be in them."""
     poses = _eight_poses()
     corners = simulate_corners(FISHEYE, BOARD, poses, sigma_px, seed)
     board = board_lines(corners, np.ones(len(corners), dtype=bool))
     named = ImagePoses(corners.images, poses)
-    arcs = arcs_from_segments(board.segments, named, {"cam0": FISHEYE}).arcs
+    segments = replace(board.segments, sigma_px=np.full(len(board.segments), stated_px))
+    arcs = arcs_from_segments(segments, named, {"cam0": FISHEYE}).arcs
     true = torch.as_tensor(board.ends_m)
     start = PlueckerLines.from_points(true[:, 0], true[:, 1] + 1e-4)
     adjusted = adjust_lines(arcs, start, poses, cost="whitened", refine_poses=False)
     lines = adjusted.state.chart.lines()
     ends = lines[:, None].closest_point(true).numpy()
-    return adjusted, ends, board.ends_m, 2 * len(arcs) - 4 * len(board.ends_m)
+    return adjusted, ends, board.ends_m
 
 
-def test_errors_of_lines_follow_their_covariance() -> None:
+def test_errors_of_lines_follow_the_covariance_of_the_stated_noise() -> None:
     found = []
     for seed in range(25):
-        adjusted, ends, true, freedom = _adjusted_board(0.05, seed)
-        found.append(line_errors(adjusted, ends[:, ::-1].copy(), true, freedom))
+        adjusted, ends, true = _adjusted_board(0.05, seed)
+        found.append(line_errors(adjusted, ends[:, ::-1].copy(), true))
     size = 4 * len(true) - 7
     statistics = np.array([errors.statistic for errors in found])
-    # The variance of the noise is estimated too: F instead of chi-square.
-    assert scipy.stats.kstest(statistics / size, scipy.stats.f(size, freedom).cdf).pvalue > 0.001
-    assert found[0].limit == pytest.approx(size * scipy.stats.f.ppf(0.999, size, freedom))
+    assert scipy.stats.kstest(statistics, scipy.stats.chi2(size).cdf).pvalue > 0.001
+    assert found[0].limit == pytest.approx(scipy.stats.chi2.ppf(0.999, size))
     ratio = np.sqrt(np.mean([errors.aligned.rms_m**2 / errors.predicted_rms_m**2 for errors in found]))
     assert 0.75 < ratio < 1.1
 
 
+def test_noise_beyond_what_is_stated_does_not_widen_the_covariance() -> None:
+    """Four times the stated noise: the prediction stays, the statistic grows by 16."""
+    honest = line_errors(*_adjusted_board(0.05, 0))
+    noisy = line_errors(*_adjusted_board(0.2, 0))
+    assert noisy.predicted_rms_m == pytest.approx(honest.predicted_rms_m, rel=0.02)
+    assert noisy.statistic == pytest.approx(16 * honest.statistic, rel=0.05) and noisy.statistic > noisy.limit
+
+
 def test_lines_are_compared_after_a_similarity() -> None:
     """Exact lines in a turned, shifted and smaller frame have no error; one that is moved has just that."""
-    adjusted, ends, true, freedom = _adjusted_board(0.0, 0)
+    adjusted, ends, true = _adjusted_board(0.0, 0)
     small = Pose(rotation_from_vector(torch.tensor([0.1, -0.2, 0.3]).double()), torch.tensor([1.0, 2.0, 3.0]).double())
     moved = small.transform(0.5 * torch.as_tensor(true).reshape(-1, 3)).reshape(-1, 2, 3)
-    errors = line_errors(adjusted, ends, moved, freedom)
+    errors = line_errors(adjusted, ends, moved)
     assert errors.aligned.scale == pytest.approx(0.5, rel=1e-6)
     assert float(errors.distance_m.max()) < 1e-9 and float(errors.angle_rad.max()) < 1e-7
+    assert errors.statistic < 1e-6
     bent = torch.as_tensor(true).clone()
     bent[3, :, 2] += 1e-3
-    errors = line_errors(adjusted, ends, bent, freedom)
+    errors = line_errors(adjusted, ends, bent)
     assert int(errors.distance_m.mean(1).argmax()) == 3 and 7e-4 < float(errors.distance_m.max()) < 1e-3
+    assert errors.statistic > errors.limit
 
 
 @pytest.mark.parametrize("name", CALIBRATED)

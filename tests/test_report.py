@@ -59,6 +59,13 @@ def residual_case(n: int = 900, seed: int = 3) -> tuple[np.ndarray, np.ndarray, 
     return pixels, 0.3 * rng.normal(size=(n, 2)), rng.integers(0, 5, n), [f"view {k}" for k in range(5)]
 
 
+def uncertainty_case() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A map that grows from 0.01 px in the middle by 1000 times, with unknown corners of the image, and its columns and rows."""
+    u, v = np.linspace(0, SIZE[0] - 1, 44), np.linspace(0, SIZE[1] - 1, 33)
+    radius = np.hypot(*np.meshgrid(u - 515.5, v - 388.5))
+    return np.where(radius < 600, 0.01 * 1000 ** (radius / 600) ** 2, np.nan), u, v
+
+
 def some_lines() -> Lines:
     ends = np.array([[[0.1 * k, 0.0, 0.0], [0.1 * k, 0.4, 0.0]] for k in range(5)])
     ends[4] = np.nan
@@ -94,6 +101,7 @@ def every_section(photo_folder: pathlib.Path, curves: list[Polyline]) -> list[re
         report.views_section(views),
         report.residual_section(pixels, residuals, SIZE, view, names),
         report.coverage_section(pixels, SIZE, circle, supported_angle_deg=82.4),
+        report.uncertainty_section(*uncertainty_case(), SIZE, circle, corners_px=pixels, supported_angle_deg=82.4),
         report.radial_section(theta, 300 * np.deg2rad(theta), supported_angle_deg=82.4),
         report.histogram_section(
             "Before and after", {"before": np.abs(residuals[:, 0]) * 9, "after": np.abs(residuals[:, 0])}, "px"
@@ -166,7 +174,7 @@ def test_page_is_one_file_that_refers_to_nothing_outside(report_file: pathlib.Pa
     parser = _Addresses()
     parser.feed(page)
     inside = [a for a in parser.addresses if a.startswith("#")]
-    assert len(inside) == 12  # eleven sections and the skip link
+    assert len(inside) == 13  # twelve sections and the skip link
     assert {a[1:] for a in inside} <= parser.anchors
     assert all(a.startswith(("#", "data:")) for a in parser.addresses)
     assert "&lt;test&gt;" in page and "<test>" not in page
@@ -201,7 +209,7 @@ def test_failed_write_keeps_the_old_report(tmp_path: pathlib.Path, monkeypatch: 
 
 def test_figures_are_valid_plotly_with_titled_axes(photo_folder: pathlib.Path, photo_curves: list[Polyline]) -> None:
     figures = [spec for section in every_section(photo_folder, photo_curves) for spec in specs(section)]
-    assert len(figures) == 10
+    assert len(figures) == 11
     for spec in figures:
         plotly.graph_objects.Figure(spec)  # raises on an attribute that plotly does not know
         axes = spec["layout"].get("scene", spec["layout"])
@@ -312,6 +320,18 @@ def test_tables_say_what_holds_and_escape() -> None:
     text = text_of(markup(views))
     assert "2 of 3 views were used." in text and "✗ no : too few corners. 0 0 –" in text and "cam1" in text
     assert re.findall(r"width:([\d.]+)%", markup(views)) == ["50.0", "100.0"]
+    assert "Leverage" not in text
+    remarks = ("It shows the same as b.jpg.", "It is <blurred>.")
+    views = report.views_section(
+        [
+            ViewResult("view 0", "a.jpg", True, None, 48, 0, 0.25, leverage=0.7128, remarks=remarks),
+            ViewResult("view 1", "b.jpg", True, None, 40, 8, 0.5, leverage=0.2872),
+            ViewResult("view 2", "c.jpg", False, "too few corners.", remarks=remarks[:1]),
+        ]
+    )
+    text = text_of(markup(views))
+    assert "✓ yes : It shows the same as b.jpg. It is <blurred>. 48 0 71.3 % 0.250" in text
+    assert "✓ yes 40 8 28.7 % 0.500" in text and "✗ no : too few corners. 0 0 – –" in text
     parameters = report.parameters_section("pinhole", ["fx"], np.array([500.0]), None)
     assert "Standard deviations are not known" in markup(parameters)
 

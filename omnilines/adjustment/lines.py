@@ -48,12 +48,8 @@ class LineProblem:
         groups = (KeptGroup(place[arcs.image], len(self.free), 6),) if len(self.free) else ()
         self.structure = Structure(arcs.track, arcs.tracks, 4, groups)
 
-    def residual(self, state: LinesAndPoses) -> Float[Tensor, "n 2"]:
-        """F M / |M| of every observation."""
-        return sector.residual(self.factor, state.normals(self.arcs))
-
     def linearise(self, state: LinesAndPoses) -> Linearisation:
-        """Analytic Jacobians; see `costs.sector.line_residual`."""
+        """F M / |M| of every observation and its analytic Jacobians; see `costs.sector.line_residual`."""
         poses = poses_of(self.arcs, state.cam_from_world)
         r, by_pose, by_line = sector.line_residual(self.factor, state.chart[self.arcs.track], poses)
         return Linearisation(r, by_line, (by_pose,) if self.structure.groups else ())

@@ -13,6 +13,8 @@ PARALLEL_DEG = 3.0
 """Boards whose normals all agree within this angle count as parallel: their tilt is then mostly noise."""
 NEARLY_PARALLEL_DEG = 15.0
 """Where the camera is left open, boards within this angle are named as the cause."""
+ONE_AXIS_DEG = 3.0
+"""Boards whose normals all lie within this angle of a plane count as tilted about one axis."""
 OPEN_SHARE = 0.1
 """A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
 
@@ -34,6 +36,19 @@ def refuse_parallel_boards(cam_from_board: Pose, limit_deg: float = PARALLEL_DEG
             f"Boards tilted against each other were expected, found all boards parallel: {len(cam_from_board)} views within "
             f"{widest:.1f} degrees of each other; add photos with the board tilted by 20 to 45 degrees about different axes."
         )
+
+
+def tilt_notes(cam_from_board: Pose, limit_deg: float = ONE_AXIS_DEG) -> tuple[str, ...]:
+    """A sentence where all boards are tilted about one axis: their normals lie in one plane, though not along one line."""
+    normals = cam_from_board.rotation[..., 2]
+    _, _, vt = torch.linalg.svd(normals)
+    from_plane = math.degrees(float(torch.asin((normals @ vt[2]).abs().clamp(max=1)).max()))
+    if from_plane > limit_deg:
+        return ()
+    return (
+        f"All boards are tilted about one axis: the normals of {len(cam_from_board)} views lie within {from_plane:.1f} degrees of "
+        "one plane, and what the photos say across it is weak; add photos with the board tilted about other axes.",
+    )
 
 
 def refuse_open_camera(

@@ -11,18 +11,20 @@
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.least_squares import Cells
 
 RADIAL_ORDERS = ((0, 2, 3, 4), (0, 2, 4), (0, 2), (0,))
 """Powers of rho tried for f, richest first; the first curve that grows over the data is taken."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoardPoints:
     """Corners of planar boards as tensors: view of each row, position on the board (metres), pixel."""
 
@@ -31,13 +33,34 @@ class BoardPoints:
     board: Float[Tensor, "n 3"]
     pixels: Float[Tensor, "n 2"]
 
+    @cached_property
+    def cells(self) -> Cells:
+        """The corners of every view."""
+        return Cells(self.view, self.views)
+
+    @cached_property
+    def counts(self) -> Int[Tensor, " v"]:
+        """Corners of every view."""
+        return torch.bincount(self.view, minlength=self.views)
+
+    def chosen(self, rows: Bool[Tensor, " n"]) -> "BoardPoints":
+        """The chosen corners; views keep their numbers, also those without a corner left."""
+        return BoardPoints(self.view[rows], self.views, self.board[rows], self.pixels[rows])
+
+    def of_views(self, views: list[int]) -> "BoardPoints":
+        """The corners of the chosen views, which are renumbered in the order given."""
+        place = torch.full((self.views,), -1)
+        place[views] = torch.arange(len(views))
+        rows = place[self.view] >= 0
+        return BoardPoints(place[self.view[rows]], len(views), self.board[rows], self.pixels[rows])
+
     def sum_by_view(self, values: Float[Tensor, "n *shape"]) -> Float[Tensor, "v *shape"]:
         """Sum of per-corner values over each view."""
         return values.new_zeros(self.views, *values.shape[1:]).index_add_(0, self.view, values)
 
     def mean_by_view(self, values: Float[Tensor, "n *shape"]) -> Float[Tensor, "v *shape"]:
         """Mean of per-corner values over each view."""
-        counts = torch.bincount(self.view, minlength=self.views).clamp_min(1).to(values.dtype)
+        counts = self.counts.clamp_min(1).to(values.dtype)
         return self.sum_by_view(values) / counts.view(-1, *([1] * (values.ndim - 1)))
 
 
@@ -53,7 +76,7 @@ class RadialStart:
 
 def _null_vectors(rows: Tensor, points: BoardPoints) -> tuple[Tensor, Tensor]:
     """Right singular vector of the smallest singular value of every view's rows, and all singular values (ascending)."""
-    values, vectors = torch.linalg.eigh(points.sum_by_view(rows[:, :, None] * rows[:, None, :]))
+    values, vectors = torch.linalg.eigh(points.cells.gram(rows[:, None, :]))
     return vectors[..., 0], values.clamp_min(0).sqrt()
 
 
@@ -76,7 +99,7 @@ def radial_centres(points: BoardPoints) -> tuple[Float[Tensor, "v 2"], Float[Ten
     finite = epipole[:, 2].abs() > 1e-6
     centre = mean + spread[:, None] * epipole[:, :2] / torch.where(finite, epipole[:, 2], torch.ones_like(epipole[:, 2]))[:, None]
     certainty = values[:, 1] / values[:, 0].clamp_min(1e-12 * values[:, -1].clamp_min(1e-300))
-    enough = torch.bincount(points.view, minlength=points.views) >= 9
+    enough = points.counts >= 9
     return centre, torch.where(finite & enough, certainty, torch.zeros_like(certainty))
 
 
@@ -219,8 +242,7 @@ def resect_boards(points: BoardPoints, bearings: Float[Tensor, "n 3"]) -> Pose:
         -2,
     )
     rows = (cross[:, :, :, None] * plane[:, None, None, :]).flatten(2)
-    normal = points.sum_by_view(rows.mT @ rows)
-    h = torch.linalg.eigh(normal)[1][..., 0].view(-1, 3, 3)
+    h = torch.linalg.eigh(points.cells.gram(rows))[1][..., 0].view(-1, 3, 3)
     ahead = ((h[points.view] @ plane[..., None])[..., 0] * b).sum(-1)
     side = torch.sign(points.sum_by_view(torch.sign(ahead)))
     h = h * torch.where(side == 0, torch.ones_like(side), side)[:, None, None]

@@ -1,4 +1,5 @@
-"""Joint refinement of a camera's intrinsics and its board poses: minimise the squared reprojection error of the corners."""
+"""Joint refinement of a camera's intrinsics, its board poses and, if asked, the shape of the board: minimise the squared
+reprojection error of the corners."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose, hat
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, Solution, Structure, solve
 
@@ -18,15 +20,16 @@ NORMAL_MAD = 1.4826
 
 @dataclass(frozen=True)
 class CameraAndBoards:
-    """State of the refinement: one camera and the pose of every board."""
+    """State of the refinement: one camera, the pose of every board, and how the board differs from its drawing."""
 
     model: CameraModel
     cam_from_board: Pose
+    shape: BoardShape = BoardShape()
 
     def seen(self, points: BoardPoints) -> Float[Tensor, "n 3"]:
         """Board corners in the camera frame."""
         rotation, translation = self.cam_from_board.rotation[points.view], self.cam_from_board.translation[points.view]
-        return (rotation @ points.board[..., None])[..., 0] + translation
+        return (rotation @ self.shape.place(points.board)[..., None])[..., 0] + translation
 
     def residual_px(self, points: BoardPoints) -> Float[Tensor, "n 2"]:
         """Projected minus observed pixel."""
@@ -34,49 +37,62 @@ class CameraAndBoards:
 
 
 class BoardProblem:
-    """Intrinsics are the kept block (directions of `calibration_basis`), every board pose an eliminated one."""
+    """Intrinsics (along `basis`, columns of the parameter vector) and the free board terms are the kept block, every board pose
+    an eliminated one. With a basis of no columns the camera is held."""
 
-    def __init__(self, points: BoardPoints, basis: Float[Tensor, "p q"], weight: Float[Tensor, " n"] | None = None) -> None:
-        self.points = points
-        self.basis = basis
+    def __init__(
+        self,
+        points: BoardPoints,
+        basis: Float[Tensor, "p q"],
+        weight: Float[Tensor, " n"] | None = None,
+        shape: BoardShape | None = None,
+    ) -> None:
+        self.points, self.basis = points, basis
         self.weight = torch.ones(len(points.view), dtype=torch.float64) if weight is None else weight
-        shared = KeptGroup(torch.zeros_like(points.view), 1, basis.shape[1])
-        self.structure = Structure(points.view, points.views, 6, (shared,))
-
-    def residual(self, state: CameraAndBoards) -> Float[Tensor, "n 2"]:
-        """Reprojection error in pixels, times the weight of the corner."""
-        return state.residual_px(self.points) * self.weight[:, None]
+        self.free_terms = (shape or BoardShape()).free
+        kept = basis.shape[1] + self.free_terms.shape[1]
+        groups = (KeptGroup(torch.zeros_like(points.view), 1, kept),) if kept else ()
+        self.structure = Structure(points.view, points.views, 6, groups)
 
     def linearise(self, state: CameraAndBoards) -> Linearisation:
-        """d X = omega x X + v for the left perturbation (omega, v) of a board pose."""
+        """Reprojection error in pixels times the weight of the corner; d X = omega x X + v for the left perturbation of a pose."""
         seen = state.seen(self.points)
         pixels, _, by_point, by_parameter = state.model.project_with_jacobians(seen)
+        by_point = by_point * self.weight[:, None, None]
         by_pose = torch.cat([-by_point @ hat(seen), by_point], -1)
-        weight = self.weight[:, None, None]
-        residual = (pixels - self.points.pixels) * weight[..., 0]
-        return Linearisation(residual, by_pose * weight, ((by_parameter @ self.basis) * weight,))
+        residual = (pixels - self.points.pixels) * self.weight[:, None]
+        by_kept = (by_parameter @ self.basis) * self.weight[:, None, None]
+        if self.free_terms.shape[1]:
+            turned = state.cam_from_board.rotation[self.points.view] @ (state.shape.by_terms(self.points.board) @ self.free_terms)
+            by_kept = torch.cat([by_kept, by_point @ turned], -1)
+        return Linearisation(residual, by_pose, (by_kept,) if self.structure.groups else ())
 
     def retract(self, state: CameraAndBoards, kept: Tensor, eliminated: Tensor) -> CameraAndBoards:
-        """Parameters move along the basis, poses by exp(delta) T."""
-        model = state.model.with_parameters(state.model.parameters + self.basis @ kept)
-        return CameraAndBoards(model, Pose.exp(eliminated) @ state.cam_from_board)
+        """Parameters and board terms move along their columns, poses by exp(delta) T."""
+        camera, terms = kept[: self.basis.shape[1]], kept[self.basis.shape[1] :]
+        model = state.model.with_parameters(state.model.parameters + self.basis @ camera)
+        return CameraAndBoards(model, Pose.exp(eliminated) @ state.cam_from_board, state.shape.moved(self.free_terms @ terms))
 
     def gauge(self, state: CameraAndBoards) -> Float[Tensor, "q 0"]:
         """None: the boards fix the frame and the scale."""
-        return torch.zeros(self.basis.shape[1], 0, dtype=torch.float64)
+        return torch.zeros(self.structure.kept_size, 0, dtype=torch.float64)
+
+    def solve(
+        self,
+        start: CameraAndBoards,
+        loss: Loss | None = None,
+        *,
+        max_iterations: int = 100,
+        tolerance: float = 1e-12,
+        callback: Callable[[Progress], None] | None = None,
+    ) -> Solution[CameraAndBoards]:
+        """Levenberg-Marquardt from `start`."""
+        return solve(self, start, loss, max_iterations, tolerance, callback)
 
 
-def refine(
-    points: BoardPoints,
-    start: CameraAndBoards,
-    loss: Loss | None = None,
-    weight: Float[Tensor, " n"] | None = None,
-    callback: Callable[[Progress], None] | None = None,
-    max_iterations: int = 100,
-) -> Solution[CameraAndBoards]:
-    """Levenberg-Marquardt from `start`; the residual is in pixels."""
-    problem = BoardProblem(points, start.model.calibration_basis(), weight)
-    return solve(problem, start, loss, max_iterations=max_iterations, callback=callback)
+def whitened(residual_px: Float[Tensor, "n 2"], weight: Float[Tensor, " n"] | None) -> Float[Tensor, "n 2"]:
+    """Residuals times the weights of their corners, where there are any."""
+    return residual_px if weight is None else residual_px * weight[:, None]
 
 
 def robust_scale_px(residual_px: Float[Tensor, "n 2"]) -> float:

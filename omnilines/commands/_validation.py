@@ -4,15 +4,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
+from calib_patterns._pattern import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
-from omnilines.calibration.board_lines import BoardLines, board_lines
-from omnilines.calibration.refine import robust_scale_px
-from omnilines.calibration.single import REJECT_SIGMA
+from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
+from omnilines.calibration.refine import NORMAL_MAD
+from omnilines.calibration.single import DETECTOR_FLOOR_PX, REJECT_SIGMA
 from omnilines.commands.render import RenderedTargets
 from omnilines.evaluate import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
 from omnilines.records import Check, Corners, ImagePoses
@@ -26,6 +26,10 @@ LOST_SHARE = 0.05
 WORST_Z = 4.5
 COST = "whitened"
 """Of the line adjustment: the one whose covariance is stated."""
+REJECTION_ROUNDS = 10
+"""At most so often are corners set aside that do not agree with the lines; each round may bring another corner to an end."""
+ASIDE_SHARE = 0.05
+"""Of the corners may be set aside, rounded up."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class Validation:
     bearing_limit_deg: float
     parameters: ParameterErrors
     lines: LineErrors
+    corners_aside: int
+    """Corners that the lines do not rest on, since the other photos disagree with them."""
 
     @property
     def model(self) -> CameraModel:
@@ -51,11 +57,13 @@ class Validation:
     def checks(self) -> tuple[Check, ...]:
         """What has to hold, each figure with its limit."""
         lost = math.ceil(LOST_SHARE * len(self.truth.images))
+        aside = math.ceil(ASIDE_SHARE * len(self.corners))
         return (
             _at_most("photos without a usable target", self.photos_lost, lost, "photos"),
             _at_most("bearing error, RMS over the pixels", self.bearings.rms_deg, self.bearing_limit_deg, "degrees"),
             _at_most("parameters, squared Mahalanobis distance", self.parameters.statistic, self.parameters.limit, ""),
             _at_most("worst parameter, standard deviations off", self.parameters.worst_z, WORST_Z, ""),
+            _at_most("corners that fit no line", self.corners_aside, aside, "corners"),
             _at_most("lines, squared Mahalanobis distance", self.lines.statistic, self.lines.limit, ""),
         )
 
@@ -69,15 +77,16 @@ def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, co
     """Compare a calibration from rendered photos, and the lines of the board rebuilt with it, with the truth.
 
     Rows and columns of the board are segments between their outermost corners, the board is the world, and its calibrated poses
-    are those of the photos. Raises GeometryError where the lines cannot be rebuilt.
+    are those of the photos. The lines are judged by the accuracy that the detector states for the corners: the residuals of the
+    calibration would grow with what is wrong. `corners` have it (`sigma_px`) and their ids, as `detect` writes them. Raises
+    GeometryError where the lines cannot be rebuilt.
     """
     estimated, covariance = calibration["cam0"], calibration.estimates["cam0"].covariance
     assert covariance is not None
     used = [view for view in calibration.views if view.used]
     basis = estimated.calibration_basis()
     freedom = 2 * sum(view.corners_used for view in used) - basis.shape[1] - 6 * len(used)
-    board, scene = _rebuild(calibration, corners)
-    lines = line_errors(scene.adjusted, scene.lines.ends_m, board.ends_m, 2 * len(scene.table.arcs) - 4 * len(scene.lines))
+    board, scene, aside = _rebuild(calibration, truth, corners)
     pixel_deg = fov_deg / min(truth.model.image_size)
     return Validation(
         truth,
@@ -88,7 +97,8 @@ def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, co
         bearing_errors(estimated, truth.model, truth.max_angle_rad),
         max(BEARING_LIMIT_DEG, BEARING_LIMIT_PX * pixel_deg),
         parameter_errors(estimated, covariance, truth.model, freedom),
-        lines,
+        line_errors(scene.adjusted, scene.lines.ends_m, board.ends_m),
+        aside,
     )
 
 
@@ -96,35 +106,56 @@ def _at_most(name: str, value: float | int, limit: float | int, unit: str) -> Ch
     return Check(name, float(value), float(limit), unit, bool(value <= limit))
 
 
-def _rebuild(calibration: Calibration, corners: Corners) -> tuple[BoardLines, LineScene]:
-    """The lines of the board from the corners that the calibration rests on, weighted as the detector states their noise."""
+def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners) -> tuple[BoardLines, LineScene, int]:
+    """The lines of the board from the corners of all photos with a pose, and how many corners were set aside.
+
+    Every end point has the accuracy that the detector states for it. A corner is set aside where it does not agree with what the
+    other photos say of its line, never for its place on the board: that is what is being checked.
+    """
     posed = {view.image: view.cam_from_board for view in calibration.views if view.cam_from_board is not None}
     poses = ImagePoses(tuple(posed), Pose.stack(list(posed.values())), ("cam0",) * len(posed))
-    kept = _kept(calibration["cam0"], corners, poses)
+    shown = np.isin(corners.view, [view for view, image in enumerate(corners.images) if image in posed])
+    assert corners.ids is not None
+    # The same corners at their true places: lines rest on pixels, only their grouping and the truth on the board.
+    corners = replace(corners, board_m=truth.pattern.points_m[corners.ids])
+    kept = shown.copy()
+    for _ in range(REJECTION_ROUNDS):
+        board, ends = _board_segments(corners, kept)
+        scene = reconstruct_lines(board.segments, poses, calibration, cost=COST, loss="cauchy")
+        rows = scene.table.rows
+        off = np.abs(scene.residual_px) / _stated_px(corners)[ends[rows]]
+        outlying = off > REJECT_SIGMA * NORMAL_MAD * np.nanmedian(off)
+        if not outlying.any():
+            break
+        kept[ends[rows][outlying]] = False
+    board, _ = _board_segments(corners, kept)
+    scene = reconstruct_lines(board.segments, poses, calibration, cost=COST)
+    _require_all(scene, truth.pattern)
+    return board, scene, int((shown & ~kept).sum())
+
+
+def _stated_px(corners: Corners) -> Float[np.ndarray, " n"]:
+    """Standard deviation of each corner as the detector states it, and no better than detectors are."""
+    assert corners.sigma_px is not None
+    return np.maximum(corners.sigma_px, DETECTOR_FLOOR_PX)
+
+
+def _board_segments(corners: Corners, kept: Bool[np.ndarray, " n"]) -> tuple[BoardLines, Int[np.ndarray, "s 2"]]:
+    """Rows and columns with the stated noise of their end points, and the corner that each end is."""
     board = board_lines(corners, kept)
-    segments = board.segments
-    if corners.sigma_px is not None:
-        # The same rows and columns with the standard deviations in the place of the pixels.
-        spread = board_lines(replace(corners, pixels=np.repeat(corners.sigma_px[:, None], 2, axis=1)), kept).segments.endpoints_px
-        segments = replace(segments, covariance_px2=spread[..., None] ** 2 * np.eye(2))
-    scene = reconstruct_lines(segments, poses, calibration, cost=COST)
-    if not scene.lines.known.all():
-        unknown = [f"{track} ({status})" for track, status in zip(scene.lines.tracks, scene.lines.status, strict=True)]
+    # The same rows and columns with the numbers of the corners in the place of the pixels.
+    numbers = np.repeat(np.arange(len(corners), dtype=np.float64)[:, None], 2, axis=1)
+    ends = board_lines(replace(corners, pixels=numbers), kept).segments.endpoints_px[..., 0].astype(np.int64)
+    covariance = (_stated_px(corners)[ends] ** 2)[..., None, None] * np.eye(2)
+    return replace(board, segments=replace(board.segments, covariance_px2=covariance)), ends
+
+
+def _require_all(scene: LineScene, pattern: Pattern) -> None:
+    """Raise GeometryError unless every row and column of the pattern has become a line."""
+    places = np.round(pattern.points_m / SAME_LINE_M)
+    expected = len(np.unique(places[:, 0])) + len(np.unique(places[:, 1]))
+    found = int(scene.lines.known.sum())
+    if found < expected:
         raise GeometryError(
-            f"All rows and columns of the board were expected to be rebuilt, found {', '.join(unknown)}; give more photos."
+            f"All {expected} rows and columns of the board were expected to be rebuilt, found {found}; give more photos."
         )
-    return board, scene
-
-
-def _kept(model: CameraModel, corners: Corners, poses: ImagePoses) -> Bool[np.ndarray, " n"]:
-    """Corners of photos with a pose that fit the calibration, by the rule that it rejects others with."""
-    place = np.array([poses.images.index(image) if image in poses.images else -1 for image in corners.images])[corners.view]
-    posed = place >= 0
-    own = poses.cam_from_world[torch.as_tensor(place[posed])]
-    pixels, _ = model.project(own.transform(torch.as_tensor(corners.board_m[posed])[:, None])[:, 0])
-    residual = pixels - torch.as_tensor(corners.pixels[posed])
-    if corners.sigma_px is not None:
-        residual = residual / torch.as_tensor(corners.sigma_px[posed])[:, None]
-    kept = np.zeros(len(corners), dtype=bool)
-    kept[posed] = (residual.norm(dim=-1) <= REJECT_SIGMA * robust_scale_px(residual)).numpy()
-    return kept

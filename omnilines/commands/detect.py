@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from calib_patterns import pattern as parse_pattern
 from calib_patterns._pattern import Detection, Pattern
+from calib_patterns.sharpness import blur_remarks
 from camera_models import InputError
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.files import PhotoRef, find_photos, read_photo, write_corners
@@ -27,6 +28,14 @@ class PhotoCorners:
     skipped: tuple[ViewResult, ...]
     """Photos without corners, each with its reason."""
     photo_folder: Path
+    blur_px: Float[np.ndarray, "n 2"] | None = None
+    """Blur of both edges of each corner (`Detection.blur_px`), rows as in `corners`; None where it is not known."""
+
+    @property
+    def remarks(self) -> tuple[str | None, ...]:
+        """Of each view of `corners` what a person should know of its photo, one sentence, or None."""
+        views = len(self.corners.images)
+        return (None,) * views if self.blur_px is None else blur_remarks(self.corners.view, self.blur_px, views)
 
 
 def detect_corners(
@@ -68,7 +77,9 @@ def detect_corners(
             kept.append((photo, detection))
         else:
             skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
-    return PhotoCorners(_table(kept, pattern), size, tuple(skipped), _folder(photos))
+    blurs = [detection.blur_px for _, detection in kept if detection.blur_px is not None]
+    blur_px = np.concatenate(blurs) if len(blurs) == len(kept) else None
+    return PhotoCorners(_table(kept, pattern), size, tuple(skipped), _folder(photos), blur_px)
 
 
 def _table(kept: list[tuple[PhotoRef, Detection]], pattern: Pattern) -> Corners:
@@ -98,13 +109,19 @@ def detect(
     path = output_folder(out) / "corners.csv"
     write_corners(path, found.corners)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
-    rows = tuple((image, f"{count} corners") for image, count in zip(found.corners.images, counts, strict=True))
+    seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
+    rows = tuple((image, f"{count} corners" + (f"; {_lowered(remark)}" if remark else "")) for image, count, remark in seen)
     skipped = tuple((view.image, f"skipped: {view.reason}") for view in found.skipped)
     data = {
         "pattern": pattern.specification,
         "image_size": list(found.image_size),
-        "photos": [{"image": i, "corners": int(c), "reason": None} for i, c in zip(found.corners.images, counts, strict=True)]
-        + [{"image": view.image, "corners": 0, "reason": view.reason} for view in found.skipped],
+        "photos": [{"image": image, "corners": count, "reason": None, "remark": remark} for image, count, remark in seen]
+        + [{"image": view.image, "corners": 0, "reason": view.reason, "remark": None} for view in found.skipped],
     }
     summary = Summary(f"Corners of {pattern.specification}", rows + skipped, (f"{len(found.corners)} corners in {path}",))
     return CommandResult((summary,), data, files=(path,))
+
+
+def _lowered(sentence: str) -> str:
+    """The sentence as the second half of another one."""
+    return sentence[0].lower() + sentence[1:].rstrip(".")

@@ -3,6 +3,6 @@
 from omnilines.least_squares.levenberg_marquardt import Outcome, Problem, Progress, Solution, solve
 from omnilines.least_squares.losses import LOSSES, Loss
 from omnilines.least_squares.schur import Linearisation
-from omnilines.least_squares.structure import KeptGroup, Structure
+from omnilines.least_squares.structure import Cells, KeptGroup, Structure
 
-__all__ = ["LOSSES", "KeptGroup", "Linearisation", "Loss", "Outcome", "Problem", "Progress", "Solution", "Structure", "solve"]
+__all__ = ["LOSSES", "Cells", "KeptGroup", "Linearisation", "Loss", "Outcome", "Problem", "Progress", "Solution", "Structure", "solve"]

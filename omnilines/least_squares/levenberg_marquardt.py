@@ -43,10 +43,6 @@ class Problem(Protocol[S]):
 
     structure: Structure
 
-    def residual(self, state: S) -> Float[Tensor, "n m"]:
-        """Residuals alone, for trial steps."""
-        ...
-
     def linearise(self, state: S) -> Linearisation:
         """Residuals and Jacobians with respect to the retraction at zero."""
         ...
@@ -181,17 +177,17 @@ def solve(
             if not promised > 0:
                 break
         trial = problem.retract(state, kept, eliminated)
-        trial_cost = float(loss((problem.residual(trial) ** 2).sum(-1))[0].sum())
+        # Nearly every step is accepted, so the derivatives are taken along with the residuals.
+        at = problem.linearise(trial)
+        values, weight = loss((at.residual**2).sum(-1))
+        trial_cost = float(values.sum())
         accepted = trial_cost < cost
         if callback is not None:
             callback(Progress(iteration, min(cost, trial_cost), damping, accepted))
         if accepted:
-            state = trial
             ratio = (cost - trial_cost) / promised
             damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-15), 2.0
-            at = problem.linearise(state)
-            values, weight = loss((at.residual**2).sum(-1))
-            cost = float(values.sum())
+            state, cost = trial, trial_cost
             equations = normal_equations(problem.structure, at, weight)
         else:
             damping, growth = damping * growth, growth * 2

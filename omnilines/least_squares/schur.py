@@ -51,6 +51,8 @@ class NormalEquations:
 def normal_equations(structure: Structure, at: Linearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
     """J' w J and -J' w r, block by block."""
     root = weight.sqrt()[:, None]
+    if structure.all_shared:
+        return _shared_normal_equations(structure, at, root[..., None])
     r, je = at.residual * root, at.by_eliminated * root[..., None]
     jk = [j * root[..., None] for j in at.by_kept]
     e, k = structure.dim, structure.kept_size
@@ -68,6 +70,19 @@ def normal_equations(structure: Structure, at: Linearisation, weight: Float[Tens
         for b in range(len(structure.groups)):
             _add_kept_blocks(kept, structure, a, b, jk)
     return NormalEquations(structure, kept.view(k, k), eliminated, coupling, kept_gradient, eliminated_gradient)
+
+
+def _shared_normal_equations(structure: Structure, at: Linearisation, root: Float[Tensor, "n 1 1"]) -> NormalEquations:
+    """The same where every observation touches all kept columns: one product for each eliminated block gives everything."""
+    e, k = structure.dim, structure.kept_size
+    joint = torch.cat([at.by_eliminated, *at.by_kept, -at.residual[..., None]], -1) * root
+    gram = structure.cells.gram(joint)
+    whole = gram[:, e:, e:].sum(0)
+    seen = torch.bincount(structure.index, minlength=structure.count) > 0
+    # The table of the coupling goes group by group, block by block.
+    columns = zip(structure.offsets, structure.offsets[1:], strict=False)
+    coupling = torch.cat([gram[seen, e + low : e + high, :e].flatten(0, 1) for low, high in columns])
+    return NormalEquations(structure, whole[:k, :k], gram[:, :e, :e], coupling, whole[:k, k], gram[:, :e, e + k])
 
 
 def _add_kept_blocks(kept: Tensor, structure: Structure, a: int, b: int, jk: list[Tensor]) -> None:

@@ -4,8 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
+
+LEAST_ROWS = 4
+"""Observations in the fullest cell from which one stacked product is faster than a sum of small ones."""
+MOST_PADDING = 3
+"""Padded rows for each real one up to which stacking pays."""
 
 
 @dataclass(frozen=True)
@@ -15,6 +20,54 @@ class KeptGroup:
     index: Int[Tensor, " n"]
     count: int
     dim: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """A partition of the observations, each in the cell `index[i]`, over which products of Jacobians are summed."""
+
+    index: Int[Tensor, " n"]
+    count: int
+
+    @cached_property
+    def _slots(self) -> Int[Tensor, "count most"] | None:
+        """The observations of every cell, -1 (the last row of a padded table) where a cell has fewer than the fullest;
+        None where the cells are so uneven that padding would cost more than it saves."""
+        n = len(self.index)
+        sizes = torch.bincount(self.index, minlength=self.count)
+        most = int(sizes.max()) if n else 0
+        if most < LEAST_ROWS or most * self.count > MOST_PADDING * n:
+            return None
+        order = torch.argsort(self.index, stable=True)
+        cell = self.index[order]
+        first = torch.cumsum(sizes, 0) - sizes
+        slots = torch.full((self.count, most), -1, dtype=torch.long, device=self.index.device)
+        slots[cell, torch.arange(n, device=self.index.device) - first[cell]] = order
+        return slots
+
+    @cached_property
+    def _even(self) -> bool:
+        """Whether the observations lie in the order of the cells, equally many in each: then nothing need be gathered."""
+        slots = self._slots
+        return slots is not None and bool((slots.flatten() == torch.arange(slots.numel(), device=slots.device)).all())
+
+    def stacked(self, values: Float[Tensor, "n m q"]) -> Float[Tensor, "count rows q"] | None:
+        """The rows of all observations of a cell under one another, padded with zeros; None where that does not pay."""
+        slots = self._slots
+        if slots is None:
+            return None
+        if self._even:
+            return values.reshape(self.count, -1, values.shape[-1])
+        padded = torch.cat([values, values.new_zeros(1, *values.shape[1:])])
+        return padded[slots].flatten(1, 2)
+
+    def gram(self, values: Float[Tensor, "n m q"]) -> Float[Tensor, "count q q"]:
+        """Sum of V_i' V_i over every cell."""
+        stacked = self.stacked(values)
+        if stacked is not None:
+            return stacked.mT @ stacked
+        q = values.shape[-1]
+        return values.new_zeros(self.count, q, q).index_add_(0, self.index, values.mT @ values)
 
 
 @dataclass(frozen=True)
@@ -53,6 +106,16 @@ class Structure:
     def kept_size(self) -> int:
         """Number of kept columns."""
         return self.offsets[-1]
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The observations of every eliminated block."""
+        return Cells(self.index, self.count)
+
+    @cached_property
+    def all_shared(self) -> bool:
+        """Whether every kept group is one block that all observations touch: then every eliminated block couples with all."""
+        return bool(self.groups) and all(group.count == 1 and bool((group.index == 0).all()) for group in self.groups)
 
     @cached_property
     def touching(self) -> tuple[Int[Tensor, " _"], ...]:

@@ -9,6 +9,7 @@ from omnilines.report.photos import photos_section
 from omnilines.report.residuals import residual_section
 from omnilines.report.scene import scene_section
 from omnilines.report.tables import checks_section, parameters_section, summary_section, views_section
+from omnilines.report.uncertainty import uncertainty_section
 
 __all__ = [
     "PAGE_LIMIT_BYTES",
@@ -23,6 +24,7 @@ __all__ = [
     "residual_section",
     "scene_section",
     "summary_section",
+    "uncertainty_section",
     "views_section",
     "write_report",
 ]

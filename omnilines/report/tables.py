@@ -41,19 +41,24 @@ def parameters_section(
 
 
 def views_section(views: Sequence[ViewResult], title: str = "Views") -> Section:
-    """One row per view: whether it was used, why not, its corners and its residual with a bar for comparison."""
+    """One row per view: whether it was used, why not or what to know of it, its corners, its residual with a bar for comparison,
+    and its leverage where that of some view is known."""
     residuals = [v.rms_px_per_point for v in views if v.rms_px_per_point is not None and math.isfinite(v.rms_px_per_point)]
     longest = max(residuals, default=0.0) or 1.0
     rows = [
         {
             "view": v,
             "rms": None if v.rms_px_per_point is None else _figure(v.rms_px_per_point, 3),
+            "notes": " ".join(v.remarks) if v.used else v.reason,
+            "leverage": None if v.leverage is None else f"{100 * v.leverage:.1f} %",
             "share": 0.0 if v.rms_px_per_point not in residuals else round(100 * (v.rms_px_per_point or 0.0) / longest, 1),
         }
         for v in views
     ]
     cameras = len({v.camera for v in views})
-    return Section(title, fragment("views", rows=rows, used=sum(v.used for v in views), cameras=cameras))
+    has_leverage = any(v.leverage is not None for v in views)
+    used = sum(v.used for v in views)
+    return Section(title, fragment("views", rows=rows, used=used, cameras=cameras, has_leverage=has_leverage))
 
 
 def _figure(value: float, digits: int = 4) -> str:

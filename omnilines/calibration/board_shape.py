@@ -1,0 +1,80 @@
+"""How a real board differs from its drawing: squares that are not square, and a sheet that is not flat.
+
+    X = (x, (1 + aspect) y, bend_xx p^2 + bend_xy p q + bend_yy q^2),   p = (x - x0) / h,  q = (y - y0) / h
+
+with (x0, y0) the middle of the corners and h half their larger extent; the bends are in metres. Shift, scale and tilt of the
+sheet are left to its pose and to the size of the squares.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import InputError
+
+TERM_NAMES = ("aspect", "bend_xx_m", "bend_xy_m", "bend_yy_m")
+REFINABLE: tuple[tuple[str, tuple[int, ...]], ...] = (("aspect", (0,)), ("flatness", (1, 2, 3)))
+"""What can be asked for, and the terms that it frees."""
+
+
+def _no_terms() -> Tensor:
+    return torch.zeros(len(TERM_NAMES), dtype=torch.float64)
+
+
+def _nothing_free() -> Tensor:
+    return torch.zeros(len(TERM_NAMES), 0, dtype=torch.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardShape:
+    """The terms of the module's header, and which of them are estimated (columns of `free`)."""
+
+    terms: Float[Tensor, "4"] = field(default_factory=_no_terms)
+    free: Float[Tensor, "4 f"] = field(default_factory=_nothing_free)
+    middle_m: tuple[float, float] = (0.0, 0.0)
+    half_m: float = 1.0
+
+    @staticmethod
+    def to_refine(names: tuple[str, ...], board_m: Float[Tensor, "n 3"]) -> "BoardShape":
+        """A plane board of square squares with the terms of `names` (of REFINABLE) free. Raises InputError on another name."""
+        known = dict(REFINABLE)
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise InputError(
+                f"What can be refined of a board is {' and '.join(known)}, found '{unknown[0]}'; give one or both, as in "
+                "--refine-board aspect,flatness."
+            )
+        columns = sorted({column for name in names for column in known[name]})
+        low, high = board_m[:, :2].amin(0), board_m[:, :2].amax(0)
+        middle = (0.5 * (low + high)).tolist()
+        free = torch.eye(len(TERM_NAMES), dtype=torch.float64)[:, columns]
+        return BoardShape(_no_terms(), free, (middle[0], middle[1]), 0.5 * float((high - low).max()))
+
+    @property
+    def plain(self) -> bool:
+        """Whether the board is as drawn."""
+        return self.free.shape[1] == 0
+
+    def _quadratic(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        p, q = (board[:, 0] - self.middle_m[0]) / self.half_m, (board[:, 1] - self.middle_m[1]) / self.half_m
+        return torch.stack([p * p, p * q, q * q], -1)
+
+    def place(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Where the corners of the drawing really are, in the frame of the board (metres)."""
+        if self.plain:
+            return board
+        x, y, z = board.unbind(-1)
+        return torch.stack([x, (1 + self.terms[0]) * y, z + self._quadratic(board) @ self.terms[1:]], -1)
+
+    def by_terms(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 4"]:
+        """d place / d terms."""
+        jacobian = board.new_zeros(len(board), 3, len(TERM_NAMES))
+        jacobian[:, 1, 0] = board[:, 1]
+        jacobian[:, 2, 1:] = self._quadratic(board)
+        return jacobian
+
+    def moved(self, step: Float[Tensor, "4"]) -> "BoardShape":
+        """The shape with other terms."""
+        return self if self.plain else replace(self, terms=self.terms + step)

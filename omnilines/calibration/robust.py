@@ -1,0 +1,90 @@
+"""From a rough start to the corners that can be trusted: a loss bent at the scale of the data, tightened as the fit improves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models.pose import Pose
+from omnilines.calibration.initialise import BoardPoints, resect_boards
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards, robust_scale_px, whitened
+from omnilines.least_squares import Loss, Progress
+
+REJECT_SIGMA = 4.5
+"""Corners farther than this many robust standard deviations (of the norm) are rejected."""
+PASSES = 12
+SETTLED = 0.05
+"""Relative change of the scale below which, with the same corners kept, nothing more is to be gained."""
+LEAST_SCALE_PX = 1e-6
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A robust fit: the state, the corners within REJECT_SIGMA of it, and the standard deviation per axis of those (of weighted
+    residuals, pixels)."""
+
+    state: CameraAndBoards
+    kept: Bool[Tensor, " n"]
+    scale_px: float
+
+    @property
+    def limit_px(self) -> float:
+        """Length of a weighted residual beyond which a corner is rejected."""
+        return REJECT_SIGMA * self.scale_px
+
+
+def settle(
+    points: BoardPoints,
+    clean: BoardPoints,
+    state: CameraAndBoards,
+    loss: str,
+    weight: Float[Tensor, " n"] | None,
+    callback: Callable[[Progress], None] | None = None,
+) -> Settled:
+    """Refine with a loss bent at twice the scale of the residuals until the scale and the set of kept corners settle.
+
+    `clean` are the corners without gross error, from which views that do not fit are resected again.
+    """
+    problem = BoardProblem(points, state.model.calibration_basis(), weight)
+    settled = _judge(points, state, weight)
+    for done in range(PASSES):
+        bent = Loss(loss, 2 * settled.scale_px)
+        # The first passes only have to bring the scale down.
+        solution = problem.solve(settled.state, bent, tolerance=1e-2 if done < 2 else 1e-4, callback=callback)
+        before, settled = settled, _judge(points, solution.state, weight)
+        if done < 2:
+            settled = _turned_over(points, clean, settled, weight)
+        elif bool((settled.kept == before.kept).all()) and settled.scale_px > (1 - SETTLED) * before.scale_px:
+            break
+    return settled
+
+
+def _judge(points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " n"] | None) -> Settled:
+    residual = whitened(state.residual_px(points), weight)
+    scale = max(robust_scale_px(residual), LEAST_SCALE_PX)
+    return Settled(state, residual.norm(dim=-1) <= REJECT_SIGMA * scale, scale)
+
+
+def _turned_over(
+    points: BoardPoints, clean: BoardPoints, settled: Settled, weight: Float[Tensor, " n"] | None
+) -> Settled:
+    """Views that do not fit are resected afresh with the camera as it is now: they may have started on the wrong side of their
+    tilt. Where that brings their corners nearer it is kept."""
+    residual = whitened(settled.state.residual_px(points), weight).norm(dim=-1)
+    cost = points.mean_by_view(torch.log1p((residual / settled.scale_px) ** 2)[:, None])[:, 0]
+    doubtful = points.mean_by_view(settled.kept.to(cost.dtype)[:, None])[:, 0] < 0.5
+    if not bool(doubtful.any()):
+        return settled
+    bearings, _ = settled.state.model.unproject(clean.pixels)
+    fresh = resect_boards(clean, bearings)
+    state = CameraAndBoards(settled.state.model, fresh, settled.state.shape)
+    again = whitened(state.residual_px(points), weight).norm(dim=-1)
+    better = doubtful & (points.mean_by_view(torch.log1p((again / settled.scale_px) ** 2)[:, None])[:, 0] < cost)
+    if not bool(better.any()):
+        return settled
+    old = settled.state.cam_from_board
+    rotation = torch.where(better[:, None, None], fresh.rotation, old.rotation)
+    translation = torch.where(better[:, None], fresh.translation, old.translation)
+    return _judge(points, CameraAndBoards(settled.state.model, Pose(rotation, translation), settled.state.shape), weight)

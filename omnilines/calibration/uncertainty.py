@@ -1,0 +1,73 @@
+"""What the covariance of the intrinsics means in the image, and which views it comes from.
+
+A calibration with free board poses leaves the frame of the camera open by a rotation, which a scene absorbs. So the bearing
+errors B d of a parameter error d are stated after the small rotation w that fits them best over the field of view that the
+data support (as mrcal does, D. Kogan, mrcal.secretsauce.net/uncertainty.html):
+
+    e(u) = B(u) d - w x b(u),    w = argmin sum_u |B(u) d - w x b(u)|^2
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+
+
+def bearing_jacobian(
+    model: CameraModel, pixels: Float[Tensor, "n 2"]
+) -> tuple[Float[Tensor, "n 3"], Bool[Tensor, " n"], Float[Tensor, "n 3 p"], Float[Tensor, "n 2 3"]]:
+    """Bearings of pixels, where they are defined, d bearing / d parameters at a fixed pixel and d pixel / d bearing."""
+    bearings, valid = model.unproject(pixels)
+    _, imaged, by_point, by_parameter = model.project_with_jacobians(bearings)
+    return bearings, valid & imaged, -model.unproject_jacobian(pixels) @ by_parameter, by_point
+
+
+def supported_grid(model: CameraModel, max_angle_rad: float, points: int = 60) -> Float[Tensor, "n 2"]:
+    """Pixels of a uniform grid over the image within `max_angle_rad` of the bearing of the centre pixel."""
+    width, height = model.image_size
+    step = max(width, height) / points
+    u, v = (torch.arange(0.5 * min(step, side), side, step, dtype=torch.float64) - 0.5 for side in (width, height))
+    pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1).reshape(-1, 2)
+    _, valid = model.unproject(pixels)
+    return pixels[valid & (angles_off_axis(model, pixels) <= max_angle_rad)]
+
+
+def projection_covariance_px2(
+    model: CameraModel, covariance: Float[Tensor, "p p"], pixels: Float[Tensor, "n 2"], reference_px: Float[Tensor, "m 2"]
+) -> tuple[Float[Tensor, "n 2 2"], Bool[Tensor, " n"]]:
+    """Covariance (px^2) of where the camera sees the world direction that it now sees at each pixel, after the common rotation
+    that fits best over `reference_px`; and where that is defined."""
+    bearings, seen, by_parameter, _ = bearing_jacobian(model, reference_px)
+    b, jacobian = bearings[seen], by_parameter[seen]
+    # w x b = -[b]x w: the normal matrix of the rotation is sum (I - b b'), its right side sum b x (B d).
+    normal = len(b) * torch.eye(3, dtype=b.dtype) - b.mT @ b
+    right = torch.linalg.cross(b[:, :, None].expand_as(jacobian), jacobian, dim=1).sum(0)
+    turn = torch.linalg.solve(normal, right)
+    bearings, valid, by_parameter, by_point = bearing_jacobian(model, pixels)
+    moved = torch.linalg.cross(turn.expand(len(pixels), *turn.shape), bearings[:, :, None].expand_as(by_parameter), dim=1)
+    in_image = by_point @ (by_parameter - moved)
+    result = in_image @ covariance @ in_image.mT
+    return torch.where(valid[:, None, None], 0.5 * (result + result.mT), float("nan")), valid
+
+
+def worst_sigma_px(covariance_px2: Float[Tensor, "n 2 2"]) -> Float[Tensor, " n"]:
+    """Standard deviation in the worst direction of the image; NaN stays NaN."""
+    a, b, c = covariance_px2[:, 0, 0], covariance_px2[:, 1, 1], covariance_px2[:, 0, 1]
+    return (0.5 * (a + b) + torch.hypot(0.5 * (a - b), c)).clamp_min(0).sqrt()
+
+
+def view_leverage(
+    points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " n"] | None, covariance: Float[Tensor, "q q"]
+) -> Float[Tensor, " v"]:
+    """Share of the estimated camera and board terms that each view decides: trace(C S_v) / q with the view's term S_v of the
+    reduced normal matrix, C its inverse. The shares of all views add up to 1."""
+    problem = BoardProblem(points, state.model.calibration_basis(), weight, state.shape)
+    at = problem.linearise(state)
+    gram = points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept], -1))
+    own, coupling, kept = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
+    reduced = kept - coupling.mT @ torch.linalg.solve(own, coupling)
+    return (reduced * covariance).sum((-2, -1)) / len(covariance)

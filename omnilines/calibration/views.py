@@ -1,0 +1,107 @@
+"""The views of a calibration: which can be used, what became of each, and the corners as tensors."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import InputError
+from camera_models.pose import Pose
+from omnilines.calibration.initialise import BoardPoints
+from omnilines.records import Corners, ViewResult
+
+LEAST_VIEWS = 3
+LEAST_CORNERS = 6
+"""Corners a view must have: fewer do not determine its radial start."""
+
+
+def board_points(corners: Corners, rows: Bool[np.ndarray, " n"], views: list[int]) -> BoardPoints:
+    """The chosen rows as tensors, their views renumbered to positions in `views`."""
+    place = np.full(len(corners.view_names), -1)
+    place[views] = np.arange(len(views))
+    return BoardPoints(
+        torch.as_tensor(place[corners.view[rows]]),
+        len(views),
+        torch.as_tensor(corners.board_m[rows]),
+        torch.as_tensor(corners.pixels[rows]),
+    )
+
+
+def corner_weights(corners: Corners, rows: Bool[np.ndarray, " n"]) -> Float[Tensor, " m"] | None:
+    """Inverse standard deviations relative to their rms, so that residuals stay pixels; None where none are given."""
+    if corners.sigma_px is None:
+        return None
+    sigma = torch.as_tensor(corners.sigma_px[rows])
+    return (sigma**2).mean().sqrt() / sigma
+
+
+def unusable_views(corners: Corners) -> dict[int, str]:
+    """Views that cannot be used whatever the camera is, each with its reason."""
+    views = len(corners.view_names)
+    counts = np.bincount(corners.view, minlength=views)
+    share = np.maximum(counts, 1)[:, None]
+    mean = np.stack([np.bincount(corners.view, corners.board_m[:, k], views) for k in (0, 1)], -1) / share
+    x, y = (corners.board_m[:, :2] - mean[corners.view]).T
+    xx, xy, yy = (np.bincount(corners.view, product, views) for product in (x * x, x * y, y * y))
+    # On one line where the smaller principal moment vanishes beside the larger.
+    on_line = xx * yy - xy**2 <= 1e-12 * (xx + yy) ** 2
+    raised = np.bincount(corners.view, corners.board_m[:, 2] != 0, views) > 0
+    refusals = {}
+    for v in np.flatnonzero((counts < LEAST_CORNERS) | on_line | raised):
+        if counts[v] < LEAST_CORNERS:
+            refusals[int(v)] = f"only {counts[v]} corners, at least {LEAST_CORNERS} are needed"
+        elif on_line[v]:
+            refusals[int(v)] = "all its corners lie on one line of the board"
+        else:
+            refusals[int(v)] = "its corners do not lie in the plane z = 0 of the board"
+    return refusals
+
+
+def require_views(found: int, total: int, refusals: Mapping[int, str]) -> None:
+    """Raise InputError where too few views are left, with the reason that the first was dropped for."""
+    if found < LEAST_VIEWS:
+        why = f" ({len(refusals)} of {total} dropped, the first because {next(iter(refusals.values()))})" if refusals else ""
+        raise InputError(
+            f"Too few views: a calibration needs at least {LEAST_VIEWS}, found {found}{why}; "
+            "add photos of the board at other angles."
+        )
+
+
+def view_results(
+    corners: Corners,
+    kept: Bool[np.ndarray, " n"],
+    views: list[int],
+    residual_px: Float[np.ndarray, "n 2"],
+    poses: Pose,
+    refusals: Mapping[int, str],
+    leverage: Float[Tensor, " v"],
+    limit_px: float | None,
+) -> tuple[ViewResult, ...]:
+    """One record a view, used or not; `limit_px` is the distance beyond which corners were rejected."""
+    count = len(corners.view_names)
+    seen = np.bincount(corners.view, minlength=count)
+    used = np.bincount(corners.view[kept], minlength=count)
+    squares = np.bincount(corners.view[kept], (residual_px[kept] ** 2).sum(-1), count)
+    place = {v: k for k, v in enumerate(views)}
+    results = []
+    for v, (name, image) in enumerate(zip(corners.view_names, corners.images, strict=True)):
+        result = ViewResult(name, image, v in place, refusals.get(v), 0, int(seen[v]))
+        if v in place:
+            rejected = int(seen[v] - used[v])
+            remarks: tuple[str, ...] = ()
+            if rejected and limit_px is not None:
+                remarks = (f"{rejected} of {seen[v]} corners rejected: more than {limit_px:.2g} px from where the camera sees them",)
+            result = replace(
+                result,
+                corners_used=int(used[v]),
+                corners_rejected=rejected,
+                rms_px_per_point=float(np.sqrt(squares[v] / used[v])),
+                cam_from_board=poses[place[v]],
+                leverage=float(leverage[place[v]]),
+                remarks=remarks,
+            )
+        results.append(result)
+    return tuple(results)
