@@ -68,7 +68,7 @@ lint: $(VENV)/.installed-lint
 
 # Without the tests' conftest, which enforces array shapes at every call.
 bench: $(VENV)/.installed-test .venv-peers/.installed
-	$(BIN)/python -m pytest tests/bench --noconftest -p no:cacheprovider -q -s -o pythonpath=tests/bench \
+	$(BIN)/python -m pytest tests/bench --noconftest -p no:cacheprovider -q -s -o pythonpath="tests/bench tests" \
 		-o python_files="bench_*.py" -o python_functions="bench_*" $(PYTEST_ARGS)
 
 clean:

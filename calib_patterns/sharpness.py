@@ -29,7 +29,7 @@ MIN_EXCESS_PX = 0.5
 
 
 def blur_remarks(view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"], views: int) -> tuple[str | None, ...]:
-    """For each of `views` photos of one camera one sentence if it is blurred, otherwise None.
+    """For each of `views` photos of one camera one sentence (without its stop) if it is blurred, otherwise None.
 
     `view` is the photo of each corner, `blur_px` the standard deviation (> 0) of the profile across both its edges
     (`Detection.blur_px`). A photo is `motion-blurred` where one of the board's edge directions is blurred clearly more than in
@@ -46,11 +46,11 @@ def blur_remarks(view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"],
     moved = _moved(median[judged])
     for k in np.flatnonzero(blurred):
         remarks[judged[k]] = (
-            f"Motion-blurred: its edges are blurred by {more[k]:.1f} px (standard deviation) in one direction and {less[k]:.1f} "
-            f"px in the other, those of the other photos by {usual:.1f} px."
+            f"motion-blurred: its edges are blurred by {more[k]:.1f} px (standard deviation) in one direction and {less[k]:.1f} "
+            f"px in the other, those of the other photos by {usual:.1f} px"
             if moved[k]
-            else f"Blurred, out of focus or by motion along a diagonal of the board: its edges are blurred by {more[k]:.1f} px "
-            f"(standard deviation), those of the other photos by {usual:.1f} px."
+            else f"blurred, out of focus or by motion along a diagonal of the board: its edges are blurred by {more[k]:.1f} px "
+            f"(standard deviation), those of the other photos by {usual:.1f} px"
         )
     return tuple(remarks)
 

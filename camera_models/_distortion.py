@@ -19,21 +19,19 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models._radial import first_sign_change, interpolate
+from camera_models._radial import CHUNK, first_sign_change, interpolate
 
 FURTHEST_SLOPE = 1e8
 """Radius that stands for an infinite one."""
 FOLD_GRID = np.concatenate([np.linspace(0.01, 1, 100), np.geomspace(1.05, FURTHEST_SLOPE, 200)])
 """Radii between which the first fold is sought."""
-CHUNK = 8192
-"""Points whose inverse is sought together: what they need stays in the processor's cache."""
-TABLE_SIZE = 512
+TABLE_SIZE = 2048
 """Samples of the radial curve that give the start of the inverse."""
-NEWTON_STEPS = 12
+NEWTON_STEPS = 6
 """Of the inverse without safeguards; a point that needs more is left to damped steps."""
 DAMPED_STEPS = 60
-CONVERGED = 1e-13
-"""Residual of the inverse relative to 1 + radius at which the next step would be one of rounding."""
+LAST_STEP = 3e-9
+"""Newton's step relative to 1 + radius after which the error, quadratic in it, is one of rounding."""
 
 Coefficients = Sequence[Tensor] | Sequence[float]
 """k1 k2 p1 p2 k3 k4 k5 k6."""
@@ -47,6 +45,16 @@ class Distorted(NamedTuple):
     xx: Tensor
     cross: Tensor
     yy: Tensor
+    radial: "Radial"
+
+
+class Radial(NamedTuple):
+    """r^2, q, dq / d(r^2) and 1 / D of n points."""
+
+    r2: Tensor
+    q: Tensor
+    by_r2: Tensor
+    over: Tensor | float
 
 
 def distort(coefficients: Coefficients, x: Tensor, y: Tensor) -> Distorted:
@@ -54,10 +62,10 @@ def distort(coefficients: Coefficients, x: Tensor, y: Tensor) -> Distorted:
     p1, p2 = coefficients[2:4]
     x2, xy, y2 = x * x, x * y, y * y
     r2 = x2 + y2
-    q, by_r2 = radial_factor(coefficients, r2)
-    twice = 2 * by_r2
+    radial = radial_factor(coefficients, r2)
+    q, twice = radial.q, 2 * radial.by_r2
     if isinstance(p1, float) and p1 == 0 and p2 == 0:
-        return Distorted(x * q, y * q, q + x2 * twice, xy * twice, q + y2 * twice)
+        return Distorted(x * q, y * q, q + x2 * twice, xy * twice, q + y2 * twice, radial)
     along = 2 * (p2 * x + p1 * y)
     factor = q + along
     px, py = 2 * p1 * x, 2 * p2 * y
@@ -67,22 +75,23 @@ def distort(coefficients: Coefficients, x: Tensor, y: Tensor) -> Distorted:
         factor + x2 * twice + 4 * p2 * x,
         xy * twice + px + py,
         factor + y2 * twice + 4 * p1 * y,
+        radial,
     )
 
 
-def radial_factor(coefficients: Coefficients, r2: Tensor) -> tuple[Tensor, Tensor]:
-    """q and dq / d(r^2)."""
+def radial_factor(coefficients: Coefficients, r2: Tensor) -> Radial:
+    """q and its derivative."""
     k1, k2, _, _, k3, k4, k5, k6 = coefficients
     numerator, by_r2 = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + (3 * k3) * r2)
     if isinstance(k4, float) and k4 == k5 == k6 == 0:
-        return numerator, by_r2
+        return Radial(r2, numerator, by_r2, 1.0)
     over = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     q = numerator * over
-    return q, (by_r2 - q * (k4 + r2 * (2 * k5 + (3 * k6) * r2))) * over
+    return Radial(r2, q, (by_r2 - q * (k4 + r2 * (2 * k5 + (3 * k6) * r2))) * over, over)
 
 
 def first_fold(coefficients: Sequence[float]) -> float:
-    """The smallest radius at which the distortion folds in some direction, at most FURTHEST_SLOPE; zero for what is not finite."""
+    """The smallest radius at which the distortion folds in some direction, at most FURTHEST_SLOPE; zero where NaN or infinite."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     numerator, denominator = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
     rational = bool(denominator[1:].any())
@@ -91,7 +100,8 @@ def first_fold(coefficients: Sequence[float]) -> float:
     growth = numerator * (1 + 2 * orders)
     if rational:
         growth = np.convolve(growth, denominator) - 2 * np.convolve(numerator, denominator * orders)
-    curves = (growth, numerator, denominator) if rational else (growth, numerator)
+    # Where r q grows from zero on, q is positive: N needs no look of its own.
+    curves = (growth, denominator) if rational else (growth,)
     radius = min(math.sqrt(min(first_sign_change(curve, 1.0) for curve in curves)), FURTHEST_SLOPE)
     size = math.hypot(p1, p2)
     if size == 0 or radius == 0:
@@ -99,7 +109,7 @@ def first_fold(coefficients: Sequence[float]) -> float:
     if not math.isfinite(size):
         return 0.0
     polynomials = (growth, numerator, np.convolve(denominator, denominator), denominator)
-    return _tangential_fold([polynomial.tolist() for polynomial in polynomials], size, radius)
+    return _tangential_fold([np.trim_zeros(polynomial, "b").tolist() for polynomial in polynomials], size, radius)
 
 
 def _tangential_fold(polynomials: list[list[float]], size: float, radius: float) -> float:
@@ -110,26 +120,27 @@ def _tangential_fold(polynomials: list[list[float]], size: float, radius: float)
     """
     growth, numerator, square, denominator = polynomials
 
-    def least(r):  # type: ignore[no-untyped-def]
+    def least(r, larger):  # type: ignore[no-untyped-def]
         r2 = r * r
         g, q = _value(growth, r2) / _value(square, r2), _value(numerator, r2) / _value(denominator, r2)
         a = size * r
-        c = np.maximum(-(g + 3 * q) / (16 * a), -1.0)
+        c = larger(-(g + 3 * q) / (16 * a), -1.0)
         return g * q - 4 * a * a + 2 * a * c * (g + 3 * q + 8 * a * c)
 
     grid = np.append(FOLD_GRID[FOLD_GRID < radius], radius * (1 - 1e-12))
-    folded = np.flatnonzero(~(least(grid) > 0))
+    folded = np.flatnonzero(~(least(grid, np.maximum) > 0))
     if not len(folded):
         return radius
     high = float(grid[folded[0]])
     low = float(grid[folded[0] - 1]) if folded[0] else 0.0
-    # The limit is one of rounding.
-    while low < (middle := 0.5 * (low + high)) < high:
-        low, high = (middle, high) if least(middle) > 0 else (low, middle)
+    while high - low > 1e-14 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if least(middle, max) > 0 else (low, middle)
     return low
 
 
 def _value(coefficients: list[float], x):  # type: ignore[no-untyped-def]
+    """sum c_i x^i of a number or an array."""
     total = coefficients[-1]
     for c in coefficients[-2::-1]:
         total = total * x + c
@@ -144,58 +155,55 @@ def undistort(
     Newton from the inverse of the radial part, on the points that have not converged; steps that do not come closer are damped.
     Elsewhere x is any point of the disc.
     """
-    plane = torch.empty_like(target)
-    found = torch.empty(len(target), dtype=torch.bool, device=target.device)
     distance = target.norm(dim=-1)
-    table = _radial_table(coefficients, largest, distance)
-    for start in range(0, len(target), CHUNK):
-        rows = slice(start, start + CHUNK)
-        plane[rows], found[rows] = _undistort_chunk(coefficients, largest, target[rows], distance[rows], table)
+    plane, found = torch.zeros_like(target), torch.zeros_like(distance, dtype=torch.bool)
+    # |d(x)| is at most r q + 3 r^2 |p|: beyond that at the edge there is nothing to look for.
+    q = radial_factor(coefficients, distance.new_tensor(largest * largest)).q
+    reachable = distance <= (largest * float(q) + 3 * largest * largest * math.hypot(*coefficients[2:4])) * (1 + 1e-12)
+    rows = torch.nonzero(reachable)[:, 0]
+    table = _radial_table(coefficients, largest, distance[rows])
+    for chunk in rows.split(CHUNK):
+        plane[chunk], found[chunk] = _newton(coefficients, largest, target[chunk], distance[chunk], table)
+    left = rows[~found[rows]]
+    if len(left):
+        plane[left], found[left] = _damped(coefficients, largest, target[left], plane[left])
     return plane, found
 
 
 def _radial_table(coefficients: Sequence[float], largest: float, distance: Tensor) -> tuple[Tensor, Tensor]:
     """(r q, r) on a grid of radii that reaches as far as the disc or the points."""
-    reach = 1.0 + 2 * float(distance.max()) if len(distance) else 1.0
-    grid = distance.new_tensor(1.1) ** torch.arange(200, device=distance.device)
-    beyond = torch.nonzero(grid * radial_factor(coefficients, grid * grid)[0] > reach)
+    reach = 1.2 * float(distance.max()) if len(distance) else 1.0
+    grid = torch.logspace(-2, math.log10(FURTHEST_SLOPE), 200, dtype=distance.dtype, device=distance.device)
+    beyond = torch.nonzero(grid * radial_factor(coefficients, grid * grid).q > reach)
     end = float(grid[int(beyond[0])]) if len(beyond) else FURTHEST_SLOPE
     radii = torch.linspace(0.0, min(largest, end), TABLE_SIZE, dtype=distance.dtype, device=distance.device)
-    return radii * radial_factor(coefficients, radii * radii)[0], radii
+    return radii * radial_factor(coefficients, radii * radii).q, radii
 
 
-def _undistort_chunk(
+def _newton(
     coefficients: Sequence[float], largest: float, target: Tensor, distance: Tensor, table: tuple[Tensor, Tensor]
 ) -> tuple[Tensor, Tensor]:
+    """Plain steps from the table; points whose last step was not small enough come back as not found."""
     scale = interpolate(distance, *table) / distance.clamp_min(1e-300)
     tx, ty = target.unbind(-1)
     x, y = tx * scale, ty * scale
-    tolerance = CONVERGED * (1 + distance)
-    place: Tensor | None = None
-    plane, found = torch.stack([x, y], -1), torch.zeros_like(distance, dtype=torch.bool)
+    place = torch.arange(len(target), device=target.device)
+    plane, found = torch.empty_like(target), torch.zeros_like(distance, dtype=torch.bool)
     for _ in range(NEWTON_STEPS):
         at = distort(coefficients, x, y)
-        dx, dy = at.x - tx, at.y - ty
-        close = torch.maximum(dx.abs(), dy.abs()) <= tolerance
-        sx, sy = solve_symmetric(at, dx, dy)
+        sx, sy = solve_symmetric(at, at.x - tx, at.y - ty)
         x, y = x - sx, y - sy
         r = torch.hypot(x, y)
         inside = r <= largest
+        close = (torch.hypot(sx, sy) <= LAST_STEP * (1 + r)) & inside
         if not bool(inside.all()):
             back = torch.where(inside, 1.0, largest / r)
             x, y = x * back, y * back
-        # One step more than needed, which costs little: the point is there to rounding.
-        now = torch.stack([x, y], -1)
-        if place is None:
-            plane, found, place = now, close, torch.arange(len(x), device=x.device)
-        else:
-            plane[place], found[place] = now, close
-        if bool(close.all()):
-            return plane, found
+        plane[place], found[place] = torch.stack([x, y], -1), close
         left = torch.nonzero(~close)[:, 0]
-        place, x, y, tx, ty, tolerance = place[left], x[left], y[left], tx[left], ty[left], tolerance[left]
-    assert place is not None
-    plane[place], found[place] = _damped(coefficients, largest, target[place], plane[place])
+        if not len(left):
+            break
+        place, x, y, tx, ty = place[left], x[left], y[left], tx[left], ty[left]
     return plane, found
 
 

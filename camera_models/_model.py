@@ -34,6 +34,9 @@ class CameraModel(ABC):
     PERIODIC: ClassVar[bool] = False
     """Whether the image closes around the sphere: u and u + width are the same pixel, and the ray behind the camera is seen."""
 
+    VARIANTS: ClassVar[tuple[Mapping[str, int], ...]] = ({},)
+    """Options of `from_radial_curve` among which a model is chosen for a lens, from the fewest parameters to the most."""
+
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)
         self.image_size = (int(image_size[0]), int(image_size[1]))

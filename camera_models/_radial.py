@@ -10,6 +10,14 @@ from torch import Tensor
 
 from camera_models.errors import InputError
 
+CHUNK = 8192
+"""Points whose inverse is sought together: what they need stays in the processor's cache."""
+TABLE_SIZE = 1024
+"""Samples of a monotone function that give the start of its inverse."""
+PLAIN_STEPS = 2
+"""Newton steps from the table that nearly every point needs; a point that needs more takes safeguarded ones."""
+LAST_STEP = 1e-10
+"""Newton's step relative to the interval after which the error, quadratic in it, is one of rounding."""
 SMALL_SLOPE = 1e-7
 """tan(theta) below which theta / s is taken from its series; the error of the series is O(SMALL_SLOPE^4)."""
 
@@ -44,9 +52,7 @@ def _roots(coefficients: Float[np.ndarray, " k"]) -> np.ndarray:
     return np.linalg.eigvals(companion).astype(complex)
 
 
-def interpolate(
-    x: Float[Tensor, "*batch"], nodes: Float[Tensor, " k"], values: Float[Tensor, " k"]
-) -> Float[Tensor, "*batch"]:
+def interpolate(x: Float[Tensor, "*batch"], nodes: Float[Tensor, " k"], values: Float[Tensor, " k"]) -> Float[Tensor, "*batch"]:
     """The piecewise linear curve through (node, value), nodes ascending; beyond the ends the value there."""
     right = torch.searchsorted(nodes, x).clamp_(1, len(nodes) - 1)
     low, high = nodes[right - 1], nodes[right]
@@ -55,38 +61,66 @@ def interpolate(
 
 
 def invert_monotone(
-    function: Callable[[Tensor], tuple[Tensor, Tensor]],
-    target: Float[Tensor, "*batch"],
-    upper: float,
-    start: Float[Tensor, "*batch"],
+    function: Callable[[Tensor], tuple[Tensor, Tensor]], target: Float[Tensor, "*batch"], upper: float
 ) -> Float[Tensor, "*batch"]:
     """x in [0, upper] with f(x) = target, f increasing there; targets outside f([0, upper]) give the nearer end.
 
-    Newton's step where it stays inside the bracket, bisection where it does not. `function` returns f and f'.
+    From a table of f, Newton's step where it stays inside the bracket, bisection where it does not. `function` returns f and f'
+    of values of any shape.
     """
-    low, high = torch.zeros_like(target), torch.full_like(target, upper)
-    x = start.clamp(0.0, upper)
+    goal = target.reshape(-1)
+    nodes = torch.linspace(0.0, upper, TABLE_SIZE, dtype=goal.dtype, device=goal.device)
+    # Rounding may leave the values out of order where f is level.
+    values = function(nodes)[0].cummax(0).values
+    found = [_invert_chunk(function, part, upper, values, nodes) for part in goal.split(CHUNK)]
+    return torch.cat(found).view(target.shape)
+
+
+def _invert_chunk(
+    function: Callable[[Tensor], tuple[Tensor, Tensor]], goal: Tensor, upper: float, values: Tensor, nodes: Tensor
+) -> Tensor:
+    start = interpolate(goal, values, nodes)
+    outside = (goal <= values[0]) | (goal >= values[-1])
+    x = start
+    for _ in range(PLAIN_STEPS):
+        value, slope = function(x)
+        step = (value - goal) / slope
+        x = x - step
+    done = outside | ((step.abs() <= LAST_STEP * upper) & (x >= 0) & (x <= upper))
+    x = torch.where(outside, start, x)
+    if not bool(done.all()):
+        left = torch.nonzero(~done)[:, 0]
+        x[left] = _invert_safely(function, goal[left], upper, start[left])
+    return x
+
+
+def _invert_safely(function: Callable[[Tensor], tuple[Tensor, Tensor]], goal: Tensor, upper: float, x: Tensor) -> Tensor:
+    """Newton and bisection on the points that have not converged."""
+    low, high = torch.zeros_like(x), torch.full_like(x, upper)
+    result, place = x.clone(), torch.arange(len(x), device=x.device)
     for _ in range(100):
         value, slope = function(x)
-        error = value - target
+        error = value - goal
         low, high = torch.where(error <= 0, x, low), torch.where(error >= 0, x, high)
         newton = x - error / slope
         inside = (newton >= low) & (newton <= high) & (slope > 0)
         step_to = torch.where(inside, newton, 0.5 * (low + high))
-        moved = (step_to - x).abs()
-        x = step_to
-        if not bool((moved > 4e-16 * upper).any()):
+        done = (inside & ((step_to - x).abs() <= LAST_STEP * upper)) | (high - low <= 4e-16 * upper)
+        result[place] = step_to
+        left = torch.nonzero(~done)[:, 0]
+        if not len(left):
             break
-    return x
+        place, x, goal, low, high = place[left], step_to[left], goal[left], low[left], high[left]
+    return result
 
 
 def axis_distance(points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor, Tensor]:
     """(s2, s, near): squared and plain distance from the z axis, and whether the point is so near the +z axis that
     series in s2 / z^2 are exact. Where near, s is a constant 1, so that no gradient of sqrt at 0 arises."""
-    s2 = (points[..., :2] ** 2).sum(-1)
-    z = points[..., 2]
+    x, y, z = points.unbind(-1)
+    s2 = x * x + y * y
     near = (z > 0) & (s2 < (SMALL_SLOPE * z) ** 2)
-    s = torch.where(near | (s2 == 0), torch.ones_like(s2), s2).sqrt()
+    s = torch.where(near | (s2 == 0), 1.0, s2).sqrt()
     return s2, s, near
 
 
@@ -110,9 +144,11 @@ def named_vector(names: Sequence[str], parameters: Mapping[str, float], model: s
     return [float(parameters.get(name, 0.0)) for name in names]
 
 
-def horner(coefficients: Sequence[Tensor] | Tensor, x: Tensor) -> Tensor:
+def horner(coefficients: Sequence[Tensor] | Sequence[float], x: Tensor) -> Tensor:
     """sum c_i x^i, lowest first."""
-    total = torch.zeros_like(x)
-    for c in reversed(list(coefficients)):
+    if len(coefficients) == 1:
+        return torch.zeros_like(x) + coefficients[0]
+    total = x * coefficients[-1] + coefficients[-2]
+    for c in coefficients[-3::-1]:
         total = total * x + c
     return total

@@ -35,6 +35,8 @@ def within(points: Float[Tensor, "*batch 3"], largest_angle: float) -> tuple[Flo
     with torch.no_grad():
         s = torch.hypot(points[..., 0], points[..., 1])
         valid = (torch.atan2(s, points[..., 2]) <= largest_angle) & ((s > 0) | (points[..., 2] > 0))
+        if bool(valid.all()):
+            return points, valid
         on_axis = (s == 0)[..., None]
         ahead = torch.where(on_axis, points.new_tensor([1.0, 0.0]), points[..., :2] / torch.where(s == 0, 1.0, s)[..., None])
         edge = INSIDE * largest_angle
@@ -149,14 +151,20 @@ class SphereModel(CameraModel):
     ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
         """With m = (x, y) / D: d m = (d(x, y) - m dD) / D."""
         points, valid = within(points, self.max_angle)
-        f, over = self.parameters[:2], 1 / self._denominator(points)
-        m = points[..., :2] * over[..., None]
-        by_point, by_shape = self._slopes(points)
-        eye = torch.eye(2, 3, dtype=points.dtype, device=points.device)
-        scaled = (f * over[..., None])[..., None]
-        by_point = scaled * (eye - m[..., :, None] * by_point[..., None, :])
-        by_shape = -scaled * m[..., :, None] * by_shape[..., None, :]
-        by_centre = eye[:, :2].expand(*m.shape, 2)
-        by_parameter = torch.cat([torch.diag_embed(m), by_centre, by_shape], -1)
+        fx, fy, cx, cy = self.parameters.detach()[:4].tolist()
+        over = 1 / self._denominator(points)
+        mx, my = points[..., 0] * over, points[..., 1] * over
+        slope, by_shape = self._slopes(points)
+        sx, sy, sz = (slope * over[..., None]).unbind(-1)
+        first, second = (by_shape * over[..., None]).unbind(-1)
+        fmx, fmy = fx * mx, fy * my
+        by_u, by_v = [fx * over - fmx * sx, -fmx * sy, -fmx * sz], [-fmy * sx, fy * over - fmy * sy, -fmy * sz]
+        by_point = torch.stack([*by_u, *by_v], -1).unflatten(-1, (2, 3))
+        zero, one = torch.zeros_like(mx), torch.ones_like(mx)
+        columns = [mx, zero, one, zero, -fmx * first, -fmx * second, zero, my, zero, one, -fmy * first, -fmy * second]
+        by_parameter = torch.stack(columns, -1).unflatten(-1, (2, 6))
+        pixels = torch.stack([fmx + cx, fmy + cy], -1)
+        if bool(valid.all()):
+            return pixels, valid, by_point, by_parameter
         keep = valid[..., None, None]
-        return f * m + self.parameters[2:4], valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
+        return pixels, valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)

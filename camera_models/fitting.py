@@ -23,6 +23,8 @@ FITTED, MEASURED = 60, 180
 """Pixels of the source along the longer side of the image at which the target is fitted, and at which its error is measured."""
 AXIAL = 32
 """Azimuths over which the source's radial curve is averaged for the start."""
+TIED_PX = 1e-9
+"""Fits whose RMS distances differ by less are equally good; the first is taken."""
 LEAST_PIXELS = 50
 """A field of view in which fewer pixels of the grid lie holds too little of the image to fit a model to."""
 NARROW = math.radians(60)
@@ -64,9 +66,12 @@ def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = 
     # A model is its own start, with all its coefficients, unless options ask for others.
     own = type(model) is target and target.CALIBRATED and not options
     start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
-    fits = [_refine(start, bearings, pixels)]
-    fits += [_refine(rival, bearings, pixels) for rival in fits[0].rivals(half)]
-    fitted = min(fits, key=lambda fit: float((fit.project(bearings)[0] - pixels).norm()))
+    fitted = _refine(start, bearings, pixels)
+    for rival in fitted.rivals(half):
+        other = _refine(rival, bearings, pixels)
+        # Where both are exact, rounding must not decide.
+        if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
+            fitted = other
     pixels, bearings, half = _seen(model, axis, MEASURED, fov_deg)
     projected, imaged = fitted.project(bearings)
     again, seen = fitted.unproject(pixels)
@@ -79,6 +84,10 @@ def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = 
     off_deg = torch.rad2deg(_angle(again, bearings))
     rms_px, rms_deg = (float((off**2).mean().sqrt()) for off in (off_px, off_deg))
     return Conversion(fitted, rms_px, float(off_px.max()), rms_deg, float(off_deg.max()), 2 * math.degrees(half))
+
+
+def _rms_px(model: CameraModel, bearings: Float[Tensor, "n 3"], pixels: Float[Tensor, "n 2"]) -> float:
+    return float((model.project(bearings)[0] - pixels).square().sum(-1).mean().sqrt())
 
 
 def _cannot_hold(target: str, half: float, why: str) -> str:

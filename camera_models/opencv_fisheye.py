@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models._model import CameraModel
-from camera_models._radial import angle_over_distance, axis_distance, first_sign_change, horner, invert_monotone, named_vector
+from camera_models._radial import angle_over_distance, first_sign_change, invert_monotone, named_vector
 from camera_models.errors import InputError
 
 
@@ -84,13 +84,6 @@ class OpenCVFisheye(CameraModel):
         """Principal point (cx, cy)."""
         return self.parameters[2:4]
 
-    def _curve(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """r and dr / dtheta."""
-        k = self.parameters[4:]
-        t2 = theta * theta
-        one = torch.ones((), dtype=theta.dtype, device=theta.device)
-        return theta * horner([one, *k], t2), horner([one, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]], t2)
-
     def _clamped(self, theta: Tensor, ratio: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         valid = theta < self.max_angle if self.max_angle >= math.pi else theta <= self.max_angle
         used = torch.where(valid, theta, torch.full_like(theta, self.max_angle))
@@ -102,7 +95,7 @@ class OpenCVFisheye(CameraModel):
         s2 = (points[..., :2] ** 2).sum(-1)
         # theta^2 = ratio^2 s2 keeps the gradient on the axis; beyond max_angle the clamped angle is a constant.
         t2 = torch.where(valid, ratio**2 * s2, theta * theta)
-        scale = ratio * horner([t2.new_ones(()), *self.parameters[4:]], t2)
+        scale = ratio * _factor(self.parameters[4:].unbind(), t2)
         pixels = self.parameters[:2] * points[..., :2] * scale[..., None] + self.parameters[2:4]
         return pixels, valid & (points.abs().sum(-1) > 0)
 
@@ -113,10 +106,11 @@ class OpenCVFisheye(CameraModel):
         r = torch.where(zero, torch.ones_like(r2), r2).sqrt()
         radius = torch.where(zero, torch.zeros_like(r), r)
         with torch.no_grad():
-            theta = invert_monotone(self._curve, radius, self.max_angle, radius)
-            limit, _ = self._curve(torch.tensor(self.max_angle, dtype=r.dtype, device=r.device))
+            numbers = self.parameters[4:].tolist()
+            theta = invert_monotone(lambda angle: _curve(numbers, angle), radius, self.max_angle)
+            limit, _ = _curve(numbers, torch.tensor(self.max_angle, dtype=r.dtype, device=r.device))
         # One more Newton step with gradients: the implicit-function theorem, exact at the solution.
-        value, slope = self._curve(theta)
+        value, slope = _curve(self.parameters[4:].unbind(), theta)
         valid = (radius <= limit) if self.max_angle < math.pi else (radius < limit)
         # At the rim the slope is zero: there the solution itself is kept and carries no gradient.
         step = torch.where(valid & (slope > 1e-12), (value - radius) / slope.detach().clamp_min(1e-12), torch.zeros_like(value))
@@ -131,21 +125,46 @@ class OpenCVFisheye(CameraModel):
         """With g = r / s: d g / d s = (r' z / n^2 - g) / s and d g / d z = -r' / n^2, n = |point|."""
         theta, ratio = angle_over_distance(points)
         theta, ratio, valid = self._clamped(theta, ratio)
+        x, y, z = points.unbind(-1)
+        s2 = x * x + y * y
+        n2 = s2 + z * z
         valid = valid & (points.abs().sum(-1) > 0)
-        f, m, z = self.parameters[:2], points[..., :2], points[..., 2]
-        s2, _, _ = axis_distance(points)
-        _, slope = self._curve(theta)
-        powers = (theta * theta)[..., None] ** torch.arange(5, device=points.device)
-        g = ratio * (powers[..., 1:] @ self.parameters[4:] + 1)
-        n2 = (s2 + z * z).clamp_min(1e-300)
-        by_s_over_s = torch.where(s2 > 0, (slope * z / n2 - g) / s2.clamp_min(1e-300), torch.zeros_like(s2))
-        eye = torch.eye(2, dtype=points.dtype, device=points.device)
-        by_m = g[..., None, None] * eye + m[..., :, None] * m[..., None, :] * by_s_over_s[..., None, None]
-        by_z = -m * (slope / n2)[..., None]
-        by_point = f[:, None] * torch.cat([by_m, by_z[..., None]], -1)
-        by_focal = torch.diag_embed(m * g[..., None])
-        by_k = (f * m * ratio[..., None])[..., None] * powers[..., None, 1:]
-        by_parameter = torch.cat([by_focal, eye.expand_as(by_focal), by_k], -1)
+        fx, fy, cx, cy, *k = self.parameters.detach().tolist()
+        t2 = theta * theta
+        slope = _slope(k, t2)
+        g = ratio * _factor(k, t2)
+        over = slope / n2.clamp_min(1e-300)
+        by_s = torch.where(s2 > 0, (over * z - g) / s2.clamp_min(1e-300), 0.0)
+        xy = x * y * by_s
+        by_u = [fx * (g + x * x * by_s), fx * xy, -fx * x * over]
+        by_v = [fy * xy, fy * (g + y * y * by_s), -fy * y * over]
+        by_point = torch.stack([*by_u, *by_v], -1).unflatten(-1, (2, 3))
+        mx, my = x * g, y * g
+        zero, one = torch.zeros_like(x), torch.ones_like(x)
+        first = ratio * t2
+        u1, v1 = fx * x * first, fy * y * first
+        u2, v2 = u1 * t2, v1 * t2
+        u3, v3 = u2 * t2, v2 * t2
+        columns = [mx, zero, one, zero, u1, u2, u3, u3 * t2, zero, my, zero, one, v1, v2, v3, v3 * t2]
+        by_parameter = torch.stack(columns, -1).unflatten(-1, (2, 8))
+        pixels = torch.stack([fx * mx + cx, fy * my + cy], -1)
+        if bool(valid.all()):
+            return pixels, valid, by_point, by_parameter
         keep = valid[..., None, None]
-        pixels = f * m * g[..., None] + self.parameters[2:4]
         return pixels, valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
+
+
+def _factor(k: Sequence[Tensor] | Sequence[float], t2: Tensor) -> Tensor:
+    """r / theta of theta^2."""
+    return 1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))
+
+
+def _curve(k: Sequence[Tensor] | Sequence[float], theta: Tensor) -> tuple[Tensor, Tensor]:
+    """r and dr / dtheta."""
+    t2 = theta * theta
+    return theta * _factor(k, t2), _slope(k, t2)
+
+
+def _slope(k: Sequence[Tensor] | Sequence[float], t2: Tensor) -> Tensor:
+    """dr / dtheta of theta^2."""
+    return 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * (9 * k[3]))))

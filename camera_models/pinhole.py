@@ -12,24 +12,29 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models._arrays import Array
+from camera_models._distortion import (
+    FURTHEST_SLOPE,
+    Distorted,
+    distort,
+    first_fold,
+    solve_symmetric,
+    undistort,
+)
 from camera_models._model import CameraModel
-from camera_models._radial import first_sign_change, named_vector
+from camera_models._radial import named_vector
 from camera_models.errors import InputError
-
-FURTHEST_SLOPE = 1e8
-"""tan(theta) that stands for 90 degrees: beyond it a point counts as beside the camera, not in front of it."""
 
 
 class Pinhole(CameraModel):
     """Perspective camera; zero distortion coefficients make it the ideal one."""
 
     NAME = "pinhole"
+    VARIANTS = ({"coefficients": 5}, {"coefficients": 8})
     LARGEST_ANGLE = math.pi / 2
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
@@ -103,155 +108,91 @@ class Pinhole(CameraModel):
     @cached_property
     def max_slope(self) -> float:
         """tan of `max_angle`: first radius at which the distortion folds in some direction."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.parameters.detach()[5:].tolist()
-        numerator = np.polynomial.Polynomial([1.0, k1, k2, k3])
-        denominator = np.polynomial.Polynomial([1.0, k4, k5, k6])
-        r2 = np.polynomial.Polynomial([0.0, 1.0])
-        # d (r q) / d r > 0 and q, denominator > 0, all as polynomials in r^2.
-        growth = (numerator + 2 * r2 * numerator.deriv()) * denominator - 2 * r2 * numerator * denominator.deriv()
-        edge = min(first_sign_change(p.coef, 1.0) for p in (growth, numerator, denominator))
-        slope = min(math.sqrt(edge), FURTHEST_SLOPE)
-        return slope if p1 == 0 and p2 == 0 else self._first_fold(slope)
-
-    def _first_fold(self, slope: float) -> float:
-        """Smallest radius up to `slope` at which the Jacobian of the distortion is singular in some direction."""
-        angles = torch.linspace(0, 2 * math.pi, 65, dtype=torch.float64)[:-1]
-        ring = torch.stack([torch.cos(angles), torch.sin(angles)], -1)
-
-        def sound(radii: Tensor) -> Tensor:
-            with torch.no_grad():
-                return (_determinant(self._distort(radii[:, None, None] * ring)[1]) > 0).all(-1)
-
-        grid = [*np.linspace(0.01, 1, 100), *np.geomspace(1, FURTHEST_SLOPE, 200)]
-        radii = torch.tensor([r for r in grid if r < slope] + [slope * (1 - 1e-12)], dtype=torch.float64)
-        # Each round looks between the last sound radius and the first folded one, 64 times finer than the one before.
-        for _ in range(7):
-            folded = torch.nonzero(~sound(radii))
-            if len(folded) == 0:
-                return slope
-            first = int(folded[0])
-            low, high = (float(radii[first - 1]) if first else 0.0), float(radii[first])
-            radii = torch.linspace(low, high, 65, dtype=torch.float64)[1:]
-        return low
+        return first_fold(self.parameters.detach()[5:].tolist())
 
     @cached_property
     def max_angle(self) -> float:
         """atan of the first radius at which the distortion folds; 90 degrees for the ideal camera."""
         return math.atan(self.max_slope) if self.max_slope < FURTHEST_SLOPE else math.pi / 2
 
-    def _distort(self, plane: Tensor) -> tuple[Tensor, Tensor]:
-        """Distorted (xd, yd) and its 2x2 Jacobian with respect to (x, y)."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.parameters[5:]
-        x, y = plane[..., 0], plane[..., 1]
-        r2 = x * x + y * y
-        numerator, denominator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        q = numerator / denominator
-        by_r2 = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - q * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / denominator
-        xd = x * q + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        yd = y * q + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        cross = 2 * x * y * by_r2 + 2 * p1 * x + 2 * p2 * y
-        xx = q + 2 * x * x * by_r2 + 2 * p1 * y + 6 * p2 * x
-        yy = q + 2 * y * y * by_r2 + 6 * p1 * y + 2 * p2 * x
-        return torch.stack([xd, yd], -1), torch.stack([torch.stack([xx, cross], -1), torch.stack([cross, yy], -1)], -2)
-
-    @property
-    def _matrix(self) -> Tensor:
-        fx, fy, _, _, skew = self.parameters[:5]
-        return torch.stack([torch.stack([fx, skew]), torch.stack([torch.zeros_like(fx), fy])])
-
-    def _plane(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(x / z, y / z) drawn back to the edge of the domain where outside, whether inside, and a z safe to divide by."""
-        z = points[..., 2]
-        s2 = (points[..., :2] ** 2).sum(-1)
+    def _plane(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """x / z and y / z drawn back to the edge of the domain where outside, whether inside, and a z safe to divide by."""
+        x, y, z = points.unbind(-1)
+        s2 = x * x + y * y
         valid = (z > 0) & (s2 <= (self.max_slope * z) ** 2)
-        safe = torch.where(valid, z, torch.ones_like(z))
-        length = torch.where(valid | (s2 == 0), torch.ones_like(s2), s2).sqrt()
-        edge = points[..., :2] * (self.max_slope / length)[..., None]
-        return torch.where(valid[..., None], points[..., :2] / safe[..., None], edge), valid, safe
+        if bool(valid.all()):
+            return x / z, y / z, valid, z
+        # Divided by this, points inside become x / z and points outside come to the edge.
+        length = torch.where(valid | (s2 == 0), 1.0, s2).sqrt()
+        divisor = torch.where(valid, z, length / max(self.max_slope, 1e-300))
+        return x / divisor, y / divisor, valid, torch.where(valid, z, 1.0)
+
+    def _pixels(self, xd: Tensor, yd: Tensor) -> Tensor:
+        fx, fy, cx, cy, skew = self.parameters[:5].unbind()
+        return torch.stack([fx * xd + skew * yd + cx, fy * yd + cy], -1)
 
     def _project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        plane, valid, _ = self._plane(points)
-        return self._distort(plane)[0] @ self._matrix.mT + self.parameters[2:4], valid
+        x, y, valid, _ = self._plane(points)
+        at = distort(self.parameters[5:].unbind(), x, y)
+        return self._pixels(at.x, at.y), valid
+
+    def _ideal(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """x / z and y / z of pixels, and where there is such a point."""
+        fx, fy, cx, cy, skew = self.parameters[:5].unbind()
+        yd = (pixels[..., 1] - cy) / fy
+        xd = (pixels[..., 0] - cx - skew * yd) / fx
+        with torch.no_grad():
+            target = torch.stack([xd, yd], -1).reshape(-1, 2)
+            plane, found = undistort(self.parameters[5:].tolist(), self.max_slope, target)
+        plane, found = plane.view(pixels.shape), found.view(xd.shape)
+        if not (torch.is_grad_enabled() and (pixels.requires_grad or self.parameters.requires_grad)):
+            return plane, found
+        # One Newton step with gradients: the implicit-function theorem, exact at the solution.
+        x, y = plane.unbind(-1)
+        at = distort(self.parameters[5:].unbind(), x, y)
+        frozen = at._replace(xx=at.xx.detach(), cross=at.cross.detach(), yy=at.yy.detach())
+        step = solve_symmetric(frozen, at.x - xd, at.y - yd)
+        return plane - torch.where(found[..., None], torch.stack(step, -1), 0.0), found
 
     def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        target = (pixels - self.parameters[2:4]) @ torch.linalg.inv(self._matrix).mT
-        with torch.no_grad():
-            plane = self._undistort(target)
-        # One Newton step with gradients: the implicit-function theorem, exact at the solution.
-        value, jacobian = self._distort(plane)
-        residual = value - target
-        scale = 1 + target.detach().norm(dim=-1)
-        sound = (residual.detach().norm(dim=-1) < 1e-9 * scale) & (plane.norm(dim=-1) <= self.max_slope)
-        step = _solve(jacobian.detach(), residual)
-        plane = plane - torch.where(sound[..., None], step, torch.zeros_like(step))
-        ray = torch.cat([plane, torch.ones_like(plane[..., :1])], -1)
-        return ray / ray.norm(dim=-1, keepdim=True), sound
-
-    def _undistort(self, target: Tensor) -> Tensor:
-        """Newton on the 2D distortion with step halving, kept inside the one-to-one disc; a point that does not converge is
-        told apart by its residual."""
-        limit = self.max_slope
-        plane = target * torch.clamp(0.5 * limit / target.norm(dim=-1, keepdim=True).clamp_min(1e-300), max=1.0)
-        value, jacobian = self._distort(plane)
-        error = (value - target).norm(dim=-1)
-        for _ in range(60):
-            step = _solve(jacobian, value - target)
-            best, best_error = plane, error
-            for shrink in (1.0, 0.5, 0.125, 0.02):
-                trial = plane - shrink * step
-                trial = trial * torch.clamp(limit / trial.norm(dim=-1, keepdim=True).clamp_min(1e-300), max=1.0)
-                trial_error = (self._distort(trial)[0] - target).norm(dim=-1)
-                better = trial_error < best_error
-                best = torch.where(better[..., None], trial, best)
-                best_error = torch.where(better, trial_error, best_error)
-                if bool((better | (error == 0)).all()):
-                    break
-            stalled = bool((best_error >= error).all())
-            plane, error = best, best_error
-            value, jacobian = self._distort(plane)
-            if stalled:
-                break
-        return plane
+        plane, found = self._ideal(pixels)
+        x, y = plane.unbind(-1)
+        z = torch.rsqrt(x * x + y * y + 1)
+        return torch.stack([x * z, y * z, z], -1), found
 
     def project_with_jacobians(
         self, points: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
         """Chain rule through the ideal plane; all terms closed."""
-        plane, valid, z = self._plane(points)
-        distorted, by_plane = self._distort(plane)
-        matrix = self._matrix
-        x, y = plane[..., 0], plane[..., 1]
-        zero, one = torch.zeros_like(x), torch.ones_like(x)
-        ideal = torch.stack([torch.stack([one, zero, -x], -1), torch.stack([zero, one, -y], -1)], -2) / z[..., None, None]
-        k4, k5, k6 = self.parameters[10:]
-        r2 = x * x + y * y
-        denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        q = (1 + r2 * (self.parameters[5] + r2 * (self.parameters[6] + r2 * self.parameters[9]))) / denominator
-        powers = torch.stack([r2, r2**2, r2**3], -1)
-        upper, lower = powers / denominator[..., None], -powers * (q / denominator)[..., None]
-        tangential = torch.stack([torch.stack([2 * x * y, r2 + 2 * x * x], -1), torch.stack([r2 + 2 * y * y, 2 * x * y], -1)], -2)
-        by_upper, by_lower = plane[..., :, None] * upper[..., None, :], plane[..., :, None] * lower[..., None, :]
-        by_distortion = matrix @ torch.cat([by_upper[..., :2], tangential, by_upper[..., 2:], by_lower], -1)
-        xd, yd = distorted[..., 0], distorted[..., 1]
-        by_u = torch.stack([xd, zero, one, zero, yd], -1)
-        by_v = torch.stack([zero, yd, zero, one, zero], -1)
-        by_parameter = torch.cat([torch.stack([by_u, by_v], -2), by_distortion], -1)
+        x, y, valid, z = self._plane(points)
+        values = self.parameters.detach().tolist()
+        fx, fy, cx, cy, skew = values[:5]
+        at = distort(values[5:], x, y)
+        over = 1 / z
+        ux, uy = (fx * at.xx + skew * at.cross) * over, (fx * at.cross + skew * at.yy) * over
+        fy_over = fy * over
+        vx, vy = fy_over * at.cross, fy_over * at.yy
+        by_point = torch.stack([ux, uy, -(ux * x + uy * y), vx, vy, -(vx * x + vy * y)], -1).unflatten(-1, (2, 3))
+        pixels = torch.stack([fx * at.x + skew * at.y + cx, fy * at.y + cy], -1)
+        by_parameter = _by_parameter(values, at, x, y)
+        if bool(valid.all()):
+            return pixels, valid, by_point, by_parameter
         keep = valid[..., None, None]
-        by_point = torch.where(keep, matrix @ by_plane @ ideal, 0.0)
-        return distorted @ matrix.mT + self.parameters[2:4], valid, by_point, torch.where(keep, by_parameter, 0.0)
+        return pixels, valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
 
 
-def _determinant(symmetric: Tensor) -> Tensor:
-    """Determinants of symmetric 2x2 matrices, without the cost of a batched LU."""
-    return symmetric[..., 0, 0] * symmetric[..., 1, 1] - symmetric[..., 0, 1] ** 2
-
-
-def _solve(symmetric: Tensor, right: Tensor) -> Tensor:
-    """x with A x = b for symmetric 2x2 matrices; b itself where A is singular."""
-    a, b, c = symmetric[..., 0, 0], symmetric[..., 0, 1], symmetric[..., 1, 1]
-    determinant = a * c - b * b
-    singular = determinant.abs() < 1e-14
-    safe = torch.where(singular, torch.ones_like(determinant), determinant)
-    x, y = right[..., 0], right[..., 1]
-    solution = torch.stack([c * x - b * y, a * y - b * x], -1) / safe[..., None]
-    return torch.where(singular[..., None], right, solution)
+def _by_parameter(values: list[float], at: Distorted, x: Tensor, y: Tensor) -> Float[Tensor, "*batch 2 p"]:
+    """d pixel / d parameters at a point of the ideal plane."""
+    fx, fy, _, _, skew = values[:5]
+    r2, q, _, over = at.radial
+    u, v = fx * x + skew * y, fy * y
+    first = r2 * over
+    u1, v1 = u * first, v * first
+    u2, v2 = u1 * r2, v1 * r2
+    u3, v3 = u2 * r2, v2 * r2
+    xy, wide, high = 2 * x * y, r2 + 2 * x * x, r2 + 2 * y * y
+    lower, zero, one = -q, torch.zeros_like(x), torch.ones_like(x)
+    by_u = [at.x, zero, one, zero, at.y, u1, u2, fx * xy + skew * high, fx * wide + skew * xy, u3]
+    by_v = [zero, at.y, zero, one, zero, v1, v2, fy * high, fy * xy, v3]
+    columns = [*by_u, u1 * lower, u2 * lower, u3 * lower, *by_v, v1 * lower, v2 * lower, v3 * lower]
+    return torch.stack(columns, -1).unflatten(-1, (2, 13))

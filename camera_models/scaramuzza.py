@@ -32,6 +32,7 @@ class Scaramuzza(CameraModel):
     """Polynomial of any degree >= 2 with centre and affine matrix; parameters cx cy c d e a0 a2 a3 ... a_degree."""
 
     NAME = "scaramuzza"
+    VARIANTS = ({"degree": 3}, {"degree": 4}, {"degree": 5}, {"degree": 6})
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters = as_tensor(parameters)
@@ -126,33 +127,41 @@ class Scaramuzza(CameraModel):
         rho = self.max_radius_px
         return math.atan2(rho, self.sign * float(np.polynomial.polynomial.polyval(rho, self._numbers)))
 
-    def _height(self, rho: Tensor) -> tuple[Tensor, Tensor]:
-        """f and f'."""
-        slopes = [k * c for k, c in enumerate(self._coefficients)][1:]
-        return horner(self._coefficients, rho), horner(slopes, rho)
+    def _height(self, rho: Tensor) -> Tensor:
+        """f, with gradients."""
+        return horner(self._coefficients, rho)
+
+    def _height_and_slope(self, rho: Tensor) -> tuple[Tensor, Tensor]:
+        """f and f', without gradients by the parameters."""
+        numbers = self._numbers.tolist()
+        return horner(numbers, rho), horner([k * c for k, c in enumerate(numbers)][1:], rho)
 
     def _radius(self, sine: Tensor, cosine: Tensor) -> Tensor:
         """rho of a ray at theta from the centre pixel's bearing, (sine, cosine) of any scale; the domain's end where beyond."""
-        sign = self.sign
-        target = torch.atan2(sine, cosine)
+        numbers = (self.sign * self._numbers).tolist()
+        # f - rho f' = sum (1 - k) a_k rho^k.
+        growth = [(1 - k) * c for k, c in enumerate(numbers)]
 
         def angle(rho: Tensor) -> tuple[Tensor, Tensor]:
-            f, slope = self._height(rho)
-            return torch.atan2(rho, sign * f), sign * (f - rho * slope) / (rho * rho + f * f)
+            f = horner(numbers, rho)
+            return torch.atan2(rho, f), horner(growth, rho) / (rho * rho + f * f)
 
         with torch.no_grad():
-            return invert_monotone(angle, target, self.max_radius_px, target * abs(self._numbers[0]))
+            return invert_monotone(angle, torch.atan2(sine, cosine), self.max_radius_px)
 
     def _solve(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """(rho, rho / s, valid, s2, near) of points, without gradients."""
         with torch.no_grad():
-            s2, z = (points[..., :2] ** 2).sum(-1), self.sign * points[..., 2]
+            x, y, depth = points.unbind(-1)
+            s2, z = x * x + y * y, self.sign * depth
             near = (z > 0) & (s2 < (SMALL_SLOPE * z) ** 2)
             s = s2.sqrt()
             rho = self._radius(s, z)
             valid = (torch.atan2(s, z) <= self.max_angle) & ((s2 > 0) | (z > 0))
-            height = self.sign * self._height(rho)[0]
-            over = torch.where(near, height / torch.where(near, z, torch.ones_like(z)), rho / torch.where(s2 > 0, s, 1.0))
+            over = rho / torch.where(s2 > 0, s, 1.0)
+            if bool(near.any()):
+                height = self.sign * self._height_and_slope(rho)[0]
+                over = torch.where(near, height / torch.where(near, z, 1.0), over)
         return rho, over, valid, s2, near
 
     def _project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
@@ -161,11 +170,11 @@ class Scaramuzza(CameraModel):
         z = points[..., 2]
         s = torch.where(near | (s2 == 0), torch.ones_like(s2), s2).sqrt()
         # One Newton step on h = rho z - s f(rho) with gradients: the implicit-function theorem, exact at the solution.
-        f, slope = self._height(rho)
+        f, (_, slope) = self._height(rho), self._height_and_slope(rho)
         steep = (z - s * slope).detach()
         stepped = rho - (rho * z - s * f) / torch.where(steep == 0, torch.ones_like(steep), steep)
         rho = torch.where(valid & ~near, stepped, rho)
-        over = torch.where(near, self._height(rho)[0] / torch.where(near, z, torch.ones_like(z)), rho / s)
+        over = torch.where(near, self._height(rho) / torch.where(near, z, torch.ones_like(z)), rho / s)
         pixels = (points[..., :2] * over[..., None]) @ self._affine.mT + self.parameters[:2]
         return pixels, valid
 
@@ -176,7 +185,7 @@ class Scaramuzza(CameraModel):
         zero = rho2 == 0
         rho = torch.where(zero, torch.ones_like(rho2), rho2).sqrt()
         rho = torch.where(zero, torch.zeros_like(rho), rho)
-        f, _ = self._height(rho)
+        f = self._height(rho)
         ray = torch.cat([plane, f[..., None]], -1)
         return ray / ray.norm(dim=-1, keepdim=True), rho <= self.max_radius_px
 
@@ -185,28 +194,33 @@ class Scaramuzza(CameraModel):
     ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:
         """From h = rho z - s f(rho) = 0: d rho = (f ds - rho dz + s df) / (z - s f'); x = m rho / s, pixel = A x + c."""
         rho, over, valid, s2, near = self._solve(points)
-        m, z, affine = points[..., :2], points[..., 2], self._affine
-        f, slope = self._height(rho)
+        x, y, z = points.unbind(-1)
+        cx, cy, c, d, e = self.parameters.detach()[:5].tolist()
+        f, slope = self._height_and_slope(rho)
         s = s2.sqrt()
         steep = z - s * slope
-        steep = torch.where(steep == 0, torch.ones_like(steep), steep)
+        inverse = 1 / torch.where(steep == 0, 1.0, steep)
         # (d rho / d s - rho / s) / s, zero on the axis where m m' vanishes anyway.
-        by_s = torch.where(near | (s2 == 0), torch.zeros_like(s), (f / steep - over) / s2.clamp_min(1e-300))
-        eye = torch.eye(2, dtype=points.dtype, device=points.device)
-        by_m = over[..., None, None] * eye + m[..., :, None] * m[..., None, :] * by_s[..., None, None]
-        by_z = -m * (over / steep)[..., None]
-        by_point = affine @ torch.cat([by_m, by_z[..., None]], -1)
-        x = m * over[..., None]
-        orders = torch.tensor([0, *range(2, self.degree + 1)], device=points.device)
-        by_a = (m / steep[..., None])[..., None] * (rho[..., None] ** orders)[..., None, :]
-        zero = torch.zeros_like(x[..., 0])
-        # d pixel / d (c, d, e): c moves v by y, d moves v by x, e moves u by y.
-        by_u = torch.stack([zero, zero, x[..., 1]], -1)
-        by_v = torch.stack([x[..., 1], x[..., 0], zero], -1)
-        by_affine = torch.stack([by_u, by_v], -2)
-        by_parameter = torch.cat([eye.expand(*x.shape, 2), by_affine, affine @ by_a], -1)
+        by_s = torch.where(near | (s2 == 0), 0.0, (f * inverse - over) / s2.clamp_min(1e-300))
+        xx, xy, yy, by_z = over + x * x * by_s, x * y * by_s, over + y * y * by_s, -over * inverse
+        by_u = [xx + e * xy, xy + e * yy, (x + e * y) * by_z]
+        by_v = [d * xx + c * xy, d * xy + c * yy, (d * x + c * y) * by_z]
+        by_point = torch.stack([*by_u, *by_v], -1).unflatten(-1, (2, 3))
+        px, py = x * over, y * over
+        zero, one = torch.zeros_like(x), torch.ones_like(x)
+        # d rho / d a_k = s rho^k / steep.
+        powers = [inverse, inverse * rho * rho]
+        while len(powers) < self.degree:
+            powers.append(powers[-1] * rho)
+        ux, vx = x + e * y, d * x + c * y
+        columns = [one, zero, zero, zero, py, *(ux * power for power in powers)]
+        columns += [zero, one, py, px, zero, *(vx * power for power in powers)]
+        by_parameter = torch.stack(columns, -1).unflatten(-1, (2, 5 + self.degree))
+        pixels = torch.stack([px + e * py + cx, d * px + c * py + cy], -1)
+        if bool(valid.all()):
+            return pixels, valid, by_point, by_parameter
         keep = valid[..., None, None]
-        return x @ affine.mT + self.parameters[:2], valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
+        return pixels, valid, torch.where(keep, by_point, 0.0), torch.where(keep, by_parameter, 0.0)
 
 
 def names_of_degree(degree: int) -> tuple[str, ...]:

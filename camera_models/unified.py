@@ -139,8 +139,7 @@ class Unified(CameraModel):
         return pixels, valid & seen
 
     def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        ray, valid = self._pinhole._unproject(pixels)
-        plane = ray[..., :2] / ray[..., 2:]
+        plane, valid = self._pinhole._ideal(pixels)
         valid = valid & ((plane.detach() ** 2).sum(-1) <= self.max_radius**2)
         return self._ray(torch.where(valid[..., None], plane, torch.zeros_like(plane))), valid
 

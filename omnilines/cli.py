@@ -136,9 +136,10 @@ def calibrate(
     out: Out,
     pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help="WIDTHxHEIGHT, with corners.csv.")] = None,
-    model: Model = "scaramuzza",
-    degree: Annotated[int, typer.Option("--degree", help="Degree of the scaramuzza polynomial.")] = 4,
-    coefficients: Annotated[int, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8.")] = 5,
+    model: Annotated[str, typer.Option("--model", help="A camera model, or auto: fit all, take the best.")] = "scaramuzza",
+    degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (4).")] = None,
+    coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
+    refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
     loss: LossName = "cauchy",
     mirror: Mirror = False,
     as_json: Json = False,
@@ -155,16 +156,17 @@ def calibrate(
     if not tables and pattern is None:
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
     size = parse_size(image_size, "--image-size") if image_size else None
+    board = tuple(name.strip() for name in refine_board.split(",") if name.strip())
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         if size is not None and tables:
             return calibrate_corners(
                 tables[0], size, out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
-                progress=progress,
+                refine_board=board, progress=progress,
             )  # fmt: skip
         return calibrate_photos(
             photos, pattern or "", out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
-            progress=progress,
+            refine_board=board, progress=progress,
         )  # fmt: skip
 
     _run(command, as_json)

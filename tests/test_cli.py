@@ -131,7 +131,7 @@ def test_a_bad_photo_is_skipped_and_the_run_goes_on(photos, tmp_path, capsys):
     status, _, err = run(capsys, "calibrate", folder, "--pattern", SPEC, "--model", "opencv-fisheye", "--out", tmp_path / "o")
     assert status == 0
     notes = {line.split(":")[1].strip(): line for line in err.splitlines() if line.startswith("note: ")}
-    assert set(notes) == {"broken.jpg", "empty.png", "other_size.png"}
+    assert {"broken.jpg", "empty.png", "other_size.png"} <= set(notes)
     assert "cannot be decoded" in notes["broken.jpg"]
     assert "800x600 px where most photos have 640x480 px" in notes["other_size.png"]
     views = yaml.safe_load((tmp_path / "o/calibration.yaml").read_text())["views"]

@@ -321,7 +321,7 @@ def test_tables_say_what_holds_and_escape() -> None:
     assert "2 of 3 views were used." in text and "✗ no : too few corners. 0 0 –" in text and "cam1" in text
     assert re.findall(r"width:([\d.]+)%", markup(views)) == ["50.0", "100.0"]
     assert "Leverage" not in text
-    remarks = ("It shows the same as b.jpg.", "It is <blurred>.")
+    remarks = ("It shows the same as b.jpg.", "it is <blurred>")
     views = report.views_section(
         [
             ViewResult("view 0", "a.jpg", True, None, 48, 0, 0.25, leverage=0.7128, remarks=remarks),
@@ -330,7 +330,7 @@ def test_tables_say_what_holds_and_escape() -> None:
         ]
     )
     text = text_of(markup(views))
-    assert "✓ yes : It shows the same as b.jpg. It is <blurred>. 48 0 71.3 % 0.250" in text
+    assert "✓ yes : It shows the same as b.jpg; it is <blurred> 48 0 71.3 % 0.250" in text
     assert "✓ yes 40 8 28.7 % 0.500" in text and "✗ no : too few corners. 0 0 – –" in text
     parameters = report.parameters_section("pinhole", ["fx"], np.array([500.0]), None)
     assert "Standard deviations are not known" in markup(parameters)

@@ -1,6 +1,8 @@
 """The blur of edges against closed forms, and the photos that are named as blurred against those that were."""
 
 import math
+import pathlib
+import re
 from functools import lru_cache
 
 import cv2
@@ -16,6 +18,8 @@ from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 from camera_models.unified import Unified
+from omnilines.commands.detect import PhotoCorners, detect
+from omnilines.records import Corners
 
 BOARD = pattern("checkerboard:6x5:30mm")
 SIZE = (512, 384)
@@ -132,9 +136,9 @@ def test_exactly_the_moved_photos_are_named(lens: str, share: int, seed: int) ->
     for k, ratio in kinds.items():
         # In between it is for the photo to say: edges turn over the field of a wide lens.
         if ratio > 1.7:
-            assert str(found[k]).startswith("Motion-blurred: its edges are blurred by ")
+            assert str(found[k]).startswith("motion-blurred: its edges are blurred by ")
         if ratio < 1.05:
-            assert str(found[k]).startswith("Blurred, out of focus or by motion along a diagonal")
+            assert str(found[k]).startswith("blurred, out of focus or by motion along a diagonal")
 
 
 def test_defocus_is_not_called_motion_and_figures_are_those_of_the_photo() -> None:
@@ -142,8 +146,9 @@ def test_defocus_is_not_called_motion_and_figures_are_those_of_the_photo() -> No
     detections[4] = seen(cv2.GaussianBlur(photos("pinhole")[4], (0, 0), 1.8), 4)
     found = remarks(detections)
     assert [k for k, remark in enumerate(found) if remark] == [4]
-    assert found[4] is not None and found[4].startswith("Blurred")
-    assert "blurred by 1.9 px (standard deviation), those of the other photos by 0.6 px." in found[4] or "by 0.7 px." in found[4]
+    assert found[4] is not None and found[4].startswith("blurred")
+    figures = [float(text) for text in re.findall(r"([\d.]+) px", found[4])]
+    assert figures[0] == pytest.approx(math.hypot(1.8, 0.65), rel=0.08) and figures[1] == pytest.approx(0.65, rel=0.1)
 
 
 def table(blur_px: np.ndarray, corners: int = MIN_CORNERS) -> tuple[np.ndarray, np.ndarray]:
@@ -157,12 +162,12 @@ def test_sentence_gives_both_directions_and_the_other_photos() -> None:
     blur[2] = 2.0, 2.1
     found = blur_remarks(*table(blur), 8)
     assert found[5] == (
-        "Motion-blurred: its edges are blurred by 3.1 px (standard deviation) in one direction and 1.1 px in the other, those of "
-        "the other photos by 0.9 px."
+        "motion-blurred: its edges are blurred by 3.1 px (standard deviation) in one direction and 1.1 px in the other, those of "
+        "the other photos by 0.9 px"
     )
     assert found[2] == (
-        "Blurred, out of focus or by motion along a diagonal of the board: its edges are blurred by 2.1 px (standard deviation), "
-        "those of the other photos by 0.9 px."
+        "blurred, out of focus or by motion along a diagonal of the board: its edges are blurred by 2.1 px (standard deviation), "
+        "those of the other photos by 0.9 px"
     )
     assert [k for k in range(8) if found[k]] == [2, 5]
 
@@ -183,7 +188,7 @@ def test_rows_may_come_in_any_order_and_few_corners_or_photos_are_not_judged() -
 
 
 def test_sets_that_vary_naturally_are_rarely_named() -> None:
-    """Normal variation by 3 to 20 percent: a photo in 100 at most is named; of 5 strongly blurred ones of 15 none is missed."""
+    """Varied by 3 to 20 percent, at most a photo in 100 is named; of 3 in 15 with 4 times the blur hardly one is missed."""
     rng = np.random.default_rng(0)
     named, missed, sets = 0, 0, 0
     for spread in (0.03, 0.1, 0.2):
@@ -191,16 +196,16 @@ def test_sets_that_vary_naturally_are_rarely_named() -> None:
             for _ in range(40):
                 blur = base * np.exp(spread * rng.standard_normal((15, 1)) + spread / 3 * rng.standard_normal((15, 2)))
                 named += sum(remark is not None for remark in blur_remarks(*table(blur), 15))
-                blur[:5] *= 4.0
-                missed += sum(remark is None for remark in blur_remarks(*table(blur), 15)[:5])
+                blur[:3] *= 4.0
+                missed += sum(remark is None for remark in blur_remarks(*table(blur), 15)[:3])
                 sets += 1
     assert sets == 240
     assert named <= 0.01 * 15 * sets
-    assert missed <= 0.02 * 5 * sets
+    assert missed <= 0.02 * 3 * sets
 
 
 @pytest.mark.parametrize(("folder", "specification"), [("fisheye190", "checkerboard:7x6:30mm")])
-def test_real_photos(folder: str, specification: str, shared_data) -> None:
+def test_real_photos(folder: str, specification: str, shared_data: pathlib.Path) -> None:
     """Sharp as they are, none is named; two that are moved afterwards are."""
     board = pattern(specification)
     files = sorted((shared_data / "calibration" / folder / "images").iterdir())
@@ -213,3 +218,28 @@ def test_real_photos(folder: str, specification: str, shared_data) -> None:
         detections[k] = board.detect(cv2.filter2D(images[k], -1, line_kernel(6.0, angle)))[0]
         assert len(detections[k]) > 30
     assert [k for k, remark in enumerate(remarks(detections)) if remark] == [1, 5]
+
+
+def test_detect_tells_of_the_blurred_photo_and_uses_it(tmp_path: pathlib.Path) -> None:
+    names = [f"{k}.png" for k in range(8)]
+    for k, name in enumerate(names):
+        image = photos("unified")[k]
+        image = cv2.filter2D(image, -1, line_kernel(8.0, 0.4)) if k == 3 else image
+        assert cv2.imwrite(str(tmp_path / name), noisy(image, k))
+    assert cv2.imwrite(str(tmp_path / "empty.png"), np.full(SIZE[::-1], 120, np.uint8))
+    result = detect([tmp_path], BOARD.specification, tmp_path / "out")
+    rows = dict(result.summaries[0].rows)
+    assert rows["2.png"] == "30 corners" and rows["empty.png"].startswith("skipped: ")
+    found = {photo["image"]: photo for photo in result.data["photos"]}
+    assert list(found) == [*names, "empty.png"] and all(
+        set(p) == {"image", "corners", "reason", "remark"} for p in found.values()
+    )
+    assert [name for name, photo in found.items() if photo["remark"]] == ["3.png"]
+    remark = found["3.png"]["remark"]
+    assert "blurred" in remark and found["3.png"]["corners"] == 30
+    assert rows["3.png"] == f"30 corners; {remark}"
+
+
+def test_nothing_is_said_where_the_blur_is_not_known() -> None:
+    corners = Corners(np.repeat([0, 1], 30), ("a", "b"), ("a", "b"), np.tile(BOARD.points_m, (2, 1)), np.zeros((60, 2)))
+    assert PhotoCorners(corners, SIZE, (), pathlib.Path("nowhere")).remarks == (None, None)

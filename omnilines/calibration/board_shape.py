@@ -78,3 +78,7 @@ class BoardShape:
     def moved(self, step: Float[Tensor, "4"]) -> "BoardShape":
         """The shape with other terms."""
         return self if self.plain else replace(self, terms=self.terms + step)
+
+
+AS_DRAWN = BoardShape()
+"""A flat board of square squares, nothing of it estimated."""

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
@@ -15,6 +15,10 @@ NEARLY_PARALLEL_DEG = 15.0
 """Where the camera is left open, boards within this angle are named as the cause."""
 ONE_AXIS_DEG = 3.0
 """Boards whose normals all lie within this angle of a plane count as tilted about one axis."""
+RIM_SHARE = 0.05
+RIM_FACTOR = 4.0
+"""Where more than this share of the outer corners is rejected, and this many times the share of the inner ones, the model is at
+fault."""
 OPEN_SHARE = 0.1
 """A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
 
@@ -46,8 +50,8 @@ def tilt_notes(cam_from_board: Pose, limit_deg: float = ONE_AXIS_DEG) -> tuple[s
     if from_plane > limit_deg:
         return ()
     return (
-        f"All boards are tilted about one axis: the normals of {len(cam_from_board)} views lie within {from_plane:.1f} degrees of "
-        "one plane, and what the photos say across it is weak; add photos with the board tilted about other axes.",
+        f"All boards are tilted about one axis: the normals of {len(cam_from_board)} views lie within {from_plane:.1f} degrees "
+        "of one plane, and what the photos say across it is weak; add photos with the board tilted about other axes.",
     )
 
 
@@ -97,3 +101,20 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
             f"{shorter:.0f} px): the calibration is extrapolated there; add photos with the board near the rim.",
         )
     return ()
+
+
+def rejection_notes(
+    model: CameraModel, pixels: Float[Tensor, "n 2"], kept: Bool[Tensor, " n"], share: float = RIM_SHARE
+) -> tuple[str, ...]:
+    """A sentence where the corners that were rejected gather at the rim: then the model, not the corners, is at fault."""
+    radius = (pixels - model.centre_px).norm(dim=-1)
+    outer = radius > 2 / 3 * float(radius.max())
+    if not bool(outer.any()) or bool(outer.all()):
+        return ()
+    lost = [float((~kept[part]).to(torch.float64).mean()) for part in (outer, ~outer)]
+    if lost[0] <= share or lost[0] <= RIM_FACTOR * lost[1]:
+        return ()
+    return (
+        f"{100 * lost[0]:.0f} percent of the corners in the outer third were rejected and {100 * lost[1]:.1f} percent of the "
+        f"others: the {model.NAME} model does not follow this lens to the rim; try --model auto.",
+    )

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose, hat
-from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, Solution, Structure, solve
 
@@ -24,7 +24,7 @@ class CameraAndBoards:
 
     model: CameraModel
     cam_from_board: Pose
-    shape: BoardShape = BoardShape()
+    shape: BoardShape = AS_DRAWN
 
     def seen(self, points: BoardPoints) -> Float[Tensor, "n 3"]:
         """Board corners in the camera frame."""
@@ -49,13 +49,13 @@ class BoardProblem:
     ) -> None:
         self.points, self.basis = points, basis
         self.weight = torch.ones(len(points.view), dtype=torch.float64) if weight is None else weight
-        self.free_terms = (shape or BoardShape()).free
+        self.free_terms = (shape or AS_DRAWN).free
         kept = basis.shape[1] + self.free_terms.shape[1]
         groups = (KeptGroup(torch.zeros_like(points.view), 1, kept),) if kept else ()
         self.structure = Structure(points.view, points.views, 6, groups)
 
     def linearise(self, state: CameraAndBoards) -> Linearisation:
-        """Reprojection error in pixels times the weight of the corner; d X = omega x X + v for the left perturbation of a pose."""
+        """Reprojection error (px) times the weight of the corner; d X = omega x X + v for the left perturbation of a pose."""
         seen = state.seen(self.points)
         pixels, _, by_point, by_parameter = state.model.project_with_jacobians(seen)
         by_point = by_point * self.weight[:, None, None]

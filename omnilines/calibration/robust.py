@@ -67,9 +67,7 @@ def _judge(points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " 
     return Settled(state, residual.norm(dim=-1) <= REJECT_SIGMA * scale, scale)
 
 
-def _turned_over(
-    points: BoardPoints, clean: BoardPoints, settled: Settled, weight: Float[Tensor, " n"] | None
-) -> Settled:
+def _turned_over(points: BoardPoints, clean: BoardPoints, settled: Settled, weight: Float[Tensor, " n"] | None) -> Settled:
     """Views that do not fit are resected afresh with the camera as it is now: they may have started on the wrong side of their
     tilt. Where that brings their corners nearer it is kept."""
     residual = whitened(settled.state.residual_px(points), weight).norm(dim=-1)

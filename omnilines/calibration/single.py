@@ -18,10 +18,12 @@ from omnilines.calibration.diagnose import (
     coverage_notes,
     refuse_open_camera,
     refuse_parallel_boards,
+    rejection_notes,
     supported_angles_deg,
     tilt_notes,
 )
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
 from omnilines.calibration.screening import smooth_corners
@@ -31,9 +33,9 @@ from omnilines.calibration.views import board_points, corner_weights, require_vi
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.records import Corners, ViewResult
 
-__all__ = ["REJECT_SIGMA", "CameraCalibration", "calibrate_camera"]
+__all__ = ["CameraCalibration", "calibrate_camera"]
 
-IN_PIXELS = ("fx", "fy", "cx", "cy", "skew")
+
 TIED = 9.0
 """Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
 DETECTOR_FLOOR_PX = 0.01
@@ -124,9 +126,16 @@ def calibrate_camera(
         corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
     )
     start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
-    solution = _refine_with_rivals(final.points, start, final.weight, callback)
+    solution, basis = _refine_with_rivals(final.points, start, final.weight, callback), start.model.calibration_basis()
     refuse_parallel_boards(solution.state.cam_from_board)
-    return _result(final, solution, settled.limit_px if loss != "none" else None)
+    notes: tuple[str, ...] = ()
+    held = redundant_parameter(solution, basis, final.points.pixels) if solution.outcome is Outcome.DEGENERATE else None
+    if held is not None:
+        name, value = list(solution.state.model.named_parameters().items())[held]
+        notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
+        basis = basis_without(basis, held)
+        solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
+    return _result(final, solution, basis, settled.limit_px if loss != "none" else None, notes)
 
 
 def _settled(
@@ -186,9 +195,14 @@ class _Final:
     refusals: Mapping[int, str]
 
 
-def _result(final: _Final, solution: Solution[CameraAndBoards], limit_px: float | None) -> CameraCalibration:
+def _result(
+    final: _Final,
+    solution: Solution[CameraAndBoards],
+    basis: Float[Tensor, "p q"],
+    limit_px: float | None,
+    notes: tuple[str, ...],
+) -> CameraCalibration:
     state, model, corners = solution.state, solution.state.model, final.corners
-    basis = model.calibration_basis()
     unit = _unit_covariance(final, solution, basis)
     variance = solution.cost / _freedom(final, solution)
     if corners.sigma_px is not None:
@@ -203,9 +217,12 @@ def _result(final: _Final, solution: Solution[CameraAndBoards], limit_px: float 
     squared = np.sum(residual[final.rows] ** 2)
     count = int(final.rows.sum())
     low, high = supported_angles_deg(model, final.points.pixels)
-    leverage = view_leverage(final.points, state, final.weight, unit)
+    leverage = view_leverage(final.points, state, basis, final.weight, unit)
+    notes += _rejected_corners(final, limit_px)
     freed = [TERM_NAMES[int(column.argmax())] for column in state.shape.free.mT]
-    notes = coverage_notes(model, final.points.pixels, model.image_size) + tilt_notes(state.cam_from_board)
+    notes += coverage_notes(model, final.points.pixels, model.image_size) + tilt_notes(state.cam_from_board)
+    seen = torch.as_tensor(corners.pixels[everywhere])
+    notes += rejection_notes(model, seen, torch.as_tensor(final.rows[everywhere]))
     if float(leverage.max()) > HANGS_ON:
         name = corners.view_names[final.views[int(leverage.argmax())]]
         notes += (
@@ -228,6 +245,19 @@ def _result(final: _Final, solution: Solution[CameraAndBoards], limit_px: float 
         notes,
         state.shape,
         dict(zip(freed, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+    )
+
+
+def _rejected_corners(final: _Final, limit_px: float | None) -> tuple[str, ...]:
+    """How many corners of the views used were rejected, and why."""
+    used = np.isin(final.corners.view, final.views)
+    lost = used & ~final.rows
+    if limit_px is None or not lost.any():
+        return ()
+    views = len(np.unique(final.corners.view[lost]))
+    return (
+        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {limit_px:.2g} px "
+        f"({REJECT_SIGMA:g} robust standard deviations) from where the camera sees them.",
     )
 
 

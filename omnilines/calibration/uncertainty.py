@@ -26,14 +26,17 @@ def bearing_jacobian(
     return bearings, valid & imaged, -model.unproject_jacobian(pixels) @ by_parameter, by_point
 
 
-def supported_grid(model: CameraModel, max_angle_rad: float, points: int = 60) -> Float[Tensor, "n 2"]:
-    """Pixels of a uniform grid over the image within `max_angle_rad` of the bearing of the centre pixel."""
+def supported_grid(
+    model: CameraModel, max_angle_rad: float, min_angle_rad: float = 0.0, points: int = 60
+) -> Float[Tensor, "n 2"]:
+    """Pixels of a uniform grid over the image between these angles from the bearing of the centre pixel."""
     width, height = model.image_size
     step = max(width, height) / points
     u, v = (torch.arange(0.5 * min(step, side), side, step, dtype=torch.float64) - 0.5 for side in (width, height))
     pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1).reshape(-1, 2)
     _, valid = model.unproject(pixels)
-    return pixels[valid & (angles_off_axis(model, pixels) <= max_angle_rad)]
+    angle = angles_off_axis(model, pixels)
+    return pixels[valid & (angle >= min_angle_rad) & (angle <= max_angle_rad)]
 
 
 def projection_covariance_px2(
@@ -61,11 +64,15 @@ def worst_sigma_px(covariance_px2: Float[Tensor, "n 2 2"]) -> Float[Tensor, " n"
 
 
 def view_leverage(
-    points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " n"] | None, covariance: Float[Tensor, "q q"]
+    points: BoardPoints,
+    state: CameraAndBoards,
+    basis: Float[Tensor, "p q"],
+    weight: Float[Tensor, " n"] | None,
+    covariance: Float[Tensor, "k k"],
 ) -> Float[Tensor, " v"]:
-    """Share of the estimated camera and board terms that each view decides: trace(C S_v) / q with the view's term S_v of the
-    reduced normal matrix, C its inverse. The shares of all views add up to 1."""
-    problem = BoardProblem(points, state.model.calibration_basis(), weight, state.shape)
+    """Share of the estimated camera and board terms that each view decides: trace(C S_v) / k with the view's term S_v of the
+    reduced normal matrix over the k columns, C its inverse. The shares of all views add up to 1."""
+    problem = BoardProblem(points, basis, weight, state.shape)
     at = problem.linearise(state)
     gram = points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept], -1))
     own, coupling, kept = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]

@@ -17,6 +17,9 @@ LEAST_VIEWS = 3
 LEAST_CORNERS = 6
 """Corners a view must have: fewer do not determine its radial start."""
 
+MANY_REJECTED = 0.1
+"""A view with more than this share of its corners rejected is named by itself."""
+
 
 def board_points(corners: Corners, rows: Bool[np.ndarray, " n"], views: list[int]) -> BoardPoints:
     """The chosen rows as tensors, their views renumbered to positions in `views`."""
@@ -92,8 +95,10 @@ def view_results(
         if v in place:
             rejected = int(seen[v] - used[v])
             remarks: tuple[str, ...] = ()
-            if rejected and limit_px is not None:
-                remarks = (f"{rejected} of {seen[v]} corners rejected: more than {limit_px:.2g} px from where the camera sees them",)
+            if rejected > MANY_REJECTED * seen[v] and limit_px is not None:
+                remarks = (
+                    f"{rejected} of {seen[v]} corners rejected: more than {limit_px:.2g} px from where the camera sees them",
+                )
             result = replace(
                 result,
                 corners_used=int(used[v]),

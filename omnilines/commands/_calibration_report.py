@@ -1,20 +1,150 @@
-"""The sections of a calibration's report: figures, residuals, coverage, photos with reprojected board lines, boards in 3D."""
+"""What a calibration tells: figures for tables and `--json`, and the sections of its report."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
 
 STEPS_PER_LINE = 40
 """Points per reprojected board line: a fisheye bends it."""
+
+MAP_STEPS = 64
+"""Pixels along the longer side of the image at which the projection uncertainty is drawn."""
+
+
+@dataclass(frozen=True)
+class UncertaintyMap:
+    """Standard deviation of the projection in its worst direction, over a grid of pixels; NaN where the camera sees nothing."""
+
+    u_px: Float[np.ndarray, " w"]
+    v_px: Float[np.ndarray, " h"]
+    sigma_px: Float[np.ndarray, "h w"]
+    supported: Bool[np.ndarray, "h w"]
+    """Within the field of view that the data support."""
+
+    @staticmethod
+    def of(result: CameraCalibration) -> "UncertaintyMap":
+        width, height = result.model.image_size
+        step = max(width, height) / MAP_STEPS
+        u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
+        pixels = torch.as_tensor(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+        low, high = float(np.radians(result.min_angle_deg)), float(np.radians(result.max_angle_deg))
+        reference = supported_grid(result.model, high, low)
+        covariance, valid = projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)
+        angle = angles_off_axis(result.model, pixels)
+        inside = valid & (angle >= low) & (angle <= high)
+        shape = len(v), len(u)
+        return UncertaintyMap(u, v, worst_sigma_px(covariance).numpy().reshape(shape), inside.numpy().reshape(shape))
+
+    @property
+    def figures(self) -> tuple[float, float]:
+        """Median and largest standard deviation (px) over the supported field of view."""
+        inside = self.sigma_px[self.supported]
+        return float(np.median(inside)), float(inside.max())
+
+
+def calibration_summaries(result: CameraCalibration, selection: Selection | None) -> tuple[Summary, ...]:
+    """The figures, the parameters, what was estimated of the board, and how the models compare."""
+    used = [view for view in result.views if view.used]
+    median, largest = UncertaintyMap.of(result).figures
+    rows = (
+        ("model", result.model.NAME),
+        ("views used", f"{len(used)} of {len(result.views)}"),
+        ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
+        ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
+        ("rms_px_per_point", f"{result.rms_px_per_point:.4f}"),
+        ("field of view supported by the data", f"{result.min_angle_deg:.1f} to {result.max_angle_deg:.1f} degrees off axis"),
+        ("projection uncertainty in it", f"{median:.3g} px (median), {largest:.3g} px (worst)"),
+    )
+    notes = result.notes if selection is None else (selection.reason, *result.notes)
+    sigma = result.sigma
+    parameters = tuple(
+        (name, f"{value:.8g} ± {sigma[name]:.2g}" if sigma[name] > 0 else f"{value:.8g} (held)")
+        for name, value in result.model.named_parameters().items()
+    )
+    summaries = [Summary("Calibration", rows, notes), Summary("Parameters ± one standard deviation", parameters)]
+    if result.board_terms:
+        terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
+        summaries.append(Summary("Board ± one standard deviation", terms))
+    if selection is not None:
+        summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
+    return tuple(summaries)
+
+
+def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
+    rows = []
+    for trial in selection.trials:
+        if trial.failure is not None:
+            text = f"not fitted: {trial.failure}"
+        else:
+            text = f"{trial.in_sample_px:.4f}, {trial.held_out_px:.4f}, {trial.parameters} parameters"
+            text += "" if trial.monotone else ", folds back just beyond the data"
+        rows.append((trial.candidate.label + (" (taken)" if trial is selection.chosen else ""), text))
+    return tuple(rows)
+
+
+def calibration_data(result: CameraCalibration, selection: Selection | None) -> dict[str, Any]:
+    """What `--json` prints; see docs/formats.md."""
+    median, largest = UncertaintyMap.of(result).figures
+    data: dict[str, Any] = {
+        "model": result.model.NAME,
+        "image_size": list(result.model.image_size),
+        "parameters": result.model.named_parameters(),
+        "sigma": result.sigma,
+        "rms_px_per_axis": result.rms_px_per_axis,
+        "rms_px_per_point": result.rms_px_per_point,
+        "min_angle_deg": result.min_angle_deg,
+        "max_angle_deg": result.max_angle_deg,
+        "projection_sigma_px": {"median": median, "worst": largest},
+        "views": [
+            {
+                "image": view.image,
+                "used": view.used,
+                "reason": view.reason,
+                "rms_px_per_point": view.rms_px_per_point,
+                "leverage": view.leverage,
+                "remarks": list(view.remarks),
+            }
+            for view in result.views
+        ],
+        "notes": list(result.notes),
+    }
+    if result.board_terms:
+        data["board"] = {name: {"value": v, "sigma": result.board_sigma[name]} for name, v in result.board_terms.items()}
+    if selection is not None:
+        data["selection"] = {
+            "reason": selection.reason,
+            "models": [
+                {
+                    "model": trial.candidate.model,
+                    "options": dict(trial.candidate.options),
+                    "taken": trial is selection.chosen,
+                    "failure": trial.failure,
+                    "monotone": trial.monotone,
+                    "parameters": trial.parameters,
+                    "in_sample_px": _or_none(trial.in_sample_px),
+                    "held_out_px": _or_none(trial.held_out_px),
+                }
+                for trial in selection.trials
+            ],
+        }
+    return data
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def calibration_sections(
@@ -30,11 +160,21 @@ def calibration_sections(
     curve_theta, curve_rho = projection_curve(result)
     values = model.parameters.numpy()
     sigmas = np.array(list(result.sigma.values()))
+    uncertainty = UncertaintyMap.of(result)
     sections = [
-        report.summary_section(summaries[0]),
+        report.summary_section(summaries[0], *summaries[2:]),
         report.parameters_section(model.NAME, model.PARAMETER_NAMES, values, sigmas),
         report.residual_section(pixels, residual, model.image_size, corners.view[kept], list(corners.images), theta_deg=theta),
         report.coverage_section(pixels, model.image_size, circle, supported_angle_deg=result.max_angle_deg),
+        report.uncertainty_section(
+            uncertainty.sigma_px,
+            uncertainty.u_px,
+            uncertainty.v_px,
+            model.image_size,
+            circle,
+            corners_px=pixels,
+            supported_angle_deg=result.max_angle_deg,
+        ),
         report.radial_section(curve_theta, curve_rho, supported_angle_deg=result.max_angle_deg),
         report.views_section(result.views),
     ]

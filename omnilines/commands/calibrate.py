@@ -1,23 +1,76 @@
 """omnilines calibrate: photos or corners.csv -> calibration.yaml, corners.csv, report.html."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraEstimate, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.commands._calibration_report import calibration_sections
+from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.duplicates import duplicate_views
+from omnilines.calibration.select import select_model
+from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
+from omnilines.commands._calibration_report import calibration_data, calibration_sections, calibration_summaries
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.commands.detect import detect_corners
 from omnilines.files import find_photos, read_corners, write_corners
 from omnilines.least_squares import Loss, Progress
-from omnilines.records import Corners, Summary, ViewResult
+from omnilines.records import Corners, ViewResult
 from omnilines.report import write_report
+
+AUTO = "auto"
+"""In the place of a model's name: fit all and take the one that predicts views best."""
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """What a user can ask of a calibration."""
+
+    model: str = "scaramuzza"
+    """Name of a camera model, or AUTO."""
+    degree: int | None = None
+    coefficients: int | None = None
+    loss: str = "cauchy"
+    mirror: bool = False
+    refine_board: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot work before any photo is looked at."""
+        if self.model != AUTO:
+            model_class(self.model)
+        elif self.of_model:
+            raise InputError(
+                f"--model auto tries every number of coefficients itself, found --{next(iter(self.of_model))} beside it; "
+                "leave that out or name a model."
+            )
+        Loss(self.loss)
+        BoardShape.to_refine(self.refine_board, torch.zeros(1, 3, dtype=torch.float64))
+        if self.degree is not None and self.degree < 2:
+            raise InputError(f"--degree was expected to be at least 2, found {self.degree}; 4 suits most lenses.")
+
+    @property
+    def of_model(self) -> dict[str, int]:
+        """The options that go to the model."""
+        given = {"degree": self.degree, "coefficients": self.coefficients}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The corners of a calibration and where they come from."""
+
+    corners: Corners
+    image_size: tuple[int, int]
+    inputs: Mapping[str, Any]
+    photo_folder: Path | None
+    skipped: tuple[ViewResult, ...] = ()
+    remarks: tuple[str | None, ...] = ()
+    """On each view, from its photo."""
 
 
 def calibrate_photos(
@@ -26,26 +79,26 @@ def calibrate_photos(
     out: Path,
     *,
     model: str = "scaramuzza",
-    degree: int = 4,
-    coefficients: int = 5,
+    degree: int | None = None,
+    coefficients: int | None = None,
     loss: str = "cauchy",
     mirror: bool = False,
+    refine_board: tuple[str, ...] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate one camera from photos of a target.
 
+    With `model` "auto" all models are fitted and one is chosen by held-out views (`calibration.select`).
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
-    _check_options(model, degree, loss)
+    options = CalibrationOptions(model, degree, coefficients, loss, mirror, refine_board)
     refs = find_photos(photos)
     pattern = parse_pattern(pattern_spec)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect_corners(refs, pattern, mirrored=mirror, progress=progress)
     inputs = {"photos": found.photo_folder, "pattern": pattern.specification}
-    return _calibrate(
-        found.corners, found.image_size, out, model, degree, coefficients, loss, mirror, inputs, found.skipped,
-        found.photo_folder, progress,
-    )  # fmt: skip
+    source = _Source(found.corners, found.image_size, inputs, found.photo_folder, found.skipped, found.remarks)
+    return _calibrate(source, out, options, progress)
 
 
 def calibrate_corners(
@@ -54,17 +107,18 @@ def calibrate_corners(
     out: Path,
     *,
     model: str = "scaramuzza",
-    degree: int = 4,
-    coefficients: int = 5,
+    degree: int | None = None,
+    coefficients: int | None = None,
     loss: str = "cauchy",
     mirror: bool = False,
+    refine_board: tuple[str, ...] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate one camera from a table of corners; photos beside it (folder `images`) are drawn in the report if present.
 
     Raises InputError naming file, line and column where the table is malformed.
     """
-    _check_options(model, degree, loss)
+    options = CalibrationOptions(model, degree, coefficients, loss, mirror, refine_board)
     corners = read_corners(corners_csv)
     outside = ((corners.pixels < -0.5) | (corners.pixels > np.array(image_size) - 0.5)).any(-1)
     if outside.any():
@@ -75,50 +129,56 @@ def calibrate_corners(
             f"({u:g}, {v:g}) in view {corners.view_names[corners.view[row]]}; check --image-size (width x height)."
         )
     beside = [folder for folder in (corners_csv.parent / "images", corners_csv.parent) if (folder / corners.images[0]).is_file()]
-    inputs = {"corners": corners_csv}
-    return _calibrate(
-        corners, image_size, out, model, degree, coefficients, loss, mirror, inputs, (), beside[0] if beside else None, progress
-    )
+    source = _Source(corners, image_size, {"corners": corners_csv}, beside[0] if beside else None)
+    return _calibrate(source, out, options, progress)
 
 
-def _check_options(model: str, degree: int, loss: str) -> None:
-    """Refuse what cannot work before any photo is looked at."""
-    model_class(model)
-    Loss(loss)
-    if degree < 2:
-        raise InputError(f"--degree was expected to be at least 2, found {degree}; 4 suits most lenses.")
-
-
-def _calibrate(
-    corners: Corners,
-    image_size: tuple[int, int],
-    out: Path,
-    model: str,
-    degree: int,
-    coefficients: int,
-    loss: str,
-    mirror: bool,
-    inputs: Mapping[str, Any],
-    skipped: tuple[ViewResult, ...],
-    photo_folder: Path | None,
-    progress: ProgressCallback,
-) -> CommandResult:
+def _calibrate(source: _Source, out: Path, options: CalibrationOptions, progress: ProgressCallback) -> CommandResult:
     def tell(step: Progress) -> None:
         progress("refining the camera", step.iteration, 0)
 
-    options = {"degree": degree, "coefficients": coefficients}
-    result = calibrate_camera(corners, image_size, model, loss=loss, mirror=mirror, options=options, callback=tell)
-    result = replace(result, views=result.views + skipped)
+    selection = None
+    model, of_model = options.model, options.of_model
+    common: dict[str, Any] = {"loss": options.loss, "mirror": options.mirror}
+    if model == AUTO:
+
+        def trying(label: str, done: int, total: int) -> None:
+            progress(f"fitting {label}", done, total)
+
+        selection = select_model(source.corners, source.image_size, callback=trying, **common)
+        model, of_model = selection.chosen.candidate.model, dict(selection.chosen.candidate.options)
+    if selection is not None and not options.refine_board:
+        result = selection.result
+    else:
+        board = options.refine_board
+        result = calibrate_camera(
+            source.corners, source.image_size, model, options=of_model, refine_board=board, callback=tell, **common
+        )
+    result = with_remarks(result, _remarks(source, result))
+    result = replace(result, views=result.views + source.skipped)
     folder = output_folder(out)
     files = (folder / "calibration.yaml", folder / "corners.csv")
-    save(files[0], calibration_record(result, mirror, inputs))
-    write_corners(files[1], corners)
+    save(files[0], calibration_record(result, options.mirror, source.inputs))
+    write_corners(files[1], source.corners)
     progress("writing the report", 0, 0)
-    summaries = _summaries(result)
-    sections = calibration_sections(result, corners, summaries, photo_folder)
+    summaries = calibration_summaries(result, selection)
+    sections = calibration_sections(result, source.corners, summaries, source.photo_folder)
     report = write_report(folder / "report.html", f"Calibration of a {model} camera", sections)
-    warnings = tuple(f"{view.image}: {view.reason}" for view in result.views if not view.used) + result.notes
-    return CommandResult(summaries, _data(result), files=(*files, report), report=report, warnings=warnings)
+    warnings = tuple(f"{view.image}: {view.reason}" for view in result.views if not view.used)
+    warnings += tuple(f"{view.image}: {remark}" for view in result.views for remark in view.remarks) + result.notes
+    warnings += () if selection is None else (selection.reason,)
+    return CommandResult(summaries, calibration_data(result, selection), files=(*files, report), report=report, warnings=warnings)
+
+
+def _remarks(source: _Source, result: CameraCalibration) -> dict[str, tuple[str, ...]]:
+    """What the photos and the table of corners say of single views: blur, and views that show the same as another."""
+    names = source.corners.view_names
+    found: dict[str, list[str]] = {name: [remark] for name, remark in zip(names, source.remarks, strict=False) if remark}
+    for first, later in duplicate_views(source.corners, result.rms_px_per_axis):
+        found.setdefault(names[later], []).append(
+            f"it shows the board where {names[first]} does, to within the noise: a duplicate counts twice and adds little"
+        )
+    return {name: tuple(remarks) for name, remarks in found.items()}
 
 
 def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[str, Any]) -> Calibration:
@@ -146,40 +206,7 @@ def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[
         )
         for view in result.views
     )
+    if result.board_terms:
+        # The poses of the views are those of this board.
+        inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}
     return Calibration({"cam0": result.model}, {"cam0": estimate}, views=views, provenance=provenance(inputs))
-
-
-def _summaries(result: CameraCalibration) -> tuple[Summary, ...]:
-    used = [view for view in result.views if view.used]
-    rows = (
-        ("model", result.model.NAME),
-        ("views used", f"{len(used)} of {len(result.views)}"),
-        ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
-        ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
-        ("rms_px_per_point", f"{result.rms_px_per_point:.4f}"),
-        ("field of view supported by the data", f"{result.min_angle_deg:.1f} to {result.max_angle_deg:.1f} degrees off axis"),
-    )
-    sigma = result.sigma
-    parameters = tuple(
-        (name, f"{value:.8g} ± {sigma[name]:.2g}" if sigma[name] > 0 else f"{value:.8g} (held)")
-        for name, value in result.model.named_parameters().items()
-    )
-    return Summary("Calibration", rows, result.notes), Summary("Parameters ± one standard deviation", parameters)
-
-
-def _data(result: CameraCalibration) -> dict[str, Any]:
-    return {
-        "model": result.model.NAME,
-        "image_size": list(result.model.image_size),
-        "parameters": result.model.named_parameters(),
-        "sigma": result.sigma,
-        "rms_px_per_axis": result.rms_px_per_axis,
-        "rms_px_per_point": result.rms_px_per_point,
-        "min_angle_deg": result.min_angle_deg,
-        "max_angle_deg": result.max_angle_deg,
-        "views": [
-            {"image": view.image, "used": view.used, "reason": view.reason, "rms_px_per_point": view.rms_px_per_point}
-            for view in result.views
-        ],
-        "notes": list(result.notes),
-    }

@@ -110,7 +110,7 @@ def detect(
     write_corners(path, found.corners)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
-    rows = tuple((image, f"{count} corners" + (f"; {_lowered(remark)}" if remark else "")) for image, count, remark in seen)
+    rows = tuple((image, f"{count} corners" + (f"; {remark}" if remark else "")) for image, count, remark in seen)
     skipped = tuple((view.image, f"skipped: {view.reason}") for view in found.skipped)
     data = {
         "pattern": pattern.specification,
@@ -120,8 +120,3 @@ def detect(
     }
     summary = Summary(f"Corners of {pattern.specification}", rows + skipped, (f"{len(found.corners)} corners in {path}",))
     return CommandResult((summary,), data, files=(path,))
-
-
-def _lowered(sentence: str) -> str:
-    """The sentence as the second half of another one."""
-    return sentence[0].lower() + sentence[1:].rstrip(".")

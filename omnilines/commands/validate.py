@@ -40,7 +40,8 @@ def validate(
       the image) where that is more, as it is for small images;
     - the parameters agree with the truth within their covariance: jointly, by the 99.9 percent quantile, and each within 4.5
       standard deviations;
-    - so do the lines within theirs, after the best similarity, by the same quantile.
+    - the lines agree with the rows and columns of the true board, after the best similarity, within what the accuracy that the
+      detector states for each corner predicts, by the same quantile; at most 5 percent of the corners (rounded up) fit no line.
 
     Writes `photos/` (photos and truth), calibration.yaml, corners.csv, the line scene and report.html into `out`. The result
     holds when every check does. Raises InputError for options out of range and GeometryError where the data determine nothing.

@@ -5,4 +5,16 @@ from omnilines.least_squares.losses import LOSSES, Loss
 from omnilines.least_squares.schur import Linearisation
 from omnilines.least_squares.structure import Cells, KeptGroup, Structure
 
-__all__ = ["LOSSES", "Cells", "KeptGroup", "Linearisation", "Loss", "Outcome", "Problem", "Progress", "Solution", "Structure", "solve"]
+__all__ = [
+    "LOSSES",
+    "Cells",
+    "KeptGroup",
+    "Linearisation",
+    "Loss",
+    "Outcome",
+    "Problem",
+    "Progress",
+    "Solution",
+    "Structure",
+    "solve",
+]

@@ -49,7 +49,7 @@ def views_section(views: Sequence[ViewResult], title: str = "Views") -> Section:
         {
             "view": v,
             "rms": None if v.rms_px_per_point is None else _figure(v.rms_px_per_point, 3),
-            "notes": " ".join(v.remarks) if v.used else v.reason,
+            "notes": "; ".join(remark.rstrip(".") for remark in v.remarks) if v.used else v.reason,
             "leverage": None if v.leverage is None else f"{100 * v.leverage:.1f} %",
             "share": 0.0 if v.rms_px_per_point not in residuals else round(100 * (v.rms_px_per_point or 0.0) / longest, 1),
         }
