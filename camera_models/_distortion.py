@@ -128,15 +128,17 @@ def _tangential_fold(polynomials: list[list[float]], size: float, radius: float)
         return g * q - 4 * a * a + 2 * a * c * (g + 3 * q + 8 * a * c)
 
     grid = np.append(FOLD_GRID[FOLD_GRID < radius], radius * (1 - 1e-12))
-    folded = np.flatnonzero(~(least(grid, np.maximum) > 0))
-    if not len(folded):
-        return radius
-    high = float(grid[folded[0]])
-    low = float(grid[folded[0] - 1]) if folded[0] else 0.0
-    while high - low > 1e-14 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if least(middle, max) > 0 else (low, middle)
-    return low
+    # Where the denominator vanishes at the edge the quotients are infinite or NaN, which counts as folded.
+    with np.errstate(all="ignore"):
+        folded = np.flatnonzero(~(least(grid, np.maximum) > 0))
+        if not len(folded):
+            return radius
+        high = grid[folded[0]]
+        low = grid[folded[0] - 1] if folded[0] else np.float64(0.0)
+        while high - low > 1e-14 * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if least(middle, max) > 0 else (low, middle)
+    return float(low)
 
 
 def _value(coefficients: list[float], x):  # type: ignore[no-untyped-def]

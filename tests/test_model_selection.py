@@ -47,14 +47,15 @@ def test_the_model_of_the_lens_is_taken_or_one_as_good_with_fewer_parameters():
         assert all(trial.held_out_px > trial.in_sample_px for trial in selection.trials)
 
 
-def test_a_model_that_cannot_hold_the_lens_is_named_and_the_rest_goes_on():
-    lens = OpenCVFisheye([255.0, 255.0, 639.5, 479.5, 0.01, -0.005, 0.001, 0.0], SIZE)
-    corners = board_corners(lens, board_views(lens, 105, 12, 1), 0.2, 1)
-    selection = select_model(
-        corners, SIZE, candidates=(Candidate("pinhole", {"coefficients": 5}), Candidate("opencv-fisheye", {}))
-    )
-    assert selection.chosen.candidate.model == "opencv-fisheye"
-    assert "pinhole holds angles below 90 degrees" in (selection.trials[0].failure or "")
+def test_a_model_that_cannot_hold_the_camera_is_named_and_the_rest_goes_on():
+    mirror = Scaramuzza([644.0, 476.0, 1.0, 0.0, 0.0, -320.0, 9e-4, 0.0, 1e-9], SIZE)
+    corners = board_corners(mirror, board_views(mirror, 80, 12, 5, mirror=True), 0.2, 5)
+    two = (Candidate("opencv-fisheye", {}), Candidate("scaramuzza", {"degree": 4}))
+    selection = select_model(corners, SIZE, mirror=True, candidates=two)
+    assert selection.chosen.candidate.model == "scaramuzza"
+    assert "found --mirror" in (selection.trials[0].failure or "")
+    with pytest.raises(InputError, match="found --mirror"):
+        select_model(corners, SIZE, mirror=True, candidates=two[:1])
 
 
 def test_too_few_views_to_choose():

@@ -33,9 +33,6 @@ from omnilines.calibration.views import board_points, corner_weights, require_vi
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.records import Corners, ViewResult
 
-__all__ = ["CameraCalibration", "calibrate_camera"]
-
-
 TIED = 9.0
 """Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
 DETECTOR_FLOOR_PX = 0.01

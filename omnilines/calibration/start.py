@@ -47,8 +47,8 @@ def ranked_starts(clean: BoardPoints, in_order: Bool[Tensor, " v"], kind: Camera
     """Starts from the best to the worst: the closed form at each candidate for the centre, without the views that do not fit
     the others, and where none of these comes near the corners a few equidistant lenses.
 
-    `clean` and `in_order` are what `smooth_corners` leaves. Raises GeometryError where the corners reach farther off axis than the
-    model can.
+    `clean` and `in_order` are what `smooth_corners` leaves. Raises GeometryError where the corners reach farther off axis than
+    the model can.
     """
     if int(in_order.sum()) < LEAST_VIEWS:
         in_order = torch.ones_like(in_order)
