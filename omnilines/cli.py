@@ -175,9 +175,12 @@ def calibrate(
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
-Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging or svd.")]
-Cost = Annotated[str, typer.Option("--cost", help="sector or whitened.")]
-Refine = Annotated[str, typer.Option("--refine", help="lines, or lines,poses.")]
+Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging, svd or ml.")]
+Cost = Annotated[str, typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm.")]
+Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
+PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
+PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
+Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 
 
 @app.command()
@@ -190,6 +193,9 @@ def reconstruct(
     cost: Cost = "sector",
     refine: Refine = "lines",
     loss: LossName = "none",
+    robust: Robust = False,
+    pose_sigma_deg: PoseSigmaDeg = None,
+    pose_sigma_m: PoseSigmaM = None,
     as_json: Json = False,
 ) -> None:
     """Calibration, poses and matched segments -> 3D lines, report.html."""
@@ -198,7 +204,7 @@ def reconstruct(
     _run(
         lambda progress: reconstruct_segments(
             calibration, poses, segments, out, triangulation=triangulation, cost=cost, refine=refine, loss=loss,
-            progress=progress,
+            robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, progress=progress,
         ),
         as_json,
     )  # fmt: skip
@@ -214,10 +220,15 @@ def adjust(
     cost: Cost = "sector",
     refine: Refine = "lines,poses",
     loss: LossName = "none",
+    robust: Robust = False,
+    pose_sigma_deg: PoseSigmaDeg = None,
+    pose_sigma_m: PoseSigmaM = None,
     as_json: Json = False,
 ) -> None:
     """Refine the lines and the poses of a scene."""
-    reconstruct(calibration, poses, segments, out, triangulation, cost, refine, loss, as_json)
+    reconstruct(
+        calibration, poses, segments, out, triangulation, cost, refine, loss, robust, pose_sigma_deg, pose_sigma_m, as_json
+    )
 
 
 @render_app.command()
@@ -295,6 +306,58 @@ def board(
         ),
         as_json,
     )  # fmt: skip
+
+
+Noise = Annotated[str, typer.Option("--noise", help="Standard deviations of the end points, pixels, with commas.")]
+Trials = Annotated[int, typer.Option("--trials", help="Trials at each noise.")]
+PerturbDeg = Annotated[float, typer.Option("--perturb-deg", help="Turn of every pose before it is estimated.")]
+PerturbM = Annotated[float, typer.Option("--perturb-m", help="Shift of every pose before it is estimated.")]
+
+
+STUDIES = {
+    "wide": "Lines in a cube, cameras 45 degrees apart: every triangulation and cost against noise, with the Cramer-Rao bound.",
+    "short": "The same with cameras 9 degrees apart.",
+    "room": "The same in a room of lines through a fisheye of 190 degrees.",
+}
+
+
+def _add_study(name: str) -> None:
+    @experiment_app.command(name, help=STUDIES[name])
+    def study(
+        out: Out,
+        trials: Trials = 50,
+        noise: Noise = "0.2,0.5,1,1.5,2,2.5,3",
+        perturb_deg: PerturbDeg = 1.0,
+        perturb_m: PerturbM = 0.05,
+        seed: Seed = 0,
+        as_json: Json = False,
+    ) -> None:
+        from omnilines.commands.experiment_lines import experiment_lines, parse_noise
+
+        levels = parse_noise(noise)
+        _run(
+            lambda progress: experiment_lines(
+                name, out, noise_px=levels, trials=trials, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
+                progress=progress,
+            ),
+            as_json,
+        )  # fmt: skip
+
+
+for _name in STUDIES:
+    _add_study(_name)
+
+
+@experiment_app.command()
+def house(
+    data: Annotated[Path, typer.Option("--data", help="Folder of the model house, with 2D and 3D in it.", show_default=False)],
+    out: Out,
+    as_json: Json = False,
+) -> None:
+    """Lines of the Oxford model house: every triangulation and every cost, residuals in pixels."""
+    from omnilines.commands.experiment_house import experiment_house
+
+    _run(lambda progress: experiment_house(data, out, progress=progress), as_json)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -79,6 +79,8 @@ class ImagePoses:
     cameras: tuple[str, ...] | None = None
     covariance: Float[np.ndarray, "n 6 6"] | None = None
     """Of the left perturbation (rotation_rad, translation_m) of each pose, in the gauge the adjustment states."""
+    frames: tuple[str, ...] | None = None
+    """Instant of each photo of a rig."""
 
     def __len__(self) -> int:
         return len(self.images)
@@ -97,7 +99,8 @@ LINE_STATUSES = (
     "inconsistent",
     "unsupported",
 )
-"""Every status a line can have; the end points are known for `ok` and `weak` only."""
+"""Every status a line can have; the end points are known for `ok` and `weak` only. `two_views` is read but not written: a line of
+two views is `weak` and keeps its end points (`triangulation.result.Triangulation.two_views` names it)."""
 
 
 @dataclass(frozen=True)

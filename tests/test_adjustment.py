@@ -9,8 +9,11 @@ from torch import Tensor
 from camera_models import InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
-from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.lines import Adjusted, LineProblem, LinesAndPoses, adjust_lines, end_sigma_m, factor_of
+from omnilines.adjustment.arcs import Arcs, Observed
+from omnilines.adjustment.lines import Adjusted, adjust_lines, end_sigma_m
+from omnilines.adjustment.problem import Freedom, LineProblem
+from omnilines.adjustment.state import LinesAndPoses
+from omnilines.costs import COSTS
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Outcome
@@ -46,9 +49,19 @@ class Scene:
         assert valid.all()
         covariance = (stated_px or 1.0) ** 2 * torch.eye(2, dtype=torch.float64).expand(len(pixels), 2, 2, 2)
         jacobian = CAMERA.unproject_jacobian(pixels)
-        return Arcs(
-            self.image, self.track, len(self.poses), len(self.ends), bearings, jacobian, covariance, stated_px is not None
+        observed = Observed(pixels, torch.zeros_like(self.image))
+        plain = Arcs(
+            self.image,
+            self.track,
+            len(self.poses),
+            len(self.ends),
+            bearings,
+            jacobian,
+            covariance,
+            stated_px is not None,
+            observed=observed,
         )
+        return plain.seen_by([CAMERA])
 
     def disturbed(self, angle_deg: float, shift_m: float, seed: int = 0) -> Pose:
         random = torch.randn(len(self.poses), 6, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
@@ -78,20 +91,21 @@ def dense_jacobian(problem: LineProblem, state: LinesAndPoses) -> tuple[Tensor, 
     return by_kept, by_line.flatten(1)
 
 
-@pytest.mark.parametrize("cost", ["sector", "whitened"])
+@pytest.mark.parametrize("cost", [name for name, _ in COSTS])
 @pytest.mark.parametrize("held", [(), (2,), (0, 3)])
 def test_analytic_jacobian_is_that_of_autograd_through_the_retraction(cost: str, held: tuple[int, ...]) -> None:
     scene = Scene(cameras=5, lines=8)
     arcs = scene.arcs(NOISE_PX)
     state = state_of(scene, arcs, scene.disturbed(1.0, 0.01))
-    problem = LineProblem(arcs, factor_of(cost, arcs, state.normals(arcs)), none_held(scene, *held))
+    problem = LineProblem(arcs, cost, Freedom(none_held(scene, *held)), state)
     at = problem.linearise(state)
     by_kept, by_line = dense_jacobian(problem, state)
     rows = torch.arange(len(arcs))
-    dense_line = torch.zeros(len(arcs), 2, arcs.tracks, 4, dtype=torch.float64)
+    size = at.residual.shape[1]
+    dense_line = torch.zeros(len(arcs), size, arcs.tracks, 4, dtype=torch.float64)
     dense_line[rows, :, arcs.track] = at.by_eliminated
     group = problem.structure.groups[0]
-    dense_kept = torch.zeros(len(arcs), 2, group.count, 6, dtype=torch.float64)
+    dense_kept = torch.zeros(len(arcs), size, group.count, 6, dtype=torch.float64)
     free = group.index >= 0
     dense_kept[rows[free], :, group.index[free]] = at.by_kept[0][free]
     scale = float(by_line.abs().max())
@@ -105,7 +119,7 @@ def test_gauge_columns_are_exact_null_directions(held: tuple[int, ...], columns:
     arcs = scene.arcs(NOISE_PX)
     # Away from the solution too: a common similarity changes no residual anywhere.
     state = state_of(scene, arcs, scene.disturbed(2.0, 0.05))
-    problem = LineProblem(arcs, factor_of("sector", arcs, state.normals(arcs)), none_held(scene, *held))
+    problem = LineProblem(arcs, "sector", Freedom(none_held(scene, *held)), state)
     gauge = problem.gauge(state)
     assert gauge.shape == (problem.structure.kept_size, columns)
     by_kept, by_line = dense_jacobian(problem, state)
@@ -161,15 +175,13 @@ def test_held_poses_do_not_move_and_only_lines_are_refined_when_asked() -> None:
     assert torch.equal(only_lines.state.cam_from_world.rotation, scene.poses.rotation)
     assert only_lines.outcome is Outcome.CONVERGED
     # Each line by itself against Gauss-Newton with the dense Jacobian: nothing is left to gain.
-    problem = LineProblem(
-        arcs, factor_of("sector", arcs, only_lines.state.normals(arcs)), torch.ones(len(start), dtype=torch.bool)
-    )
+    problem = LineProblem(arcs, "sector", Freedom(torch.ones(len(start), dtype=torch.bool)), only_lines.state)
     at = problem.linearise(only_lines.state)
     gradient = normal_equations(problem.structure, at, torch.ones(len(arcs), dtype=torch.float64)).eliminated_gradient
     assert float(gradient.abs().max()) < 1e-7
     with pytest.raises(InputError, match="not held was expected"):
         adjust_lines(arcs, scene.lines, start, held=torch.ones(len(start), dtype=torch.bool))
-    with pytest.raises(InputError, match="one of sector, whitened, found 'huber'"):
+    with pytest.raises(InputError, match="one of sector, whitened, taylor-kriegman, bartoli-sturm, found 'huber'"):
         adjust_lines(arcs, scene.lines, start, cost="huber")
 
 
@@ -233,7 +245,7 @@ def test_joint_covariance_holds_the_single_ones_and_is_the_dense_inverse() -> No
     adjusted = adjust_lines(arcs, scene.lines, scene.poses, cost="whitened", held=none_held(scene, 0, 4))
     tracks = torch.tensor([5, 0, 3])
     joint = adjusted.joint_line_covariance(tracks).reshape(3, 4, 3, 4)
-    problem = LineProblem(arcs, factor_of("whitened", arcs, adjusted.state.normals(arcs)), none_held(scene, 0, 4))
+    problem = LineProblem(arcs, "whitened", Freedom(none_held(scene, 0, 4)), adjusted.state)
     by_kept, by_line = dense_jacobian(problem, adjusted.state)
     jacobian = torch.cat([by_kept, by_line], 1)
     dense = torch.linalg.inv(jacobian.mT @ jacobian)[by_kept.shape[1] :, by_kept.shape[1] :].reshape(8, 4, 8, 4)

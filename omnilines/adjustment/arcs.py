@@ -1,7 +1,7 @@
 """Observed arcs of matched lines: pixels taken to bearings once; after this nothing knows which camera it was."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -10,8 +10,19 @@ from torch import Tensor
 
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.geometry.sphere import arc_normal
+from omnilines.costs._cost import ArcNodes
+from omnilines.costs.taylor_kriegman import NODES, along
+from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.records import ImagePoses, Segments
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Where arcs come from, so that they can be formed anew with other camera parameters."""
+
+    pixels: Float[Tensor, "n 2 2"]
+    camera: Int[Tensor, " n"]
+    """Index into the cameras of the calibration, in its order."""
 
 
 @dataclass(frozen=True)
@@ -30,22 +41,38 @@ class Arcs:
     """Of both end points; sigma_px squared times the identity where only that is known, 1 px where nothing is."""
     sigma_known: bool
     """False where the noise of the end points was not given and is estimated from the residuals."""
+    nodes: ArcNodes | None = None
+    """Places along the image of each arc, for costs that integrate over it."""
+    observed: Observed | None = None
+    """Where the arcs come from, where cameras may be refined."""
 
     def __len__(self) -> int:
         return len(self.image)
 
     def rows(self, chosen: Bool[Tensor, " n"]) -> "Arcs":
         """The chosen rows; images and tracks keep their numbers."""
-        return Arcs(
-            self.image[chosen],
-            self.track[chosen],
-            self.images,
-            self.tracks,
-            self.bearings[chosen],
-            self.by_pixel[chosen],
-            self.covariance_px2[chosen],
-            self.sigma_known,
+        nodes, observed = self.nodes, self.observed
+        if nodes is not None:
+            nodes = ArcNodes(nodes.share, nodes.by_pixel[chosen], nodes.length_px[chosen])
+        if observed is not None:
+            observed = Observed(observed.pixels[chosen], observed.camera[chosen])
+        return replace(
+            self,
+            image=self.image[chosen],
+            track=self.track[chosen],
+            bearings=self.bearings[chosen],
+            by_pixel=self.by_pixel[chosen],
+            covariance_px2=self.covariance_px2[chosen],
+            nodes=nodes,
+            observed=observed,
         )
+
+    def seen_by(self, models: Sequence[CameraModel]) -> "Arcs":
+        """The same pixels through cameras with other parameters. Raises InputError where the arcs do not know their pixels."""
+        if self.observed is None:
+            raise InputError("Arcs that know their pixels were expected to refine cameras; make them with arcs_from_segments.")
+        bearings, _, by_pixel = _unproject(self.observed, models)
+        return replace(self, bearings=bearings, by_pixel=by_pixel, nodes=_nodes(self.observed, bearings, models))
 
     def orthogonal_px(self, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
         """Signed orthogonal distance (px) of both ends from the projected line: (V_i . Mh) / |J_i' Mh|."""
@@ -73,7 +100,11 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
     camera_of = _cameras_of_images(segments, poses, cameras)
     matched, posed = segments.track >= 0, image >= 0
     rows = np.flatnonzero(matched & posed)
-    bearings, seen, by_pixel = _unproject(segments, rows, camera_of, cameras)
+    order = list(cameras)
+    place_of = np.array([order.index(name) for name in camera_of], dtype=np.int64)
+    observed = Observed(torch.as_tensor(segments.endpoints_px[rows]), torch.as_tensor(place_of[segments.image[rows]]))
+    models = [cameras[name] for name in order]
+    bearings, seen, by_pixel = _unproject(observed, models)
     ends_differ = arc_normal(bearings[:, 0], bearings[:, 1]).norm(dim=-1) > 0.5
     usable = (seen.all(-1) & ends_differ).numpy()
     left_out = _sentences(
@@ -90,6 +121,7 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
         )
     kept = rows[usable]
     covariance, known = _covariance_px2(segments, kept)
+    observed = Observed(observed.pixels[usable], observed.camera[usable])
     arcs = Arcs(
         torch.as_tensor(image[kept]),
         torch.as_tensor(segments.track[kept]),
@@ -99,6 +131,8 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
         by_pixel[usable],
         covariance,
         known,
+        _nodes(observed, bearings[usable], models),
+        observed,
     )
     return ArcTable(arcs, kept, left_out)
 
@@ -125,19 +159,37 @@ def _cameras_of_images(segments: Segments, poses: ImagePoses, cameras: Mapping[s
     return names
 
 
-def _unproject(
-    segments: Segments, rows: Int[np.ndarray, " m"], camera_of: list[str], cameras: Mapping[str, CameraModel]
-) -> tuple[Tensor, Tensor, Tensor]:
-    pixels = torch.as_tensor(segments.endpoints_px[rows])
-    bearings = pixels.new_zeros(len(rows), 2, 3)
-    seen = torch.zeros(len(rows), 2, dtype=torch.bool)
-    by_pixel = pixels.new_zeros(len(rows), 2, 3, 2)
-    names = np.array(camera_of)[segments.image[rows]]
-    for name in dict.fromkeys(camera_of):
-        mine = torch.as_tensor(np.flatnonzero(names == name))
-        bearings[mine], seen[mine] = cameras[name].unproject(pixels[mine])
-        by_pixel[mine] = cameras[name].unproject_jacobian(pixels[mine])
+def _unproject(observed: Observed, models: Sequence[CameraModel]) -> tuple[Tensor, Tensor, Tensor]:
+    """Bearings of both ends, where they are defined, and d bearing / d pixel."""
+    pixels = observed.pixels
+    bearings = pixels.new_zeros(len(pixels), 2, 3)
+    seen = torch.zeros(len(pixels), 2, dtype=torch.bool)
+    by_pixel = pixels.new_zeros(len(pixels), 2, 3, 2)
+    for index, model in enumerate(models):
+        mine = torch.nonzero(observed.camera == index).flatten()
+        if len(mine):
+            bearings[mine], seen[mine] = model.unproject(pixels[mine])
+            by_pixel[mine] = model.unproject_jacobian(pixels[mine])
     return bearings, seen, by_pixel
+
+
+def _nodes(observed: Observed, bearings: Float[Tensor, "n 2 3"], models: Sequence[CameraModel]) -> ArcNodes:
+    """Gauss-Legendre nodes over the pixel length of the image of each arc: ds = |d pixel / d V (N x V)| d theta."""
+    abscissa, weight = (torch.as_tensor(values) for values in np.polynomial.legendre.leggauss(NODES))
+    share = 0.5 * (abscissa + 1)
+    places = along(bearings, share)
+    normal = arc_normal(bearings[:, 0], bearings[:, 1])[:, None].expand_as(places)
+    forward = torch.linalg.cross(normal, places)
+    phi = angle_between(bearings[:, 0], bearings[:, 1])
+    by_pixel = places.new_zeros(len(places), NODES, 3, 2)
+    speed = places.new_zeros(len(places), NODES)
+    for index, model in enumerate(models):
+        mine = torch.nonzero(observed.camera == index).flatten()
+        if len(mine):
+            pixels, _, by_point, _ = model.project_with_jacobians(places[mine])
+            speed[mine] = (by_point @ forward[mine][..., None])[..., 0].norm(dim=-1)
+            by_pixel[mine] = model.unproject_jacobian(pixels)
+    return ArcNodes(share, by_pixel, 0.5 * weight * phi[:, None] * speed)
 
 
 def _covariance_px2(segments: Segments, rows: Int[np.ndarray, " m"]) -> tuple[Tensor, bool]:

@@ -6,26 +6,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
+from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, ArcTable, arcs_from_segments
-from omnilines.adjustment.lines import Adjusted, LinesAndPoses, adjust_lines, drop_unknown, end_sigma_m, factor_of
-from omnilines.costs import sector
-from omnilines.geometry.line import PlueckerLines, segment_ends
+from omnilines.adjustment.line_table import line_table
+from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
+from omnilines.adjustment.prior import PosePrior
+from omnilines.adjustment.rig import rig_of_photos
+from omnilines.adjustment.state import LinesAndPoses
+from omnilines.adjustment.suspects import Suspect, suspects
+from omnilines.costs import cost_function
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
 from omnilines.records import ImagePoses, Lines, Segments
 from omnilines.triangulation import triangulate
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
+from omnilines.triangulation.robust import noise_level, robust_triangulate
 
-WEAK_SIGMA = 0.1
-"""A line whose ends are uncertain by more than this share of its distance from the cameras is called weak."""
 LOSS_SCALE = 2.0
 """Robust losses bend at this many times the known noise, or the median residual of the start where no noise is given."""
+ROUNDS = 3
+"""Times that poses are mended by the tracks that have a line before those that have none are triangulated again."""
+REFINABLE = ("lines", "poses", "intrinsics", "rig")
 
 
 @dataclass(frozen=True)
@@ -38,8 +45,16 @@ class LineScene:
     adjusted: Adjusted
     table: ArcTable
     residual_px: Float[np.ndarray, "n 2"]
-    """Orthogonal distance of both ends of every arc of `table`; NaN for tracks without a line."""
+    """Orthogonal distance of both ends of every arc of `table`; NaN where its track has no line or where it was left out."""
     residual_before_px: Float[np.ndarray, "n 2"]
+    wrong: tuple[Suspect, ...] = ()
+    """Observations that the robust triangulation left out: they belong to another line."""
+    suspect: tuple[Suspect, ...] = ()
+    """Observations that took part and do not fit their line."""
+    cameras: tuple[CameraModel, ...] = ()
+    """In the order of the calibration, where they were refined."""
+    cam_from_rig: Pose | None = None
+    """Of every camera, where the rig was refined."""
 
     def rms_px(self, before: bool = False) -> float:
         """Root mean square of all orthogonal distances."""
@@ -55,37 +70,133 @@ def reconstruct_lines(
     triangulation: str = "dual",
     cost: str = "sector",
     refine_poses: bool = False,
+    refine_cameras: bool = False,
+    refine_rig: bool = False,
+    rig: Mapping[str, RigCamera] | None = None,
+    pose_sigma: tuple[float, float] | None = None,
+    robust: bool = False,
     loss: str = "none",
     callback: Callable[[Progress], None] | None = None,
 ) -> LineScene:
-    """Triangulate every track and adjust lines and, if asked, poses. One row of `lines` per track, with its status.
+    """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig. One row of `lines` per track, with
+    its status.
+
+    `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
+    makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out.
 
     Raises InputError where files do not fit together and GeometryError when no track determines a line.
     """
     table = arcs_from_segments(segments, poses, cameras)
     arcs = table.arcs
-    per_row = poses.cam_from_world[arcs.image]
-    first = triangulate(triangulation, PlaneObservations.from_arcs(arcs.bearings, per_row, arcs.track, arcs.tracks))
-    inner, tracks = drop_unknown(arcs, first.known)
+    mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
+    models = tuple(cameras.values()) if refine_cameras else ()
+    state = LinesAndPoses(frames, _no_chart(), mounted, models)
+    first, member = _triangulated(arcs, state.cam_from_world, triangulation, robust)
+    for _ in range(ROUNDS if refine_poses else 0):
+        if bool(first.known.all()):
+            break
+        better = _mended(arcs.rows(member), first, state)
+        again, member_again = _triangulated(arcs, better.cam_from_world, triangulation, robust)
+        if int(again.known.sum()) <= int(first.known.sum()):
+            break
+        state, first, member = better, again, member_again
+    inner, tracks = drop_unknown(arcs.rows(member), first.known)
     start = first.lines[tracks]
-    start_state = _state(inner, start, poses.cam_from_world)
+    centres = state.cam_from_world.centre[inner.image]
+    state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
+    prior = None
+    if pose_sigma is not None:
+        spread = [torch.full((len(frames),), sigma, dtype=torch.float64) for sigma in pose_sigma]
+        prior = PosePrior(frames, spread[0], spread[1])
     adjusted = adjust_lines(
         inner,
         start,
-        poses.cam_from_world,
+        state.rig_from_world,
         cost=cost,
         refine_poses=refine_poses,
-        loss=_loss(loss, cost, inner, start_state),
+        rig=mounted,
+        refine_rig=refine_rig,
+        models=models,
+        prior=prior,
+        loss=_loss(loss, cost, inner, state),
         callback=callback,
     )
-    before, before_px = _rows(segments, arcs, inner, tracks, first, start_state, None)
-    lines, after_px = _rows(segments, arcs, inner, tracks, first, adjusted.state, adjusted)
+    final = inner.seen_by(adjusted.state.models) if models else inner
+    names = segments.tracks
+    before, before_px = line_table(names, inner, tracks, first, state, None)
+    lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted)
+    used = member.clone()
+    used[member] = first.known[arcs.track[member]]
     moved = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
-    return LineScene(lines, moved if refine_poses else poses, before, adjusted, table, after_px, before_px)
+    moves = refine_poses or refine_rig
+    return LineScene(
+        lines,
+        moved if moves else poses,
+        before,
+        adjusted,
+        table,
+        _scattered(after_px, used),
+        _scattered(before_px, used),
+        _left_out(arcs, first, member, adjusted.state.cam_from_world, names, poses.images),
+        suspects(final, adjusted.state.normals(final), tuple(names[k] for k in tracks.tolist()), poses.images),
+        adjusted.state.models,
+        adjusted.state.rig.cam_from_rig if refine_rig and adjusted.state.rig is not None else None,
+    )
 
 
-def _state(arcs: Arcs, lines: PlueckerLines, cam_from_world: Pose) -> LinesAndPoses:
-    return LinesAndPoses(cam_from_world, LineChart.about_cameras(lines, cam_from_world.centre[arcs.image], arcs.track))
+def _no_chart() -> LineChart:
+    """The chart of no line, until there are some."""
+    none = torch.zeros(0, 3, dtype=torch.float64)
+    return LineChart(none, none[:, 0], none[..., None].expand(0, 3, 3), none[:, 0])
+
+
+def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndPoses:
+    """Poses that are off leave some tracks without a line. Those that have one mend the poses, so that the others can follow."""
+    inner, tracks = drop_unknown(arcs, first.known)
+    lines = first.lines[tracks]
+    chart = LineChart.about_cameras(lines, state.cam_from_world.centre[inner.image], inner.track)
+    loss = _loss("cauchy", "sector", inner, replace(state, chart=chart))
+    adjusted = adjust_lines(inner, lines, state.rig_from_world, rig=state.rig, loss=loss)
+    return replace(state, rig_from_world=adjusted.state.rig_from_world)
+
+
+def _triangulated(arcs: Arcs, cam_from_world: Pose, method: str, robust: bool) -> tuple[Triangulation, Bool[Tensor, " n"]]:
+    """Lines of all tracks and which arcs they rest on."""
+    covariance = arcs.covariance_px2 if arcs.sigma_known else None
+    poses = cam_from_world[arcs.image]
+    planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, covariance)
+    if not robust:
+        return triangulate(method, planes), torch.ones(len(arcs), dtype=torch.bool)
+    # Poses that are off enlarge residuals beyond the stated noise.
+    level = noise_level(planes)
+    if arcs.sigma_known and math.isfinite(level):
+        level = max(level, 1.0)
+    found = robust_triangulate(planes, method=method, sigma=level if math.isfinite(level) and level > 0 else None)
+    return found.triangulation, found.inlier
+
+
+def _scattered(distance_px: Float[Tensor, "m 2"], used: Bool[Tensor, " n"]) -> Float[np.ndarray, "n 2"]:
+    every = torch.full((len(used), 2), math.nan, dtype=torch.float64)
+    every[used] = distance_px
+    return every.numpy()
+
+
+def _left_out(
+    arcs: Arcs,
+    first: Triangulation,
+    member: Bool[Tensor, " n"],
+    cam_from_world: Pose,
+    names: tuple[str, ...],
+    images: tuple[str, ...],
+) -> tuple[Suspect, ...]:
+    """The observations that the robust triangulation left out, with their distance from the line that the others give."""
+    wrong = ~member & first.known[arcs.track]
+    own = arcs.rows(wrong)
+    poses = cam_from_world[own.image]
+    normal = (poses.rotation @ first.lines[own.track].moment_about(poses.centre)[..., None])[..., 0]
+    distance = own.orthogonal_px(normal).abs().amax(-1).tolist()
+    rows = zip(own.track.tolist(), own.image.tolist(), distance, strict=True)
+    return tuple(Suspect(names[track], images[image], px) for track, image, px in rows)
 
 
 def _loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses) -> Loss:
@@ -94,68 +205,17 @@ def _loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses) -> Loss:
         return Loss()
     if cost == "whitened" and arcs.sigma_known:
         return Loss(name, LOSS_SCALE)
-    normal = start.normals(arcs)
-    size = sector.residual(factor_of(cost, arcs, normal), normal).norm(dim=-1).median()
+    size = cost_function(cost, arcs)(arcs.bearings, start.normals(arcs))[0].norm(dim=-1).median()
     return Loss(name, max(LOSS_SCALE * float(size), 1e-12))
 
 
-def _rows(
-    segments: Segments,
-    arcs: Arcs,
-    inner: Arcs,
-    tracks: Tensor,
-    first: Triangulation,
-    state: LinesAndPoses,
-    adjusted: Adjusted | None,
-) -> tuple[Lines, Float[np.ndarray, "n 2"]]:
-    """The table of all tracks for one state, and the orthogonal distances of every arc."""
-    count = arcs.tracks
-    lines = state.chart.lines()
-    ends, _ = segment_ends(lines, state.cam_from_world[inner.image], inner.bearings, inner.track)
-    distance = inner.orthogonal_px(state.normals(inner)).detach()
-    place = torch.full((count,), -1)
-    place[tracks] = torch.arange(len(tracks))
-    every = torch.full((len(arcs), 2), math.nan, dtype=torch.float64)
-    every[place[arcs.track] >= 0] = distance
-    squares = torch.zeros(len(tracks), dtype=torch.float64).index_add_(0, inner.track, (distance**2).sum(-1))
-    ends_by_track = torch.full((count, 2, 3), math.nan, dtype=torch.float64)
-    rms = torch.full((count,), math.nan, dtype=torch.float64)
-    sigma = torch.full((count,), math.nan, dtype=torch.float64)
-    ends_by_track[tracks] = ends
-    rms[tracks] = (squares / (2 * torch.bincount(inner.track, minlength=len(tracks)))).sqrt()
-    status = list(first.status_names)
-    covariance = None
-    if adjusted is not None:
-        sigma[tracks] = end_sigma_m(state.chart, adjusted.line_covariance, ends)
-        covariance = np.full((count, 4, 4), np.nan)
-        covariance[tracks.numpy()] = adjusted.line_covariance.numpy()
-        weak = sigma[tracks] > WEAK_SIGMA * state.chart.scale
-        for track in tracks[weak | ~torch.isfinite(sigma[tracks])].tolist():
-            status[track] = "weak"
-    # A line none of whose arcs lies in front of its camera has no ends to show.
-    for track in tracks[~torch.isfinite(ends).all(-1).all(-1)].tolist():
-        status[track], rms[track], sigma[track] = "behind", math.nan, math.nan
-        ends_by_track[track] = math.nan
-    centre, scale = np.full((count, 3), np.nan), np.full(count, np.nan)
-    centre[tracks.numpy()], scale[tracks.numpy()] = state.chart.centre.numpy(), state.chart.scale.numpy()
-    table = Lines(
-        segments.tracks,
-        ends_by_track.numpy(),
-        first.views.numpy(),
-        rms.numpy(),
-        sigma.numpy(),
-        tuple(status),
-        covariance,
-        centre,
-        scale,
-    )
-    return table, every.numpy()
-
-
-def parse_refine(text: str) -> bool:
-    """Whether poses are refined, from a list such as `lines,poses`. Raises InputError on anything else."""
-    parts = [part.strip() for part in text.split(",") if part.strip()]
-    unknown = [part for part in parts if part not in ("lines", "poses")]
+def parse_refine(text: str) -> tuple[str, ...]:
+    """What is refined, from a list such as `lines,poses`. Raises InputError on anything else."""
+    parts = tuple(part.strip() for part in text.split(",") if part.strip())
+    unknown = [part for part in parts if part not in REFINABLE]
     if unknown or "lines" not in parts:
-        raise InputError(f"--refine was expected to be lines or lines,poses, found '{text}'; choose one of these.")
-    return "poses" in parts
+        raise InputError(
+            f"--refine was expected to be lines, with any of poses, intrinsics and rig, found '{text}'; give a list such as "
+            "lines,poses."
+        )
+    return parts

@@ -1,18 +1,25 @@
 """omnilines reconstruct and adjust: calibration.yaml, poses.csv and segments.csv -> 3D lines with their uncertainty."""
 
+import math
 from collections import Counter
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from camera_models import Calibration, load, save
+from camera_models import Calibration, CameraEstimate, InputError, load, save
+from camera_models.formats.calibration_data import RigCamera
 from omnilines import report
 from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_lines
+from omnilines.adjustment.suspects import Suspect
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.files import read_poses, read_segments, write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.least_squares import Outcome, Progress
 from omnilines.records import Segments, Summary
+
+SHOWN_SUSPECTS = 5
+"""Observations named in a note; all of them are in `--json` and the report."""
 
 
 def reconstruct_segments(
@@ -25,14 +32,19 @@ def reconstruct_segments(
     cost: str = "sector",
     refine: str = "lines",
     loss: str = "none",
+    robust: bool = False,
+    pose_sigma_deg: float | None = None,
+    pose_sigma_m: float | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Triangulate and adjust the lines of a user's own tables; `refine` is `lines` or `lines,poses`.
+    """Triangulate and adjust the lines of a user's own tables; `refine` is `lines` with any of `poses`, `intrinsics` and `rig`.
 
-    Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
+    With `robust`, observations of other lines are found by consensus and left out. `pose_sigma_deg` and `pose_sigma_m`, both or
+    neither, make the poses of the table a prior with these standard deviations of each component. Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
-    refine_poses = parse_refine(refine)
+    parts = parse_refine(refine)
+    prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in parts)
     cameras = load(calibration)
     table, pose_table = read_segments(segments), read_poses(poses)
 
@@ -46,18 +58,35 @@ def reconstruct_segments(
         cameras,
         triangulation=triangulation,
         cost=cost,
-        refine_poses=refine_poses,
+        refine_poses="poses" in parts,
+        refine_cameras="intrinsics" in parts,
+        refine_rig="rig" in parts,
+        rig=cameras.rig,
+        pose_sigma=prior,
+        robust=robust,
         loss=loss,
         callback=tell,
     )
     folder = output_folder(out)
     files = write_scene(folder, scene, table, cameras, {"calibration": calibration, "poses": poses, "segments": segments})
     progress("writing the report", 0, 0)
-    summary = _summary(scene, triangulation, cost, refine_poses)
+    summary = _summary(scene, triangulation, cost, parts)
     page = report.write_report(folder / "report.html", "Line scene", _sections(scene, summary))
     return CommandResult(
-        (summary,), _data(scene), files=(*files, page), report=page, warnings=scene.table.left_out + summary.notes
+        (summary,), _data(scene, tuple(cameras)), files=(*files, page), report=page, warnings=scene.table.left_out + summary.notes
     )
+
+
+def _pose_sigma(sigma_deg: float | None, sigma_m: float | None, refined: bool) -> tuple[float, float] | None:
+    """Standard deviations (rad, m) of the prior on poses, or None."""
+    if sigma_deg is None and sigma_m is None:
+        return None
+    if sigma_deg is None or sigma_m is None or not (sigma_deg > 0 and sigma_m > 0) or not refined:
+        raise InputError(
+            "A prior on poses takes --pose-sigma-deg and --pose-sigma-m above 0 and --refine with poses, found "
+            f"{sigma_deg}, {sigma_m} and poses {'refined' if refined else 'held'}; give both or neither."
+        )
+    return math.radians(sigma_deg), sigma_m
 
 
 def write_scene(
@@ -67,7 +96,7 @@ def write_scene(
     paths = tuple(
         folder / name for name in ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv", "covariance.npz", "lines.ply")
     )
-    save(paths[0], Calibration(cameras.cameras, cameras.estimates, cameras.rig, cameras.views, provenance(inputs)))
+    save(paths[0], refined_calibration(scene, cameras, inputs))
     write_poses(paths[1], scene.poses)
     write_segments(paths[2], segments)
     write_lines(paths[3], scene.lines)
@@ -76,7 +105,23 @@ def write_scene(
     return paths
 
 
-def _summary(scene: LineScene, triangulation: str, cost: str, refine_poses: bool) -> Summary:
+def refined_calibration(scene: LineScene, cameras: Calibration, inputs: dict[str, Any]) -> Calibration:
+    """The calibration with the cameras and the rig as they were refined, and with their uncertainty."""
+    models, estimates, rig = dict(cameras.cameras), dict(cameras.estimates), dict(cameras.rig)
+    for name, model, covariance in zip(models, scene.cameras, scene.adjusted.camera_covariance, strict=False):
+        models[name] = model
+        sigma = covariance.diagonal().clamp_min(0).sqrt().tolist()
+        named = dict(zip(model.PARAMETER_NAMES, sigma, strict=True))
+        # The residuals of a calibration are those of its own corners.
+        known = replace(estimates.get(name, CameraEstimate()), rms_px_per_axis=None, rms_px_per_point=None)
+        estimates[name] = replace(known, sigma=named, covariance=covariance.numpy())
+    if scene.cam_from_rig is not None and scene.adjusted.rig_covariance is not None:
+        sigmas = scene.adjusted.rig_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt().numpy()
+        rig = {name: RigCamera(scene.cam_from_rig[k], sigmas[k]) for k, name in enumerate(rig)}
+    return Calibration(models, estimates, rig, cameras.views, provenance(inputs))
+
+
+def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, ...]) -> Summary:
     counts = Counter(scene.lines.status)
     lines = scene.lines
     rows = (
@@ -84,13 +129,14 @@ def _summary(scene: LineScene, triangulation: str, cost: str, refine_poses: bool
         ("lines", ", ".join(f"{count} {status}" for status, count in counts.most_common())),
         ("photos", str(len(scene.poses))),
         ("triangulation and cost", f"{triangulation}, {cost}"),
-        ("refined", "lines and poses" if refine_poses else "lines"),
+        ("refined", ", ".join(parts)),
         ("rms_px before", f"{scene.rms_px(before=True):.4f}"),
         ("rms_px after", f"{scene.rms_px():.4f}"),
         ("median sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} m"),
     )
-    notes: tuple[str, ...] = ()
-    if refine_poses:
+    notes = _named("do not belong to their track and were left out", scene.wrong)
+    notes += _named("lie farther from their line than 99.9 percent should", scene.suspect)
+    if "poses" in parts:
         notes += (
             "The scale, position and orientation of the scene are free with bearings alone: the poses as a whole keep those of "
             "poses.csv, and the uncertainties are stated in that frame.",
@@ -98,6 +144,15 @@ def _summary(scene: LineScene, triangulation: str, cost: str, refine_poses: bool
     if scene.adjusted.outcome is not Outcome.CONVERGED:
         notes += (scene.adjusted.outcome.value,)
     return Summary("Line scene", rows, notes)
+
+
+def _named(what: str, found: tuple[Suspect, ...]) -> tuple[str, ...]:
+    """One sentence on observations, the first few by name."""
+    if not found:
+        return ()
+    shown = ", ".join(f"{s.track} in {s.image} ({s.distance_px:.1f} px)" for s in found[:SHOWN_SUSPECTS])
+    more = f" and {len(found) - SHOWN_SUSPECTS} more" if len(found) > SHOWN_SUSPECTS else ""
+    return (f"{len(found)} observations {what}: {shown}{more}.",)
 
 
 def _median_sigma_m(scene: LineScene) -> float:
@@ -115,7 +170,7 @@ def _sections(scene: LineScene, summary: Summary) -> list[report.Section]:
     ]
 
 
-def _data(scene: LineScene) -> dict[str, Any]:
+def _data(scene: LineScene, names: tuple[str, ...]) -> dict[str, Any]:
     sigma = _median_sigma_m(scene)
     return {
         "tracks": len(scene.lines),
@@ -126,4 +181,7 @@ def _data(scene: LineScene) -> dict[str, Any]:
         "outcome": scene.adjusted.outcome.name.lower(),
         "iterations": scene.adjusted.iterations,
         "left_out": list(scene.table.left_out),
+        "wrong": [asdict(suspect) for suspect in scene.wrong],
+        "suspect": [asdict(suspect) for suspect in scene.suspect],
+        "cameras": {name: model.named_parameters() for name, model in zip(names, scene.cameras, strict=False)},
     }

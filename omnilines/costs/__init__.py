@@ -1,10 +1,31 @@
 """Costs of a line against its observed arcs: pure residual functions of the projection normal M in the camera frame.
 
-Every cost is r = F M / |M| with a factor F of its own, so that one function, `sector.line_residual`, forms all Jacobians.
+`COSTS` lists (name on the command line, "module:function"), so that names are known without importing torch; the function turns
+observed arcs into a cost (`_cost.CostFunction`).
 """
 
-# The dissertation's own first; the one that attains the Cramer-Rao bound second.
+import importlib
+from typing import TYPE_CHECKING
+
+from camera_models.errors import InputError
+
+if TYPE_CHECKING:
+    from omnilines.costs._cost import CostFunction, ObservedArcs
+
+# The dissertation's own first; the one that attains the Cramer-Rao bound second; then the published image-plane costs.
 COSTS: tuple[tuple[str, str], ...] = (
-    ("sector", "omnilines.costs.sector:prepare"),
-    ("whitened", "omnilines.costs.whitened:prepare"),
+    ("sector", "omnilines.costs.sector:of_arcs"),
+    ("whitened", "omnilines.costs.whitened:of_arcs"),
+    ("taylor-kriegman", "omnilines.costs.taylor_kriegman:of_arcs"),
+    ("bartoli-sturm", "omnilines.costs.bartoli_sturm:of_arcs"),
 )
+
+
+def cost_function(name: str, arcs: "ObservedArcs") -> "CostFunction":
+    """The named cost of observed arcs. Raises InputError on an unknown name."""
+    registry = dict(COSTS)
+    if name not in registry:
+        raise InputError(f"A cost is one of {', '.join(registry)}, found '{name}'; choose one of these.")
+    module, function = registry[name].split(":")
+    cost: CostFunction = getattr(importlib.import_module(module), function)(arcs)
+    return cost

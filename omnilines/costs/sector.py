@@ -10,8 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._arrays import array_function
-from camera_models.pose import Pose
-from omnilines.geometry.line_chart import LineChart
+from omnilines.costs._cost import CostFunction, ObservedArcs
 from omnilines.geometry.sphere import sector_moment_factor
 
 
@@ -36,15 +35,13 @@ def jacobian(factor: Float[Tensor, "*batch 2 3"], normal: Float[Tensor, "*batch 
     return (factor - r[..., :, None] * unit[..., None, :]) / length[..., None]
 
 
-def line_residual(
-    factor: Float[Tensor, "n 2 3"], chart: LineChart, cam_from_world: Pose
-) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2 6"], Float[Tensor, "n 2 4"]]:
-    """Residual of each observation with its line and pose, and its Jacobians.
+def of_arcs(arcs: ObservedArcs) -> CostFunction:
+    """The cost of observed arcs, two residuals each, in radians to the power of 3/2."""
+    own = arcs.bearings
+    factor_of_own = prepare(own[:, 0], own[:, 1])
 
-    `factor` is from `prepare`; `chart` and `cam_from_world` hold one row per observation. The Jacobians are with respect to the
-    left perturbation exp(delta) T of the pose, delta = (rotation_rad, translation_m), and to the retraction of the chart.
-    The line must not pass through the camera centre (M = 0).
-    """
-    normal, normal_by_pose, normal_by_line = chart.projection_normal(cam_from_world)
-    by_normal = jacobian(factor, normal)
-    return residual(factor, normal), by_normal @ normal_by_pose, by_normal @ normal_by_line
+    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        factor = factor_of_own if bearings is own else prepare(bearings[:, 0], bearings[:, 1])
+        return residual(factor, normal), jacobian(factor, normal)
+
+    return evaluate

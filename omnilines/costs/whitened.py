@@ -3,13 +3,15 @@
     r_i = (V_i . Mh) / sigma_i,  sigma_i^2 = Mh' J_i Sigma_i J_i' Mh
 
 with J_i = d V_i / d pixel and Sigma_i the pixel covariance of end i. It is what whitening the sector residual gives, since the
-sector's factor F cancels, and it attains the Cramer-Rao bound. Mh is frozen at each linearisation.
+sector's factor F cancels, and it attains the Cramer-Rao bound. The derivative includes that of sigma_i, so that the minimum is
+that of the sum of squares itself.
 """
 
 from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._arrays import array_function
+from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
 
 
 @array_function
@@ -24,12 +26,11 @@ def end_sigmas(
     return (across.mT @ covariance_px2 @ across)[..., 0, 0].sqrt()
 
 
-@array_function
-def prepare(
-    bearings: Float[Tensor, "*batch 2 3"],
-    by_pixel: Float[Tensor, "*batch 2 3 2"],
-    covariance_px2: Float[Tensor, "*batch 2 2 2"],
-    normal: Float[Tensor, "*batch 3"],
-) -> Float[Tensor, "*batch 2 3"]:
-    """The rows V_i' / sigma_i, to be used like the sector's factor: r = rows Mh."""
-    return bearings / end_sigmas(by_pixel, covariance_px2, normal)[..., None]
+def of_arcs(arcs: ObservedArcs) -> CostFunction:
+    """The cost of observed arcs, two residuals each, in standard deviations."""
+    spread = arcs.by_pixel @ arcs.covariance_px2 @ arcs.by_pixel.mT
+
+    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        return scaled_distance(bearings, spread, normal)
+
+    return evaluate

@@ -6,6 +6,7 @@ from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_p
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
+from omnilines.files.vgg_house import read_vgg_lines
 
 __all__ = [
     "PHOTO_SUFFIXES",
@@ -16,6 +17,7 @@ __all__ = [
     "read_photo",
     "read_poses",
     "read_segments",
+    "read_vgg_lines",
     "write_corners",
     "write_covariance",
     "write_lines",

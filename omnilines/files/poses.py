@@ -16,20 +16,21 @@ COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 def read_poses(path: str | Path) -> ImagePoses:
     """Poses in the order of the file: X_cam = R(q) X_world + t, t in metres, q = (w, x, y, z), normalised when read.
 
-    `camera` may be empty in every row. Raises InputError naming file, line and column where a value is missing or not a finite
+    `camera` may be empty in every row; the optional column `frame` names the instants of a rig. Raises InputError naming file, line and column where a value is missing or not a finite
     number, a quaternion has length zero, or a photo stands twice.
     """
-    table = read_table(path, COLUMNS)
+    table = read_table(path, COLUMNS, ("frame",))
     image, images = table.names("image")
     _, first = np.unique(image, return_index=True)
     once = np.zeros(len(table), dtype=bool)
     once[first] = True
     table.require(once, "image", "each image once", "remove one of its rows")
     cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
+    frames = table.name_of_each("frame", image, images, "image") if table.has("frame") else None
     quaternions = table.numbers("qw", "qx", "qy", "qz")
     table.require(np.linalg.norm(quaternions, axis=1) > 1e-12, "qw", "a unit quaternion, not one of length zero")
     rotation = rotation_from_file(torch.from_numpy(quaternions))
-    return ImagePoses(images, Pose(rotation, torch.from_numpy(table.numbers("tx", "ty", "tz"))), cameras)
+    return ImagePoses(images, Pose(rotation, torch.from_numpy(table.numbers("tx", "ty", "tz"))), cameras, None, frames)
 
 
 def write_poses(path: str | Path, poses: ImagePoses) -> None:
@@ -44,4 +45,6 @@ def write_poses(path: str | Path, poses: ImagePoses) -> None:
     }
     for name, values in zip(COLUMNS[2:], numbers.detach().cpu().numpy().T, strict=True):
         columns[name] = number_cells(values, path, name)
+    if poses.frames is not None:
+        columns["frame"] = name_cells(poses.frames, None, path, "frame")
     write_table(path, columns)

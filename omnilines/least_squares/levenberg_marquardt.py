@@ -153,7 +153,7 @@ def solve(
     loss = loss or Loss()
     at = problem.linearise(state)
     values, weight = loss((at.residual**2).sum(-1))
-    cost = initial = float(values.sum())
+    cost = initial = float(values.sum()) + at.prior_cost
     damping, growth = 1e-4, 2.0
     outcome = Outcome.OUT_OF_ITERATIONS
     equations = normal_equations(problem.structure, at, weight)
@@ -180,7 +180,7 @@ def solve(
         # Nearly every step is accepted, so the derivatives are taken along with the residuals.
         at = problem.linearise(trial)
         values, weight = loss((at.residual**2).sum(-1))
-        trial_cost = float(values.sum())
+        trial_cost = float(values.sum()) + at.prior_cost
         accepted = trial_cost < cost
         if callback is not None:
             callback(Progress(iteration, min(cost, trial_cost), damping, accepted))

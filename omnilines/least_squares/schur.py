@@ -7,7 +7,7 @@ E is block diagonal. With the Cholesky factor E = L L' and Y = W L'^-1, S = K - 
 touches is formed, batched over blocks with equally many of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -20,6 +20,14 @@ CHUNK = 8_000_000
 
 
 @dataclass(frozen=True)
+class KeptPrior:
+    """Residuals of the kept blocks alone: what is known of them beforehand. No robust loss is applied to them."""
+
+    residual: Float[Tensor, " m"]
+    by_kept: Float[Tensor, "m k"]
+
+
+@dataclass(frozen=True)
 class Linearisation:
     """Residuals and their derivatives at one state; m residuals an observation."""
 
@@ -27,6 +35,12 @@ class Linearisation:
     by_eliminated: Float[Tensor, "n m e"]
     by_kept: tuple[Float[Tensor, "n m _"], ...]
     """One tensor a kept group."""
+    prior: KeptPrior | None = None
+
+    @property
+    def prior_cost(self) -> float:
+        """Sum of the squared residuals of the prior."""
+        return 0.0 if self.prior is None else float(self.prior.residual.square().sum())
 
 
 @dataclass(frozen=True)
@@ -49,7 +63,19 @@ class NormalEquations:
 
 
 def normal_equations(structure: Structure, at: Linearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
-    """J' w J and -J' w r, block by block."""
+    """J' w J and -J' w r, block by block, the prior included."""
+    equations = _of_observations(structure, at, weight)
+    if at.prior is None:
+        return equations
+    by_kept = at.prior.by_kept
+    return replace(
+        equations,
+        kept=equations.kept + by_kept.mT @ by_kept,
+        kept_gradient=equations.kept_gradient - by_kept.mT @ at.prior.residual,
+    )
+
+
+def _of_observations(structure: Structure, at: Linearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
     root = weight.sqrt()[:, None]
     if structure.all_shared:
         return _shared_normal_equations(structure, at, root[..., None])

@@ -150,12 +150,17 @@ def curve_section(
     caption: str = "",
     *,
     logarithmic: bool = False,
+    reference: Mapping[str, tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]] | None = None,
 ) -> Section:
-    """Curves (x, y) by name over common axes, whose titles state the units; `logarithmic` is for y."""
+    """Curves (x, y) by name over common axes, whose titles state the units; `logarithmic` is for y. Those of `reference`, such
+    as a limit, are dashed."""
     traces = []
     for k, (name, (x, y)) in enumerate(curves.items()):
         own: dict[str, Any] = {"mode": "lines+markers", "marker": {"size": 6, "symbol": k % 8}, "name": name}
         traces.append(curve(x, y, PALETTE[k % len(PALETTE)], "%{x:.4g}: %{y:.4g}", **own))
+    for name, (x, y) in (reference or {}).items():
+        dashed: dict[str, Any] = {"name": name, "line": {"color": QUIET, "width": 2, "dash": "dash"}}
+        traces.append({**curve(x, y, QUIET, "%{x:.4g}: %{y:.4g}"), **dashed})
     y_axis = axis(y_title, type="log", dtick=1) if logarithmic else axis(y_title)
     layout = {
         "xaxis": axis(x_title),

@@ -1,5 +1,19 @@
 """3D lines from the interpretation planes of matched arcs, batched over tracks of unequal length.
 
+RMS 3D error over the Cramer-Rao bound at 0.5 px with exact poses, each line's error over its own bound; 200 trials of 40 lines,
+8 views (`tests/triangulation_scenes.py`; standard errors 0.004, 0.005 and 0.005):
+
+    method                                      circle, 45 degrees   circle, 9 degrees   190 degree fisheye in a room
+    ml                                                1.00                 1.00                   1.00
+    dual                                              1.01                 1.00                   1.07
+    svd                                               1.01                 1.00                   1.07
+    averaging                                         1.02                 1.01                   1.08
+    dual, published weights                           1.20                 1.01                   1.08
+    dual, published weights, file's origin            4.47                 2.65                   3.94
+
+`ml` weighs every end by its noise in pixels, and takes 1.5 to 2 times as long as `dual`. `dual` stays first: an adjustment follows
+that loses nothing to it as a start. Tracks with wrong members are for `robust.robust_triangulate`, which takes any of them.
+
 `TRIANGULATIONS` lists (name on the command line, "module:function"), the recommended method first, so that names are known
 without importing torch.
 """
@@ -17,6 +31,7 @@ TRIANGULATIONS: tuple[tuple[str, str], ...] = (
     ("dual", "omnilines.triangulation.dual:triangulate"),
     ("averaging", "omnilines.triangulation.averaging:triangulate"),
     ("svd", "omnilines.triangulation.svd:triangulate"),
+    ("ml", "omnilines.triangulation.likelihood:triangulate"),
 )
 
 

@@ -10,6 +10,7 @@ whole spread:
 """
 
 import math
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -34,11 +35,6 @@ ON_LINE = 1e-6
 WEAK_ANGLE_RAD = math.radians(0.1)
 
 
-def _sum_by_track(values: Tensor, observations: PlaneObservations) -> Tensor:
-    total = torch.zeros(observations.tracks, *values.shape[1:], dtype=values.dtype, device=values.device)
-    return total.index_add(0, observations.track, values)
-
-
 def residual_deviation(observations: PlaneObservations, lines: PlueckerLines) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise.
 
@@ -52,41 +48,56 @@ def residual_deviation(observations: PlaneObservations, lines: PlueckerLines) ->
     else:
         squares = (observations.arcs * normal[:, None]).sum(-1).square().sum(-1)
     freedom = 2 * observations.views() - 4
-    variance = _sum_by_track(squares, observations) / freedom.clamp_min(1)
+    variance = observations.sum_by_track(squares) / freedom.clamp_min(1)
     return torch.where(freedom > 0, variance.sqrt(), torch.full_like(variance, torch.nan))
 
 
-def _normal_noise(observations: PlaneObservations, residual: Tensor, sigma_rad: float | None) -> Tensor:
+def _bearing_noise(observations: PlaneObservations, residual: Tensor, sigma_rad: float | None) -> Float[Tensor, " t"]:
+    """Standard deviation (rad) of the end bearings of each track across its planes: given, stated, or shown by residuals."""
+    if sigma_rad is not None:
+        return torch.full_like(residual, sigma_rad)
+    if observations.noise is None or not observations.noise_stated:
+        return torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
+    across = observations.noise.mT @ observations.normal[:, None, :, None]
+    total = observations.sum_by_track(across.square().flatten(1).sum(-1))
+    return (total / (2 * observations.views()).clamp_min(1)).sqrt()
+
+
+def _normal_noise(observations: PlaneObservations, residual: Tensor, sigma_rad: float | None) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of the plane normals of each track: that of a bearing, sqrt(2) of it over the chord of the arc."""
-    if sigma_rad is None:
-        sigma = torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
-    else:
-        sigma = torch.full_like(residual, sigma_rad)
+    sigma = _bearing_noise(observations, residual, sigma_rad)
     if observations.arcs is None:
         return sigma
     chord = (observations.arcs[:, 1] - observations.arcs[:, 0]).norm(dim=-1)
-    mean_chord = _sum_by_track(chord, observations) / observations.views().clamp_min(1)
+    mean_chord = observations.sum_by_track(chord) / observations.views().clamp_min(1)
     return sigma * 2**0.5 / mean_chord.clamp_min(1e-9)
 
 
-def _behind(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " t"]:
-    """Tracks of which at least half of the arcs are seen with their middle behind the camera or past the vanishing point."""
+def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " n"]:
+    """Arcs whose middle lies behind the camera or past the vanishing point of their line; none where no arcs are given."""
     if observations.arcs is None:
-        return torch.zeros(observations.tracks, dtype=torch.bool, device=observations.normal.device)
+        return torch.zeros(len(observations.track), dtype=torch.bool, device=observations.normal.device)
     own = lines[observations.track]
     towards = own.closest_point(observations.centre) - observations.centre
-    wrong = (observations.arcs.sum(1) * towards).sum(-1) <= 0
-    return 2 * _sum_by_track(wrong.to(towards.dtype), observations) >= observations.views()
+    return (observations.arcs.sum(1) * towards).sum(-1) <= 0
+
+
+def _behind(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " t"]:
+    """Tracks of which at least half of the arcs face away."""
+    if observations.arcs is None:
+        return torch.zeros(observations.tracks, dtype=torch.bool, device=observations.normal.device)
+    wrong = faces_away(observations, lines).to(lines.direction.dtype)
+    return 2 * observations.sum_by_track(wrong) >= observations.views()
 
 
 def _undetermined(observations: PlaneObservations, frames: TrackFrames, noise: Tensor) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
     views = observations.views().clamp_min(1)
-    mean = _sum_by_track(observations.centre, observations) / views[:, None]
+    mean = observations.sum_by_track(observations.centre) / views[:, None]
     from_mean = observations.centre - mean[observations.track]
     height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
-    spread = (_sum_by_track(from_mean.square().sum(-1), observations) / views).sqrt()
-    across = (_sum_by_track(height.square(), observations) / views).sqrt()
+    spread = (observations.sum_by_track(from_mean.square().sum(-1)) / views).sqrt()
+    across = (observations.sum_by_track(height.square()) / views).sqrt()
     limit = UNDETERMINED * noise
     parallel = frames.plane_angle_rad < limit.clamp_min(1e-12)
     one_centre = spread <= 1e-12 * (1 + mean.norm(dim=-1))
@@ -104,8 +115,9 @@ def assess(
 ) -> Triangulation:
     """Lines with their status; degenerate ones become NaN. `unsolved` are tracks that the method itself could not solve for.
 
-    `sigma_rad` is the standard deviation of a bearing (of a plane normal where no arcs are given). Without it, it is estimated
-    from the residuals of each track, at most 5e-4, which is also what is assumed for two views.
+    `sigma_rad` is the standard deviation of a bearing (of a plane normal where no arcs are given). Without it, it is that of the
+    stated noise of the end points or, where none is stated, estimated from the residuals of each track, at most 5e-4, which is
+    also what is assumed for two views.
     """
     residual = residual_deviation(observations, lines)
     noise = _normal_noise(observations, residual, sigma_rad)
@@ -113,8 +125,8 @@ def assess(
     farthest = torch.zeros_like(noise).scatter_reduce(0, observations.track, distance, "amax")[observations.track]
     # A camera on the line sees a point of it; without such cameras two others still determine it, unless one is exactly on it.
     clear = distance > UNDETERMINED * noise[observations.track] * farthest
-    clear_views = _sum_by_track(clear.to(noise.dtype), observations)
-    touched = _sum_by_track((distance <= ON_LINE * farthest).to(noise.dtype), observations)
+    clear_views = observations.sum_by_track(clear.to(noise.dtype))
+    touched = observations.sum_by_track((distance <= ON_LINE * farthest).to(noise.dtype))
     angle = frames.plane_angle_rad
     # Later names win over earlier ones.
     names = {
@@ -129,10 +141,13 @@ def assess(
     status = torch.full_like(observations.views(), LINE_STATUSES.index("ok"))
     for name, chosen in names.items():
         status[chosen] = LINE_STATUSES.index(name)
-    result = Triangulation(lines, status, observations.views(), angle, residual)
-    hidden = torch.where(result.known[:, None], 0.0, torch.nan).to(lines.direction.dtype)
-    known = PlueckerLines(lines.direction + hidden, lines.moment + hidden)
-    return Triangulation(known, status, result.views, angle, residual)
+    return hidden(Triangulation(lines, status, observations.views(), angle, residual, observations))
+
+
+def hidden(result: Triangulation) -> Triangulation:
+    """The same result without the lines whose status is neither `ok` nor `weak`."""
+    blank = torch.where(result.known[:, None], 0.0, torch.nan).to(result.lines.direction.dtype)
+    return replace(result, lines=PlueckerLines(result.lines.direction + blank, result.lines.moment + blank))
 
 
 def gather(lines: list[tuple[Tensor, PlueckerLines]], like: TrackFrames) -> PlueckerLines:

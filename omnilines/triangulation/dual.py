@@ -16,7 +16,7 @@ from camera_models.errors import InputError
 from camera_models.pose import hat
 from omnilines.geometry.line import PlueckerLines
 from omnilines.triangulation.degeneracy import assess, gather
-from omnilines.triangulation.frames import TrackGroup, solvable_groups, track_frames
+from omnilines.triangulation.frames import TrackFrames, TrackGroup, solvable_groups, track_frames
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 
@@ -47,18 +47,25 @@ def triangulate(
             f"{weights!r}, {origin!r} and {iterations}; correct the option."
         )
     frames = track_frames(observations)
+    lines, unsolved = dual_lines(observations, frames, iterations if weights == "published" else 0, origin == "file")
+    return assess(observations, frames, lines, sigma_rad, unsolved)
+
+
+def dual_lines(
+    observations: PlaneObservations, frames: TrackFrames, reweightings: int = 0, in_file_frame: bool = False
+) -> tuple[PlueckerLines, Bool[Tensor, " t"]]:
+    """The lines of all tracks, NaN where a track is not solvable; and the tracks whose null space has more than one dimension."""
     unsolved = torch.zeros(observations.tracks, dtype=torch.bool, device=observations.normal.device)
     solved = []
     for group in solvable_groups(observations, frames):
         place, unit = group.origin, group.unit
-        if origin == "file":
+        if in_file_frame:
             place, unit = torch.zeros_like(place), torch.ones_like(unit)
         s = group.offsets(place) / unit[:, None]
-        local, ambiguous = _solve(group, s, iterations if weights == "published" else 0)
-        unsolved[group.tracks] = ambiguous
+        local, unsolved[group.tracks] = _solve(group, s, reweightings)
         metric = PlueckerLines(local.direction, local.moment * unit[:, None])
         solved.append((group.tracks, metric.shifted(-place)))
-    return assess(observations, frames, gather(solved, frames), sigma_rad, unsolved)
+    return gather(solved, frames), unsolved
 
 
 def _solve(group: TrackGroup, s: Float[Tensor, "g k"], reweightings: int) -> tuple[PlueckerLines, Bool[Tensor, " g"]]:

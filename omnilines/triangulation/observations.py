@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.errors import InputError
@@ -24,6 +24,10 @@ class PlaneObservations:
     tracks: int
     arcs: Float[Tensor, "n 2 3"] | None = None
     """End bearings (unit, world frame) of each arc; with them the segment is known as well as its plane."""
+    noise: Float[Tensor, "n 2 3 2"] | None = None
+    """A with A A' = J Sigma J', the covariance (rad^2) of each end bearing, world frame; None for isotropic noise of bearings."""
+    noise_stated: bool = False
+    """False where `noise` is right only up to one common factor, that of a noise of 1 px."""
 
     def __post_init__(self) -> None:
         if len(self.track) and not (0 <= int(self.track.min()) and int(self.track.max()) < self.tracks):
@@ -38,18 +42,64 @@ class PlaneObservations:
                 f"{int(wrong.sum())} of {len(wrong)} rows without (the first is row {int(wrong.nonzero()[0])}); "
                 "leave out arcs whose ends coincide and rows with NaN."
             )
+        if self.noise is not None and self.arcs is None:
+            raise InputError("The noise of end bearings was expected together with their arcs, found no arcs; give both.")
 
     @staticmethod
     def from_arcs(
-        bearings: Float[Tensor, "n 2 3"], cam_from_world: Pose, track: Int[Tensor, " n"], tracks: int
+        bearings: Float[Tensor, "n 2 3"],
+        cam_from_world: Pose,
+        track: Int[Tensor, " n"],
+        tracks: int,
+        by_pixel: Float[Tensor, "n 2 3 2"] | None = None,
+        covariance_px2: Float[Tensor, "n 2 2 2"] | None = None,
     ) -> "PlaneObservations":
-        """Planes of arcs given by end bearings (unit, camera frame) and the pose of each row: n = R' (V1 x V2) / |V1 x V2|."""
+        """Planes of arcs given by end bearings (unit, camera frame) and the pose of each row: n = R' (V1 x V2) / |V1 x V2|.
+
+        `by_pixel` is J = d bearing / d pixel of both ends. `covariance_px2` is Sigma of both end points; without it the noise of
+        pixels is taken to be isotropic and of unknown size. Raises InputError where Sigma is not positive definite.
+        """
         world = bearings @ cam_from_world.rotation
-        return PlaneObservations(arc_normal(world[:, 0], world[:, 1]), cam_from_world.centre, track, tracks, world)
+        noise = None
+        if by_pixel is not None:
+            noise = cam_from_world.rotation.mT[:, None] @ by_pixel
+            if covariance_px2 is not None:
+                noise = noise @ _square_root(covariance_px2)
+        elif covariance_px2 is not None:
+            raise InputError(
+                "The pixel covariance of end points was expected together with the derivative of bearings by pixels, found none; "
+                "give by_pixel too."
+            )
+        normal = arc_normal(world[:, 0], world[:, 1])
+        return PlaneObservations(normal, cam_from_world.centre, track, tracks, world, noise, covariance_px2 is not None)
+
+    def take(self, rows: Int[Tensor, " m"], track: Int[Tensor, " m"], tracks: int) -> "PlaneObservations":
+        """Some of the rows, any of them more than once, with other track numbers."""
+        arcs = None if self.arcs is None else self.arcs[rows]
+        noise = None if self.noise is None else self.noise[rows]
+        return PlaneObservations(self.normal[rows], self.centre[rows], track, tracks, arcs, noise, self.noise_stated)
+
+    def rows(self, chosen: Bool[Tensor, " n"]) -> "PlaneObservations":
+        """The chosen rows; tracks keep their numbers."""
+        kept = torch.nonzero(chosen).squeeze(-1)
+        return self.take(kept, self.track[kept], self.tracks)
+
+    def of_tracks(self, tracks: Int[Tensor, " k"]) -> tuple["PlaneObservations", Int[Tensor, " m"]]:
+        """The rows of some tracks, renumbered in that order; and which rows they are."""
+        place = torch.full((self.tracks,), -1, device=self.track.device)
+        place[tracks] = torch.arange(len(tracks), device=place.device)
+        own = place[self.track]
+        kept = torch.nonzero(own >= 0).squeeze(-1)
+        return self.take(kept, own[kept], len(tracks)), kept
 
     def views(self) -> Int[Tensor, " t"]:
         """Number of observations of each track."""
         return torch.bincount(self.track, minlength=self.tracks)
+
+    def sum_by_track(self, values: Float[Tensor, "n *rest"]) -> Float[Tensor, "t *rest"]:
+        """Sums of the values of the rows of each track."""
+        total = torch.zeros(self.tracks, *values.shape[1:], dtype=values.dtype, device=values.device)
+        return total.index_add(0, self.track, values)
 
     def by_view_count(self) -> list[tuple[Int[Tensor, " g"], Int[Tensor, "g k"]]]:
         """Tracks of k >= 2 observations together, for each k: (the tracks, the rows of their observations)."""
@@ -62,3 +112,14 @@ class PlaneObservations:
                 tracks = torch.nonzero(views == count).squeeze(-1)
                 groups.append((tracks, order[start[tracks, None] + torch.arange(count, device=tracks.device)]))
         return groups
+
+
+def _square_root(covariance_px2: Float[Tensor, "n 2 2 2"]) -> Float[Tensor, "n 2 2 2"]:
+    factor, info = torch.linalg.cholesky_ex(covariance_px2)
+    wrong = (info != 0) | ~torch.isfinite(factor).flatten(-2).all(-1)
+    if bool(wrong.any()):
+        raise InputError(
+            f"The covariance of every end point has to be positive definite, found {int(wrong.sum())} of {wrong.numel()} that "
+            "are not; state a standard deviation above 0 px for every end point."
+        )
+    return factor

@@ -9,7 +9,8 @@ import torch
 
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.lines import LineProblem, LinesAndPoses, factor_of
+from omnilines.adjustment.problem import Freedom, LineProblem
+from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import solve
@@ -72,7 +73,7 @@ def iteration_seconds(observations: int, iterations: int = 5) -> float:
     arcs, lines, poses = line_scene(observations)
     chart = LineChart.about_cameras(lines, poses.centre[arcs.image], arcs.track)
     state = LinesAndPoses(poses, chart)
-    problem = LineProblem(arcs, factor_of("sector", arcs, state.normals(arcs)), torch.zeros(IMAGES, dtype=torch.bool))
+    problem = LineProblem(arcs, "sector", Freedom(torch.zeros(IMAGES, dtype=torch.bool)), state)
     ticks: list[float] = []
     solve(problem, state, max_iterations=iterations, tolerance=0.0, callback=lambda _: ticks.append(time.perf_counter()))
     return min(later - earlier for earlier, later in itertools.pairwise(ticks))

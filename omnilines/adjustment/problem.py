@@ -1,0 +1,179 @@
+"""Lines, poses, cameras and a rig as a least-squares problem: lines are the eliminated blocks, everything else is kept."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import InputError
+from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.prior import PosePrior
+from omnilines.adjustment.state import LinesAndPoses, adjoint, moved_poses
+from omnilines.costs import cost_function
+from omnilines.costs._cost import by_bearings, line_residual
+from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What may move. Lines always may but for those held."""
+
+    held_frames: Bool[Tensor, " frames"]
+    held_lines: Bool[Tensor, " tracks"] | None = None
+    cameras: bool = False
+    """Intrinsics of every camera, along its `calibration_basis`."""
+    rig: bool = False
+    """Extrinsics of every camera of the rig but the first."""
+
+
+class LineProblem:
+    """Kept are, in this order: poses of free frames (6 each), extrinsics of rig cameras (6 each), intrinsics of each camera.
+
+    With all poses free, the similarity that bearings leave open is fixed by constraints on the step: the poses neither shift,
+    turn nor scale as a whole. One held pose leaves the scale about it. A held rig with a baseline has a scale; a prior or a held
+    line leaves nothing open.
+    """
+
+    def __init__(self, arcs: Arcs, cost: str, freedom: Freedom, state: LinesAndPoses, prior: PosePrior | None = None) -> None:
+        self.arcs, self.cost_name, self.freedom, self.prior = arcs, cost, freedom, prior
+        self.cost = cost_function(cost, arcs)
+        rig = state.rig
+        frame = arcs.image if rig is None else rig.frame[arcs.image]
+        self.free = torch.nonzero(~freedom.held_frames).flatten()
+        self.observing = torch.bincount(frame, minlength=len(freedom.held_frames)) > 0
+        groups = [KeptGroup(_place(freedom.held_frames)[frame], len(self.free), 6)] if len(self.free) else []
+        self.rig_cameras = torch.zeros(0, dtype=torch.long)
+        if freedom.rig and rig is not None:
+            held = torch.ones(len(rig.cam_from_rig), dtype=torch.bool)
+            held[torch.unique(rig.camera[arcs.image])] = False
+            held[0] = True
+            self.rig_cameras = torch.nonzero(~held).flatten()
+            if len(self.rig_cameras):
+                groups.append(KeptGroup(_place(held)[rig.camera[arcs.image]], len(self.rig_cameras), 6))
+        self.bases = tuple(model.calibration_basis() for model in state.models) if freedom.cameras else ()
+        if freedom.cameras:
+            if arcs.observed is None:
+                raise InputError(
+                    "Arcs that know their pixels were expected to refine cameras, found arcs without; make them with "
+                    "arcs_from_segments."
+                )
+            for index, basis in enumerate(self.bases):
+                mine = arcs.observed.camera == index
+                groups.append(KeptGroup(torch.where(mine, 0, -1), 1, basis.shape[1]))
+        self.structure = Structure(arcs.track, arcs.tracks, 4, tuple(groups))
+
+    def linearise(self, state: LinesAndPoses) -> Linearisation:
+        """Residuals of the cost and their analytic Jacobians; those by the cameras by the chain rule through the bearings."""
+        arcs, cost = self.arcs, self.cost
+        if self.bases:
+            arcs = arcs.seen_by(state.models)
+            cost = cost_function(self.cost_name, arcs)
+        poses, chart = state.cam_from_world[arcs.image], state.chart[arcs.track]
+        r, by_pose, by_line = line_residual(cost, arcs.bearings, chart, poses)
+        if self.freedom.held_lines is not None:
+            by_line = torch.where(self.freedom.held_lines[arcs.track][:, None, None], 0.0, by_line)
+        kept = []
+        if len(self.free):
+            if state.rig is None:
+                kept.append(by_pose)
+            else:
+                kept.append(by_pose @ adjoint(state.rig.cam_from_rig[state.rig.camera[arcs.image]]))
+        if len(self.rig_cameras):
+            kept.append(by_pose)
+        if self.bases:
+            by_end = by_bearings(cost, arcs.bearings, chart.projection_normal(poses)[0])
+            kept += self._by_cameras(arcs, state, by_end)
+        return Linearisation(r, by_line, tuple(kept), self._prior(state))
+
+    def _by_cameras(self, arcs: Arcs, state: LinesAndPoses, by_end: Float[Tensor, "n m 2 3"]) -> list[Tensor]:
+        """d r / d intrinsics of each camera: d V / d parameters = -J d pixel / d parameters at a fixed pixel.
+
+        How the weights of a cost follow the parameters is left out: it is of the order of the residuals, and the weights are
+        formed anew at every step.
+        """
+        assert arcs.observed is not None
+        found = []
+        for index, (model, basis) in enumerate(zip(state.models, self.bases, strict=True)):
+            mine = torch.nonzero(arcs.observed.camera == index).flatten()
+            full = by_end.new_zeros(len(arcs), by_end.shape[1], basis.shape[1])
+            if len(mine):
+                by_parameter = model.project_with_jacobians(arcs.bearings[mine])[3] @ basis
+                moved = -arcs.by_pixel[mine] @ by_parameter
+                full[mine] = by_end[mine].flatten(2) @ moved.flatten(1, 2)
+            found.append(full)
+        return found
+
+    def _prior(self, state: LinesAndPoses) -> KeptPrior | None:
+        if self.prior is None or not len(self.free):
+            return None
+        residual, by_pose = self.prior.residual(state.rig_from_world)
+        rows = residual.new_zeros(len(self.free), 6, self.structure.kept_size)
+        place = torch.arange(6 * len(self.free)).view(-1, 1, 6).expand(-1, 6, 6)
+        rows.scatter_(2, place, by_pose[self.free])
+        return KeptPrior(residual[self.free].flatten(), rows.flatten(0, 1))
+
+    def retract(self, state: LinesAndPoses, kept: Tensor, eliminated: Tensor) -> LinesAndPoses:
+        """exp(delta) T for poses, the orthonormal chart for lines, which is re-centred where it becomes badly scaled."""
+        if self.freedom.held_lines is not None:
+            eliminated = torch.where(self.freedom.held_lines[:, None], 0.0, eliminated)
+        moved = replace(state, chart=state.chart.retract(eliminated).recentred())
+        sizes = [6 * len(self.free), 6 * len(self.rig_cameras), *(basis.shape[1] for basis in self.bases)]
+        frames, rig, *cameras = kept.split(sizes)
+        if len(self.free):
+            moved = replace(moved, rig_from_world=moved_poses(state.rig_from_world, self.free, frames.view(-1, 6)))
+        if len(self.rig_cameras) and state.rig is not None:
+            turned = moved_poses(state.rig.cam_from_rig, self.rig_cameras, rig.view(-1, 6))
+            moved = replace(moved, rig=replace(state.rig, cam_from_rig=turned))
+        if self.bases:
+            steps = zip(state.models, self.bases, cameras, strict=True)
+            models = tuple(model.with_parameters(model.parameters + basis @ step) for model, basis, step in steps)
+            moved = replace(moved, models=models)
+        return moved
+
+    def _scale_is_free(self, state: LinesAndPoses) -> bool:
+        """Whether bearings leave the scale open: no held rig with a baseline."""
+        if state.rig is None or self.freedom.rig:
+            return True
+        used = torch.unique(state.rig.camera[self.arcs.image])
+        centres = state.rig.cam_from_rig.centre[used]
+        return bool((centres - centres[0]).norm(dim=-1).max() == 0)
+
+    def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
+        """Columns of the kept step for a common turn, shift and scale of the scene, about which the residuals say nothing."""
+        rotation, centre = state.rig_from_world.rotation[self.free], state.rig_from_world.centre
+        # A held pose anchors the scene only where a photo observes it; so does a held line, which is not told apart here.
+        fixed = torch.nonzero(self.freedom.held_frames & self.observing).flatten()
+        lines_held = self.freedom.held_lines is not None and bool(self.freedom.held_lines.any())
+        if len(fixed) > 1 or not len(self.free) or self.prior is not None or lines_held:
+            return rotation.new_zeros(self.structure.kept_size, 0)
+        origin = centre[fixed[0]] if len(fixed) else centre[self.free].mean(0)
+        arm = centre[self.free] - origin
+        columns = []
+        if not len(fixed):
+            eye = torch.eye(3, dtype=arm.dtype, device=arm.device).expand(len(arm), 3, 3)
+            turns = torch.cat([-rotation, -rotation @ torch.linalg.cross(eye, arm[:, None, :].expand(-1, 3, -1)).mT], 1)
+            shifts = torch.cat([torch.zeros_like(rotation), -rotation], 1)
+            columns += [self._of_frames(turns.reshape(-1, 3)), self._of_frames(shifts.reshape(-1, 3))]
+        if self._scale_is_free(state):
+            # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
+            scale = self._of_frames(torch.cat([torch.zeros_like(arm), -(rotation @ arm[..., None])[..., 0]], -1).reshape(-1, 1))
+            if len(self.rig_cameras) and state.rig is not None:
+                baseline = state.rig.cam_from_rig.translation[self.rig_cameras]
+                low = 6 * len(self.free)
+                scale[low : low + baseline.numel() * 2, 0] = torch.cat([torch.zeros_like(baseline), baseline], -1).flatten()
+            columns.append(scale)
+        return torch.cat(columns, 1) if columns else rotation.new_zeros(self.structure.kept_size, 0)
+
+    def _of_frames(self, rows: Float[Tensor, "f6 g"]) -> Float[Tensor, "k g"]:
+        """Rows of the free frames among all kept ones."""
+        rest = self.structure.kept_size - len(rows)
+        return torch.cat([rows, rows.new_zeros(rest, rows.shape[1])])
+
+
+def _place(held: Bool[Tensor, " n"]) -> Tensor:
+    """Number of each block that is not held among those, -1 for the held ones."""
+    place = torch.full((len(held),), -1, device=held.device)
+    free = torch.nonzero(~held).flatten()
+    place[free] = torch.arange(len(free), device=held.device)
+    return place

@@ -1,0 +1,51 @@
+"""Photos of a rig: which frame and camera each belongs to, and the pose of every frame."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import torch
+
+from camera_models import InputError
+from camera_models.formats.calibration_data import RigCamera
+from camera_models.pose import Pose
+from omnilines.adjustment.state import Rig
+from omnilines.records import ImagePoses
+
+TURNED_RAD = math.radians(20)
+"""Photos of one frame whose poses differ by more than this from what the rig says are not of that rig."""
+
+
+def rig_of_photos(
+    poses: ImagePoses, cameras: Sequence[str], rig: Mapping[str, RigCamera], needed: bool
+) -> tuple[Rig | None, Pose]:
+    """The rig with the frame and camera of every photo, and `rig_from_world` of every frame, from its first photo; None and
+    `cam_from_world` of every photo where the poses name no frames or the calibration has no rig.
+
+    Raises InputError where a rig is `needed` and not known, a photo names no camera, or its pose contradicts the rig.
+    """
+    if not rig or poses.frames is None:
+        if needed:
+            missing = "a calibration without rig" if not rig else "no column frame in poses.csv"
+            raise InputError(f"To refine a rig its cameras and the frame of every photo were expected, found {missing}; add it.")
+        return None, poses.cam_from_world
+    names = poses.cameras or ("",) * len(poses)
+    unknown = [image for image, name in zip(poses.images, names, strict=True) if name not in rig]
+    if unknown:
+        raise InputError(f"The camera of every photo of a rig was expected, found none for {unknown[0]}; fill the column camera.")
+    order = list(dict.fromkeys(poses.frames))
+    frame = torch.tensor([order.index(name) for name in poses.frames])
+    camera = torch.tensor([cameras.index(name) for name in names])
+    cam_from_rig = Pose.stack([rig[name].cam_from_rig for name in cameras])
+    # The first camera of the calibration is the rig frame.
+    cam_from_rig = cam_from_rig @ cam_from_rig[:1].inverse()[torch.zeros(len(cameras), dtype=torch.long)]
+    from_photo = cam_from_rig[camera].inverse() @ poses.cam_from_world
+    first = torch.tensor([poses.frames.index(name) for name in order])
+    rig_from_world = from_photo[first]
+    apart = (from_photo @ rig_from_world[frame].inverse()).log()[:, :3].norm(dim=-1)
+    if float(apart.max()) > TURNED_RAD:
+        worst = int(apart.argmax())
+        raise InputError(
+            f"Photos of one frame were expected to be turned as the rig says, found {poses.images[worst]} "
+            f"{math.degrees(float(apart[worst])):.0f} degrees off; check the columns frame and camera of poses.csv."
+        )
+    return Rig(frame, camera, cam_from_rig), rig_from_world

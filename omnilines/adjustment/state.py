@@ -1,0 +1,67 @@
+"""What an adjustment moves: lines, the poses of frames, the extrinsics of a rig and the cameras."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from camera_models import CameraModel
+from camera_models.pose import Pose, hat
+from omnilines.adjustment.arcs import Arcs
+from omnilines.geometry.line_chart import LineChart
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras that are mounted together: the pose of a photo is cam_from_rig @ rig_from_world."""
+
+    frame: Int[Tensor, " images"]
+    """Instant of each photo."""
+    camera: Int[Tensor, " images"]
+    """Camera of each photo."""
+    cam_from_rig: Pose
+    """Of every camera; the first is the rig frame."""
+
+    @property
+    def frames(self) -> int:
+        """Number of instants."""
+        return int(self.frame.max()) + 1
+
+
+@dataclass(frozen=True)
+class LinesAndPoses:
+    """State of the adjustment. Without a rig every photo is a frame of its own."""
+
+    rig_from_world: Pose
+    """Of every frame; without a rig this is `cam_from_world` of every photo."""
+    chart: LineChart
+    rig: Rig | None = None
+    models: tuple[CameraModel, ...] = ()
+    """Of the calibration, in its order, where cameras are refined."""
+
+    @property
+    def cam_from_world(self) -> Pose:
+        """Of every photo."""
+        if self.rig is None:
+            return self.rig_from_world
+        return self.rig.cam_from_rig[self.rig.camera] @ self.rig_from_world[self.rig.frame]
+
+    def normals(self, arcs: Arcs) -> Float[Tensor, "n 3"]:
+        """Projection-plane normal M of every observation, camera frame."""
+        return self.chart[arcs.track].projection_normal(self.cam_from_world[arcs.image])[0]
+
+
+def adjoint(pose: Pose) -> Float[Tensor, "*batch 6 6"]:
+    """Ad with T exp(delta) = exp(Ad delta) T for delta = (rotation_rad, translation_m)."""
+    rotation = pose.rotation
+    lower = torch.cat([hat(pose.translation) @ rotation, rotation], -1)
+    return torch.cat([torch.cat([rotation, torch.zeros_like(rotation)], -1), lower], -2)
+
+
+def moved_poses(poses: Pose, free: Int[Tensor, " f"], delta: Float[Tensor, "f 6"]) -> Pose:
+    """exp(delta) T of the free poses; the others as they are."""
+    moved = Pose.exp(delta) @ poses[free]
+    rotation, translation = poses.rotation.clone(), poses.translation.clone()
+    rotation[free], translation[free] = moved.rotation, moved.translation
+    return Pose(rotation, translation)

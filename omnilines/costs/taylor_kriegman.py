@@ -1,0 +1,42 @@
+"""The cost of Taylor and Kriegman on any camera (design section 5): the squared distance in pixels of the observed segment from
+the line's image, integrated over the length of the segment.
+
+    g = integral of h(s)^2 ds,   h(s) = (V(s) . M) / |J(s)' M|
+
+V(s) runs along the great circle between the end bearings, ds is a pixel of its image and J(s) = d V / d pixel. The integral is
+Gauss's, with NODES nodes; for a pinhole camera h is linear in s to first order and it is exact, l (h1^2 + h1 h2 + h2^2) / 3 for a
+segment of length l (C. J. Taylor, D. J. Kriegman, PAMI 17(11), 1995). The residuals are the square roots of its terms.
+"""
+
+import torch
+from torch import Tensor
+
+from camera_models.errors import InputError
+from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
+
+NODES = 3
+
+
+def along(bearings: Tensor, share: Tensor) -> Tensor:
+    """Bearings (n, k, 3) at shares of the way along arcs (n, 2, 3); differentiable in the ends, for arcs below half a turn."""
+    v1, v2 = bearings.unbind(1)
+    phi = torch.atan2(torch.linalg.cross(v1, v2).norm(dim=-1), (v1 * v2).sum(-1))[:, None]
+    first, second = torch.sin((1 - share) * phi), torch.sin(share * phi)
+    return (first[..., None] * v1[:, None] + second[..., None] * v2[:, None]) / torch.sin(phi)[..., None]
+
+
+def of_arcs(arcs: ObservedArcs) -> CostFunction:
+    """The cost of observed arcs, NODES residuals each, in pixels to the power of 3/2. Raises InputError without nodes."""
+    nodes = arcs.nodes
+    if nodes is None:
+        raise InputError(
+            "The Taylor-Kriegman cost needs the image of every arc between its ends, found arcs without; make them with "
+            "arcs_from_segments or choose another cost."
+        )
+    spread, root = nodes.by_pixel @ nodes.by_pixel.mT, nodes.length_px.sqrt()
+
+    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        h, by_normal = scaled_distance(along(bearings, nodes.share), spread, normal)
+        return root * h, root[..., None] * by_normal
+
+    return evaluate

@@ -1,0 +1,192 @@
+"""The line that most observations of a track agree on, where some belong to other lines.
+
+Candidates are the lines of pairs of planes, ranked by the truncated sum of squared residuals (MSAC; Torr and Zisserman 2000). The
+best one and the best of those that it does not explain are refined by maximum likelihood on the rows that agree with them, and
+all rows are judged again, until none changes (Chum, Matas and Kittler 2003). A row is judged by the residual that it has when the
+line is found without it, over the standard deviation of that: with h, J of the row and C the covariance of the line,
+
+    s = h' (I - J C J')^-1 h for a row that the line was found from,    s = h' (I + J C J')^-1 h for another,
+
+both are chi-square with two degrees of freedom, to first order. A row whose arc faces away from the line does not belong to it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from omnilines.geometry.line import PARALLEL, PlueckerLines
+from omnilines.triangulation.averaging import subsets
+from omnilines.triangulation.degeneracy import faces_away
+from omnilines.triangulation.likelihood import refine
+from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.residuals import chart_of, end_bearings, end_distances, inverse, linearise
+
+ROW_LIMIT = 13.816
+"""What chi-square with two degrees of freedom exceeds once in a thousand."""
+CANDIDATE_LIMIT = 4 * ROW_LIMIT
+"""Candidates rest on two planes only, so their residuals are larger."""
+CLEARLY_WRONG = 3 * ROW_LIMIT
+DECISIVE = 6.0
+"""Difference of two truncated costs at which the lesser is 20 times as likely."""
+HYPOTHESES = 3
+"""Refined per track."""
+ROUNDS = 10
+RESIDUALS_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Consensus:
+    """Of g tracks with k rows each."""
+
+    inlier: Bool[Tensor, "g k"]
+    solved: Bool[Tensor, " g"]
+    """A majority of at least three rows agrees on one line, and no other line is nearly as likely."""
+    squared: Float[Tensor, "g k"]
+    """s of every row, in units of the noise."""
+
+
+def majority(views: int) -> int:
+    """Rows that have to agree: more than half, and three at least, since two planes always meet in a line."""
+    return max(3, views // 2 + 1)
+
+
+def candidate_lines(
+    observations: PlaneObservations, rows: Int[Tensor, "g k"], pairs: Int[Tensor, "p 2"]
+) -> tuple[PlueckerLines, Float[Tensor, "g p k"]]:
+    """The line of each pair of planes, world frame, and sum h^2 of every row from it; infinite where a row faces away or where
+    the planes of a pair are parallel."""
+    origin = observations.centre[rows].mean(1)
+    normal, centre = observations.normal[rows], observations.centre[rows] - origin[:, None]
+    s = -(normal * centre).sum(-1)
+    first, second = pairs.unbind(-1)
+    sine = torch.linalg.cross(normal[:, first], normal[:, second]).norm(dim=-1)
+    lines = PlueckerLines.from_planes(normal[:, first], s[:, first], normal[:, second], s[:, second])
+    moment = lines.moment[:, :, None] - torch.linalg.cross(centre[:, None], lines.direction[:, :, None])
+    along = torch.einsum("gkea,gpka->gpke", end_bearings(observations)[rows], moment)
+    if observations.noise is None:
+        square = along.square() / moment.square().sum(-1, keepdim=True)
+    else:
+        square = along.square() / torch.einsum("gkeab,gpka->gpkeb", observations.noise[rows], moment).square().sum(-1)
+    total = square.sum(-1)
+    wrong = ~torch.isfinite(total) | (sine <= PARALLEL)[..., None]
+    if observations.arcs is not None:
+        towards = torch.linalg.cross(lines.direction[:, :, None].expand_as(moment), moment)
+        wrong = wrong | (torch.einsum("gka,gpka->gpk", observations.arcs[rows].sum(2), towards) <= 0)
+    return lines.shifted(-origin[:, None]), torch.where(wrong, torch.inf, total)
+
+
+def candidate_batches(
+    observations: PlaneObservations, rows: Int[Tensor, "g k"], budget: int, seed: int
+) -> Iterator[tuple[Int[Tensor, "p 2"], Int[Tensor, "b k"], PlueckerLines, Float[Tensor, "b p k"]]]:
+    """The candidates of all tracks, a few tracks at a time: (pairs, rows, lines, sum h^2)."""
+    views = rows.shape[1]
+    pairs = subsets(views, 2, budget, seed).to(rows.device)
+    for some in rows.split(max(1, RESIDUALS_AT_ONCE // (len(pairs) * views))):
+        yield (pairs, some, *candidate_lines(observations, some, pairs))
+
+
+def least_majority_square(
+    observations: PlaneObservations, rows: Int[Tensor, "g k"], budget: int, seed: int
+) -> Float[Tensor, " g"]:
+    """Least over the candidates of a track of the sum h^2 that a majority stays within (Rousseeuw 1984)."""
+    need = majority(rows.shape[1])
+    batches = candidate_batches(observations, rows, budget, seed)
+    return torch.cat([square.kthvalue(need, dim=-1).values.amin(-1) for _, _, _, square in batches])
+
+
+def find_consensus(
+    observations: PlaneObservations,
+    rows: Int[Tensor, "g k"],
+    variance: float,
+    budget: int,
+    seed: int,
+    hypotheses: int = HYPOTHESES,
+) -> Consensus:
+    """The consensus of tracks of k >= 3 rows each, `variance` that of a residual."""
+    count, views = rows.shape
+    parts = [
+        _best_candidates(pairs, lines, square / variance, hypotheses)
+        for pairs, _, lines, square in candidate_batches(observations, rows, budget, seed)
+    ]
+    lines = PlueckerLines(*(torch.cat([getattr(p[0], name) for p in parts]).flatten(0, 1) for name in ("direction", "moment")))
+    inlier = torch.cat([p[1] for p in parts]).flatten()
+    each = torch.arange(count * hypotheses, device=rows.device).repeat_interleave(views)
+    table = observations.take(rows[:, None].expand(-1, hypotheses, -1).flatten(), each, count * hypotheses)
+    lines, inlier, judged = _settle(table, lines, inlier, variance)
+    plain = end_distances(table, lines[each].moment_about(table.centre)).square().sum(-1) / variance
+    truncated = torch.where(inlier, plain.nan_to_num(nan=torch.inf), torch.inf).clamp(max=ROW_LIMIT)
+    shape = (count, hypotheses, views)
+    return _resolve(truncated.view(shape).sum(-1), inlier.view(shape), judged.view(shape))
+
+
+def _best_candidates(
+    pairs: Int[Tensor, "p 2"], lines: PlueckerLines, square: Float[Tensor, "b p k"], hypotheses: int
+) -> tuple[PlueckerLines, Bool[Tensor, "b h k"]]:
+    """The best candidates of each track with their pairs; after each, pairs that both support it are out of the running."""
+    support = square <= CANDIDATE_LIMIT
+    cost = square.clamp(max=CANDIDATE_LIMIT).sum(-1)
+    track = torch.arange(len(square), device=square.device)
+    chosen = []
+    for _ in range(hypotheses):
+        best = cost.argmin(-1)
+        chosen.append(best)
+        explained = support[track, best][:, pairs].all(-1)
+        explained[track, best] = True
+        cost = torch.where(explained, torch.inf, cost)
+    index = torch.stack(chosen, -1)
+    members = torch.zeros(len(pairs), square.shape[2], dtype=torch.bool, device=square.device).scatter(1, pairs, True)
+    return lines[track[:, None], index], members[index]
+
+
+def judge(
+    observations: PlaneObservations, lines: PlueckerLines, inlier: Bool[Tensor, " n"], variance: float
+) -> Float[Tensor, " n"]:
+    """s of every row, see the head of this file; infinite where a row faces away and where its inliers determine no line."""
+    at = linearise(observations, chart_of(observations, lines))
+    weight = inlier.to(at.residual.dtype)[:, None, None]
+    covariance = inverse(observations.sum_by_track(at.jacobian.mT @ (weight * at.jacobian)))
+    spread = at.jacobian @ covariance[observations.track] @ at.jacobian.mT
+    spread = torch.eye(2, dtype=spread.dtype, device=spread.device) + (1 - 2 * weight) * spread
+    (a, b), (_, d) = (row.unbind(-1) for row in spread.unbind(-2))
+    h1, h2 = at.residual.unbind(-1)
+    # A row that alone fixes a direction of the line has no residual there: 0 over 0 is 0.
+    determinant = (a * d - b * b).clamp_min(1e-12)
+    square = (d * h1.square() - 2 * b * h1 * h2 + a * h2.square()) / determinant
+    wrong = ~torch.isfinite(square) | faces_away(observations, lines)
+    return torch.where(wrong, torch.inf, square / (variance + at.rounding))
+
+
+def _settle(
+    table: PlaneObservations, lines: PlueckerLines, inlier: Bool[Tensor, " n"], variance: float
+) -> tuple[PlueckerLines, Bool[Tensor, " n"], Float[Tensor, " n"]]:
+    """Lines refined on their inliers and rows judged by them, in turn until no row changes or ROUNDS are over."""
+    direction, moment = lines.direction.clone(), lines.moment.clone()
+    inlier, judged = inlier.clone(), torch.full_like(table.centre[:, 0], torch.inf)
+    active = torch.arange(table.tracks, device=inlier.device)
+    for _ in range(ROUNDS):
+        own, rows = table.of_tracks(active)
+        found = refine(own.rows(inlier[rows]), PlueckerLines(direction[active], moment[active]))
+        direction[active], moment[active] = found.direction, found.moment
+        judged[rows] = judge(own, found, inlier[rows], variance)
+        now = judged[rows] <= ROW_LIMIT
+        changed = own.sum_by_track((now != inlier[rows]).to(moment.dtype)) > 0
+        inlier[rows] = now
+        active = active[changed]
+        if not len(active):
+            break
+    return PlueckerLines(direction, moment), inlier, judged
+
+
+def _resolve(cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: Float[Tensor, "g h k"]) -> Consensus:
+    """The hypothesis of the least truncated cost, unless too few rows agree with it or another contradicts it."""
+    track = torch.arange(len(cost), device=cost.device)
+    best = cost.argmin(-1)
+    own, square = inlier[track, best], judged[track, best]
+    enough = own.sum(-1) >= majority(inlier.shape[2])
+    # Each of the two has a member that is far off the other's line.
+    contradicts = (inlier & (square > CLEARLY_WRONG)[:, None]).any(-1) & (own[:, None] & (judged > CLEARLY_WRONG)).any(-1)
+    ambiguous = (contradicts & (cost < cost[track, best][:, None] + DECISIVE)).any(-1)
+    return Consensus(own, enough & ~ambiguous, square)

@@ -1,0 +1,109 @@
+"""Maximum likelihood on the sphere: the line that minimises the squared distances of all arc ends, each over its noise.
+
+The residual and its derivative are those of `residuals.py`; the start is the dual-space solution. Levenberg-Marquardt in the
+chart of each line (Madsen, Nielsen, Tingleff 2004), all tracks at once, each with a damping of its own until it is done.
+It attains the Cramer-Rao bound with the noise stated, and without where all end points are equally certain in pixels or angle.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from camera_models.errors import InputError
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.triangulation.degeneracy import assess
+from omnilines.triangulation.dual import dual_lines
+from omnilines.triangulation.frames import track_frames
+from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.residuals import NormalEquations, chart_of, normal_equations
+from omnilines.triangulation.result import Triangulation
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-10, 1e-14, 1e8
+"""Relative to the diagonal. The start is good, and damping would freeze a far line, which eigenvalues near 1e-11 determine."""
+TOLERANCE = 1e-12
+"""A track is done when the decrease of its cost that the linear model promises is below this share of it."""
+
+
+def triangulate(observations: PlaneObservations, *, iterations: int = 50, sigma_rad: float | None = None) -> Triangulation:
+    """The lines of all tracks. `iterations` bounds the steps of each; `sigma_rad` as in `degeneracy.assess`."""
+    if iterations < 0:
+        raise InputError(f"Maximum likelihood expects iterations of at least 0, found {iterations}; correct the option.")
+    frames = track_frames(observations)
+    start, unsolved = dual_lines(observations, frames)
+    return assess(observations, frames, refine(observations, start, iterations), sigma_rad, unsolved)
+
+
+def refine(observations: PlaneObservations, start: PlueckerLines, iterations: int = 50) -> PlueckerLines:
+    """The most likely line of every track, from a start in the world frame; NaN where the start is."""
+    world = chart_of(observations, start)
+    finite = torch.isfinite(world.centre).all(-1) & torch.isfinite(world.phi)
+    tracks = torch.nonzero(finite).squeeze(-1)
+    inner, _ = observations.of_tracks(tracks)
+    # Coordinates from the centre of each chart, so that nothing is lost far from the world origin.
+    origin = world.centre[tracks]
+    local = PlaneObservations(
+        inner.normal, inner.centre - origin[inner.track], inner.track, inner.tracks, inner.arcs, inner.noise, inner.noise_stated
+    )
+    begin = world[tracks]
+    lines = _minimise(local, LineChart(torch.zeros_like(origin), begin.scale, begin.S, begin.phi), iterations).lines()
+    lines = lines.shifted(-origin)
+    direction, moment = start.direction.clone(), start.moment.clone()
+    direction[tracks], moment[tracks] = lines.direction, lines.moment
+    return PlueckerLines(direction, moment)
+
+
+def _minimise(observations: PlaneObservations, start: LineChart, iterations: int) -> LineChart:
+    chart = LineChart(start.centre.clone(), start.scale, start.S.clone(), start.phi.clone())
+    at = normal_equations(observations, chart)
+    damping = torch.full_like(at.cost, FIRST_DAMPING)
+    growth = torch.full_like(at.cost, 2.0)
+    active = torch.nonzero(at.cost > at.rounding).squeeze(-1)
+    for _ in range(iterations):
+        if not len(active):
+            break
+        step, promised = _step(at, active, damping[active])
+        trial = chart[active].retract(step).recentred()
+        then = normal_equations(observations.of_tracks(active)[0], trial)
+        decrease = at.cost[active] - then.cost
+        settled = promised <= TOLERANCE * at.cost[active] + at.rounding[active]
+        # The last step is still good where rounding hides what it gains.
+        better = decrease > torch.where(settled, -TOLERANCE * at.cost[active] - at.rounding[active], 0.0)
+        # Nielsen's rule: the damping follows how well the linear model foretold the decrease.
+        gain = (1 - (2 * decrease / promised.clamp_min(1e-300) - 1) ** 3).clamp(0.1, 2.0)
+        damping[active] *= torch.where(better, gain, growth[active])
+        growth[active] = torch.where(better, 2.0, 2 * growth[active])
+        damping.clamp_(min=LEAST_DAMPING)
+        _accept(chart, at, active[better], trial[better], then, better)
+        active = active[~settled & (damping[active] < MOST_DAMPING)]
+    return chart
+
+
+def _accept(
+    chart: LineChart, at: NormalEquations, tracks: Int[Tensor, " k"], trial: LineChart, then: NormalEquations, better: Tensor
+) -> None:
+    """The new state of some tracks, in place."""
+    chart.centre[tracks], chart.S[tracks], chart.phi[tracks] = trial.centre, trial.S, trial.phi
+    at.cost[tracks], at.gradient[tracks] = then.cost[better], then.gradient[better]
+    at.matrix[tracks], at.rounding[tracks] = then.matrix[better], then.rounding[better]
+
+
+def _step(
+    at: NormalEquations, tracks: Int[Tensor, " k"], damping: Float[Tensor, " k"]
+) -> tuple[Float[Tensor, "k 4"], Float[Tensor, " k"]]:
+    """-(J'J + damping D)^-1 J'h with D the diagonal of J'J, and the decrease that the linear model promises.
+
+    Where the matrix is not positive definite the step is zero and the promise infinite, so that the damping grows.
+    """
+    matrix, gradient = at.matrix[tracks], at.gradient[tracks]
+    scale = matrix.diagonal(dim1=-2, dim2=-1).clamp_min(1e-300).rsqrt()
+    eye = torch.eye(4, dtype=matrix.dtype, device=matrix.device)
+    scaled = matrix * scale[:, :, None] * scale[:, None] + damping[:, None, None] * eye
+    slope = gradient * scale
+    factor, info = torch.linalg.cholesky_ex(scaled)
+    sound = info == 0
+    factor = torch.where(sound[:, None, None], factor, eye)
+    step = -torch.cholesky_solve(slope[..., None], factor).squeeze(-1)
+    promised = -(slope * step).sum(-1) + damping * step.square().sum(-1)
+    step = torch.where(sound[:, None], step * scale, 0.0)
+    return step, torch.where(sound, promised, torch.inf)
