@@ -14,9 +14,8 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines
-from omnilines.commands import experiment_lines as module
 from omnilines.commands._line_errors import aligned_rms_m, cramer_rao_bound
-from omnilines.commands._line_report import COLUMNS
+from omnilines.commands._line_report import COLUMNS, study_checks
 from omnilines.commands._line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, run_study, settled_poses
 from omnilines.commands.experiment import perturbed_poses
 from omnilines.commands.experiment_house import experiment_house
@@ -198,7 +197,8 @@ def pooled(study: str, seeds: int, trials: int, noise: float = 0.5) -> dict[str,
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_whitened_adjustment_is_at_the_bound(study: str) -> None:
-    found = pooled(study, seeds=2, trials=5)
+    seeds, trials = (1, 5) if study == "room" else (2, 5)
+    found = pooled(study, seeds, trials)
     for poses in POSES:
         ratio, error = found[poses]
         assert abs(ratio - 1) < 0.02 + 3 * error, (poses, ratio, error)
@@ -217,9 +217,10 @@ def test_whitened_adjustment_is_at_the_bound_over_200_seeds(study: str) -> None:
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_without_noise_there_is_no_error(study: str) -> None:
-    found = run_study(study_world(study, 1), (0.0,), 1, perturb_deg=1.0, perturb_m=0.05, seed=1)
+    costs = [name for name, _ in COSTS if study == "wide" or name in ("sector", "whitened")]
+    found = run_study(study_world(study, 1), (0.0,), 1, perturb_deg=1.0, perturb_m=0.05, seed=1, costs=costs)
     exact = [f for f in found.figures if f.poses == KNOWN or f.stage == ADJUSTMENT]
-    assert len(exact) == len(TRIANGULATIONS) + 2 * len(COSTS)
+    assert len(exact) == len(TRIANGULATIONS) + 2 * len(costs)
     for f in exact:
         assert bool((f.found == 1).all()), f.method
         # Estimated poses converge to 1e-12 of a cost that is itself zero.
@@ -228,15 +229,12 @@ def test_without_noise_there_is_no_error(study: str) -> None:
 
 
 def test_triangulation_follows_the_noise_and_poses_the_disturbance() -> None:
-    found = run_study(circle_world("wide", 0), (0.5, 1.0), 3, perturb_deg=1.0, perturb_m=0.05, seed=0, costs=("whitened",))
+    found = run_study(circle_world("wide", 0), (0.5, 1.0), 2, perturb_deg=1.0, perturb_m=0.05, seed=0, costs=())
     for method, _ in TRIANGULATIONS:
         half, one = found.of(KNOWN, TRIANGULATION, method)
         assert float(one.rms_3d_m.mean() / half.rms_3d_m.mean()) == pytest.approx(2, rel=0.25)
         disturbed = found.of(ESTIMATED, TRIANGULATION, method)[0]
         assert float(disturbed.rms_3d_m.mean()) > 5 * float(half.rms_3d_m.mean())
-    adjusted = found.of(ESTIMATED, ADJUSTMENT, "whitened")[0]
-    # Scale and all are free with estimated poses: without the scale the error is larger.
-    assert bool((adjusted.rms_3d_euclidean_m > adjusted.rms_3d_m).all())
 
 
 def test_settled_poses_bring_lost_lines_back() -> None:
@@ -259,9 +257,9 @@ def test_settled_poses_bring_lost_lines_back() -> None:
 # The commands.
 
 
-@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("study", ["wide", "room"])
 def test_command_writes_every_figure_and_the_same_seed_gives_the_same(study: str, tmp_path: Path) -> None:
-    options = {"noise_px": (0.5, 1.0) if study == "wide" else (0.5,), "trials": 2, "seed": 4}
+    options = {"noise_px": (0.5,), "trials": 2, "seed": 4}
     result = experiment_lines(study, tmp_path / "first", **options)
     assert [path.name for path in result.files] == ["figures.csv", "report.html"]
     with open(tmp_path / "first" / "figures.csv", newline="") as file:
@@ -271,6 +269,8 @@ def test_command_writes_every_figure_and_the_same_seed_gives_the_same(study: str
     assert {row["method"] for row in rows} == {name for name, _ in (*TRIANGULATIONS, *COSTS)}
     for row in rows:
         assert float(row["bound_3d_m"]) > 0 and float(row["rms_2d_px"]) > 0
+        # A scale that is not taken out adds to the error.
+        assert float(row["rms_3d_euclidean_m"]) > float(row["rms_3d_m"]) > 0
     data = json.loads(json.dumps(result.data, allow_nan=False))
     assert data["study"] == study and len(data["rows"]) == len(rows)
     assert data["rows"][0]["rms_3d_m"] == float(rows[0]["rms_3d_m"])
@@ -283,14 +283,12 @@ def test_command_writes_every_figure_and_the_same_seed_gives_the_same(study: str
     assert "Cramer-Rao bound" in page and "Euclidean" in page
 
 
-def test_a_broken_bound_does_not_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_biased_estimate_does_not_hold() -> None:
     world = circle_world("wide", 0)
     bias = 3.0 * torch.as_tensor(np.random.default_rng(0).standard_normal((320, 2, 2)))
     wrong = LineWorld(world.camera, world.cam_from_world, world.ends_m, world.image, world.track, world.ends_px + bias)
-    monkeypatch.setattr(module, "study_world", lambda study, seed: wrong)
-    result = experiment_lines("wide", tmp_path, noise_px=(0.5,), trials=2)
-    assert not result.holds
-    assert [check.holds for check in result.checks] == [False, True, False, True]
+    found = run_study(wrong, (0.5,), 3, perturb_deg=1.0, perturb_m=0.05, seed=0, triangulations=(), costs=("whitened",))
+    assert [check.holds for check in study_checks(found, 0.02)] == [False, True, False, True]
 
 
 def test_bad_options_are_named(tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ def test_stated_noise_decides_whether_planes_differ() -> None:
     pixels, _ = camera.project(ends - centres[:, None])
     rays, _ = camera.unproject(pixels)
     names = []
-    for sigma_px in (0.05, 5.0):
+    for sigma_px in (0.05, 1.0):
         covariance = sigma_px**2 * torch.eye(2, dtype=torch.float64).expand(2, 2, 2, 2)
         both = torch.zeros(2, dtype=torch.int64)
         rows = PlaneObservations.from_arcs(rays, upright(centres), both, 1, camera.unproject_jacobian(pixels), covariance)

@@ -191,7 +191,7 @@ def test_rows_are_judged_by_the_residual_that_they_have_without_them() -> None:
 
 
 def test_noise_is_estimated_from_majorities_and_shows_errors_of_poses() -> None:
-    scene = circle(5)
+    scene = circle(3)
     pixels, wrong = with_wrong_members(scene, scene.noisy(0.5, seed=89), seed=90)
     assert noise_level(scene.observe(pixels)) == pytest.approx(0.5, rel=0.05)
     assert noise_level(scene.observe(pixels, 0.5)) == pytest.approx(1.0, rel=0.05)

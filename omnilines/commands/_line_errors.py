@@ -21,7 +21,7 @@ from omnilines.adjustment.lines import adjust_lines, motion_across
 from omnilines.geometry.line import PlueckerLines
 from omnilines.simulate_lines import LineWorld
 
-ITERATIONS, HALVINGS = 100, 20
+ITERATIONS, HALVINGS = 50, 20
 TOLERANCE = 1e-10
 """Step (rad, or relative to the size of the scene) at which an alignment has converged."""
 FEWEST_LINES = 3
@@ -92,16 +92,16 @@ def aligned_rms_m(
         if bool(settled.all()):
             break
         step = step * ~settled[:, None]
-        for _ in range(HALVINGS):
-            worse = errors(motion.stepped(step))[1] > cost
+        for halving in range(HALVINGS + 1):
+            trial = motion.stepped(step)
+            found = errors(trial)
+            worse = found[1] > cost
             if not bool(worse.any()):
                 break
-            step = torch.where(worse[:, None], 0.5 * step, step)
-        # A step that no halving makes decrease the distances is one of rounding.
-        step = torch.where(worse[:, None], 0.0, step)
-        settled = settled | worse
-        motion = motion.stepped(step)
-        error, cost, by_motion = errors(motion)
+            # A step that no halving makes decrease the distances is one of rounding.
+            settled = settled | (worse & (halving == HALVINGS - 1))
+            step = torch.where(worse[:, None], 0.5 * step * ~settled[:, None], step)
+        motion, (error, cost, by_motion) = trial, found
     rms = unit * (cost / (2 * known.sum(-1))).sqrt()
     return torch.where(settled & enough, rms, torch.full_like(rms, math.nan))
 

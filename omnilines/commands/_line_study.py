@@ -26,8 +26,8 @@ KNOWN, ESTIMATED = "known", "estimated"
 POSES = (KNOWN, ESTIMATED)
 TRIANGULATION, ADJUSTMENT = "triangulation", "adjustment"
 START_SHARE = 0.5
-"""Of the lines, those that fit disturbed poses best refine the poses first: a line that they put behind its cameras, or far off,
-would else be lost or lead the adjustment astray."""
+"""Of the lines of each photo, those that fit disturbed poses best refine the poses first: a line that they put behind its
+cameras, or far off, would else be lost or lead the adjustment astray."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,8 @@ def run_study(
         level = _Level(world, arcs, noise, trials, tuple(triangulations), tuple(costs))
         figures += level.triangulations(KNOWN, true.cam_from_world)
         figures += level.triangulations(ESTIMATED, disturbed)
+        if not costs:
+            continue
         figures += level.with_known_poses(true.cam_from_world)
 
         def tell(trial: int, before: int = done * trials) -> None:
@@ -211,13 +213,18 @@ def _reached(done: Adjusted) -> bool:
 
 
 def settled_poses(arcs: Arcs, disturbed: Pose) -> Pose:
-    """Poses refined with the half of the lines that fit them best, so that all lines can be triangulated from them.
+    """Poses refined with the half of the lines of each photo that fit them best, so that all lines can be triangulated from them.
 
     Raises GeometryError where the disturbed poses determine no line.
     """
     first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, disturbed))
     residual = torch.where(first.known, torch.nan_to_num(first.residual_rad, nan=math.inf), math.inf)
+    # Photo by photo, the best lines first; a photo that sees few lines keeps its own half of them.
+    order = residual[arcs.track].argsort(stable=True)
+    order = order[arcs.image[order].argsort(stable=True)]
+    count = torch.bincount(arcs.image, minlength=arcs.images)
+    rank = torch.arange(len(arcs)) - (count.cumsum(0) - count)[arcs.image[order]]
     best = torch.zeros_like(first.known)
-    best[residual.argsort(stable=True)[: math.ceil(START_SHARE * arcs.tracks)]] = True
+    best[arcs.track[order[rank < START_SHARE * count[arcs.image[order]]]]] = True
     inner, tracks = drop_unknown(arcs, best & first.known)
     return adjust_lines(inner, first.lines[tracks], disturbed).state.cam_from_world

@@ -40,7 +40,9 @@ def reconstruct_segments(
     """Triangulate and adjust the lines of a user's own tables; `refine` is `lines` with any of `poses`, `intrinsics` and `rig`.
 
     With `robust`, observations of other lines are found by consensus and left out. `pose_sigma_deg` and `pose_sigma_m`, both or
-    neither, make the poses of the table a prior with these standard deviations of each component. Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
+    neither, make the poses of the table a prior with these standard deviations of each component.
+
+    Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
     parts = parse_refine(refine)

@@ -11,15 +11,16 @@ from omnilines.files.tables import name_cells, number_cells, read_table, write_t
 from omnilines.records import ImagePoses
 
 COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
+OPTIONAL = ("frame",)
 
 
 def read_poses(path: str | Path) -> ImagePoses:
     """Poses in the order of the file: X_cam = R(q) X_world + t, t in metres, q = (w, x, y, z), normalised when read.
 
-    `camera` may be empty in every row; the optional column `frame` names the instants of a rig. Raises InputError naming file, line and column where a value is missing or not a finite
-    number, a quaternion has length zero, or a photo stands twice.
+    `camera` may be empty in every row; the optional column `frame` names the instants of a rig. Raises InputError naming file,
+    line and column where a value is missing or not a finite number, a quaternion has length zero, or a photo stands twice.
     """
-    table = read_table(path, COLUMNS, ("frame",))
+    table = read_table(path, COLUMNS, OPTIONAL)
     image, images = table.names("image")
     _, first = np.unique(image, return_index=True)
     once = np.zeros(len(table), dtype=bool)

@@ -11,8 +11,8 @@ RMS 3D error over the Cramer-Rao bound at 0.5 px with exact poses, each line's e
     dual, published weights                           1.20                 1.01                   1.08
     dual, published weights, file's origin            4.47                 2.65                   3.94
 
-`ml` weighs every end by its noise in pixels, and takes 1.5 to 2 times as long as `dual`. `dual` stays first: an adjustment follows
-that loses nothing to it as a start. Tracks with wrong members are for `robust.robust_triangulate`, which takes any of them.
+`ml` weighs every end by its noise in pixels, and takes twice as long as `dual`. `dual` stays first: it is as good a start for the
+adjustment that follows. Tracks with wrong members are for `robust.robust_triangulate`, which takes any of them.
 
 `TRIANGULATIONS` lists (name on the command line, "module:function"), the recommended method first, so that names are known
 without importing torch.

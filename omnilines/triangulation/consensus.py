@@ -33,7 +33,10 @@ DECISIVE = 6.0
 """Difference of two truncated costs at which the lesser is 20 times as likely."""
 HYPOTHESES = 3
 """Refined per track."""
-ROUNDS = 10
+ROUNDS, STEPS = 10, 20
+"""Of judging, and of refining in each: hypotheses that need more are wrong ones."""
+FREE_ROUNDS = 5
+"""After these, rows may only leave: two rows that throw out each other would do so in turn."""
 RESIDUALS_AT_ONCE = 1 << 20
 
 
@@ -147,7 +150,9 @@ def judge(
     """s of every row, see the head of this file; infinite where a row faces away and where its inliers determine no line."""
     at = linearise(observations, chart_of(observations, lines))
     weight = inlier.to(at.residual.dtype)[:, None, None]
-    covariance = inverse(observations.sum_by_track(at.jacobian.mT @ (weight * at.jacobian)))
+    # A row whose camera lies on the line has a derivative of NaN, which no factor of zero would hide.
+    used = torch.where(inlier[:, None, None], at.jacobian, 0.0)
+    covariance = inverse(observations.sum_by_track(used.mT @ used))
     spread = at.jacobian @ covariance[observations.track] @ at.jacobian.mT
     spread = torch.eye(2, dtype=spread.dtype, device=spread.device) + (1 - 2 * weight) * spread
     (a, b), (_, d) = (row.unbind(-1) for row in spread.unbind(-2))
@@ -166,12 +171,12 @@ def _settle(
     direction, moment = lines.direction.clone(), lines.moment.clone()
     inlier, judged = inlier.clone(), torch.full_like(table.centre[:, 0], torch.inf)
     active = torch.arange(table.tracks, device=inlier.device)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         own, rows = table.of_tracks(active)
-        found = refine(own.rows(inlier[rows]), PlueckerLines(direction[active], moment[active]))
+        found = refine(own.rows(inlier[rows]), PlueckerLines(direction[active], moment[active]), STEPS)
         direction[active], moment[active] = found.direction, found.moment
         judged[rows] = judge(own, found, inlier[rows], variance)
-        now = judged[rows] <= ROW_LIMIT
+        now = (judged[rows] <= ROW_LIMIT) & (inlier[rows] | (turn < FREE_ROUNDS))
         changed = own.sum_by_track((now != inlier[rows]).to(moment.dtype)) > 0
         inlier[rows] = now
         active = active[changed]
