@@ -13,7 +13,11 @@ if TYPE_CHECKING:
 
 __all__ = ["PATTERNS", "pattern", "pattern_class"]
 
-PATTERNS: tuple[tuple[str, str], ...] = (("checkerboard", "calib_patterns.checkerboard:Checkerboard"),)
+PATTERNS: tuple[tuple[str, str], ...] = (
+    ("checkerboard", "calib_patterns.checkerboard:Checkerboard"),
+    ("charuco", "calib_patterns.charuco:ChArUco"),
+    ("aprilgrid", "calib_patterns.aprilgrid:AprilGrid"),
+)
 """(name in a specification, "module:Class"), the most common target first, as help texts list them."""
 
 

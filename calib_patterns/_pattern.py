@@ -88,6 +88,11 @@ class Pattern(ABC):
         Exact for boxes of any size, zero included. Defined inside the printed extent; outside it continues the margin's white.
         """
 
+    @property
+    @abstractmethod
+    def black_rectangles_m(self) -> Float[np.ndarray, "n 4"]:
+        """What is printed black, as disjoint rectangles (x0, y0, x1, y1) on the board, x0 < x1 and y0 < y1, metres."""
+
     @abstractmethod
     def detect(self, image: np.ndarray, *, mirrored: bool = False) -> tuple[Detection, str | None]:
         """The corners seen in a photo, and otherwise one sentence saying why there are none.

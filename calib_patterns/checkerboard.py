@@ -76,6 +76,13 @@ class Checkerboard(Pattern):
     def top_left_m(self) -> tuple[float, float]:
         return -2 * self.square_m, -2 * self.square_m
 
+    @property
+    def black_rectangles_m(self) -> Float[np.ndarray, "n 4"]:
+        row, column = np.mgrid[: self.ny + 1, : self.nx + 1]
+        black = (row + column) % 2 == 0
+        low = np.stack([column[black], row[black]], -1) - 1.0
+        return self.square_m * np.concatenate([low, low + 1.0], 1)
+
     def reflectance(
         self, points_m: Float[np.ndarray, "*batch 2"], footprint_m: Float[np.ndarray, "*batch 2"]
     ) -> Float[np.ndarray, "*batch"]:

@@ -201,8 +201,11 @@ def _board_order(fit: SaddleFit, mirrored: bool) -> np.ndarray:
     return max(_numberings(nx, ny, left_handed != mirrored), key=preference)[0]
 
 
-def why_not(grey: Grey, name: str) -> str:
-    """One sentence: the likeliest reason why a target was not found."""
+WHOLE_BOARD = "it has to be seen whole, with its white margin, its squares at least 8 px wide"
+
+
+def why_not(grey: Grey, name: str, needs: str = WHOLE_BOARD) -> str:
+    """One sentence: the likeliest reason why a target was not found; `needs` ends it where the photo itself is good."""
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
     if high < 0.12:
@@ -217,7 +220,7 @@ def why_not(grey: Grey, name: str) -> str:
         return (
             f"The photo is too blurred to show a {name}: its steepest edges rise by {steepest:.0f} of 255 grey levels per pixel."
         )
-    return f"No {name} was found: it has to be seen whole, with its white margin, its squares at least 8 px wide."
+    return f"No {name} was found: {needs}."
 
 
 def _detection(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], order: np.ndarray) -> Detection:

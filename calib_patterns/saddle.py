@@ -36,17 +36,24 @@ which moves corners by some 0.005 px, all alike: seven standard deviations of th
 
 @dataclass(frozen=True)
 class SaddleFit:
-    """The corner grid after the fit; rows and columns as they were given."""
+    """The corners after the fit, in the shape they were given: the rows and columns of a grid, or a list."""
 
-    pixels: Float[np.ndarray, "ny nx 2"]
-    sigma_px: Float[np.ndarray, "ny nx"]
-    contrast: Float[np.ndarray, "ny nx"]
+    pixels: Float[np.ndarray, "*grid 2"]
+    sigma_px: Float[np.ndarray, "*grid"]
+    contrast: Float[np.ndarray, "*grid"]
     """b: half the grey-level step, positive where the square between increasing x and increasing y is the brighter."""
-    residual: Float[np.ndarray, "ny nx"]
+    residual: Float[np.ndarray, "*grid"]
     """Root mean square of what the fit leaves, in grey levels."""
-    blur_px: Float[np.ndarray, "ny nx 2"]
+    blur_px: Float[np.ndarray, "*grid 2"]
     """w of both edges, the standard deviation of the profile across it: of the edge along +x, then of that along +y."""
-    converged: Bool[np.ndarray, "ny nx"]
+    converged: Bool[np.ndarray, "*grid"]
+
+    def reshaped(self, *shape: int) -> "SaddleFit":
+        """The same corners in another shape."""
+        scalars = (values.reshape(shape) for values in (self.sigma_px, self.contrast, self.residual))
+        pairs = (values.reshape(*shape, 2) for values in (self.pixels, self.blur_px))
+        (sigma_px, contrast, residual), (pixels, blur_px) = scalars, pairs
+        return SaddleFit(pixels, sigma_px, contrast, residual, blur_px, self.converged.reshape(shape))
 
 
 @dataclass(frozen=True)
@@ -84,8 +91,16 @@ def _curvatures(first: Float[np.ndarray, "n 2 2"], second: Float[np.ndarray, "n 
     return np.array([1.0, -1.0]) * cross / np.sum(first**2, 1) ** 1.5
 
 
-def _patches(image: np.ndarray, corners: Float[np.ndarray, "n 2"], squares: Float[np.ndarray, "n 2 2"]) -> _Patches:
-    """Windows of the image that reach WINDOW_SQUARES into each adjoining square, at most MAX_HALF_WINDOW_PX."""
+def _patches(
+    image: np.ndarray,
+    corners: Float[np.ndarray, "n 2"],
+    squares: Float[np.ndarray, "n 2 2"],
+    plain: Float[np.ndarray, "n 2 2"] | None,
+) -> _Patches:
+    """Windows of the image that reach WINDOW_SQUARES into each adjoining square, at most MAX_HALF_WINDOW_PX.
+
+    `plain` as in `fit_corners`.
+    """
     reach = WINDOW_SQUARES * np.abs(squares).sum(2).max()
     half = int(np.clip(np.ceil(reach), 3, MAX_HALF_WINDOW_PX))
     offsets = np.stack(np.meshgrid(np.arange(-half, half + 1), np.arange(-half, half + 1)), -1).reshape(-1, 2)
@@ -99,7 +114,14 @@ def _patches(image: np.ndarray, corners: Float[np.ndarray, "n 2"], squares: Floa
     # A window of fewer pixels than a fit needs is widened to the 5 x 5 around the corner.
     few = near.sum(1, keepdims=True) < 2 * _PARAMETERS
     near |= few & (np.abs(offset) < 2.51).all(2)
-    return _Patches(pixels.astype(np.float64), grey, near & inside)
+    if plain is not None:
+        row, column = (in_squares[..., 1] > 0).astype(np.int64), (in_squares[..., 0] > 0).astype(np.int64)
+        near &= np.abs(in_squares).min(2) < plain[np.arange(len(corners))[:, None], row, column]
+    near &= inside
+    # Only the pixels of the windows, as many as the largest holds: the fit's time goes with their number.
+    kept = np.argsort(~near, axis=1, kind="stable")[:, : max(int(near.sum(1).max(initial=0)), 1)]
+    columns = np.take_along_axis(pixels, kept[..., None], 1)
+    return _Patches(columns.astype(np.float64), np.take_along_axis(grey, kept, 1), np.take_along_axis(near, kept, 1))
 
 
 @dataclass(frozen=True)
@@ -226,16 +248,41 @@ def fit_saddles(
     `image`: (h, w) grey, any depth. Corners whose window holds too few pixels or whose fit ran away come back unmoved with
     `converged` false and infinite `sigma_px`.
     """
-    shape = grid.shape[:2]
     first, second = grid_derivatives(grid)
-    squares, corners = first.reshape(-1, 2, 2), grid.reshape(-1, 2)
+    fit = fit_corners(
+        image,
+        grid.reshape(-1, 2),
+        first.reshape(-1, 2, 2),
+        second.reshape(-1, 2, 2),
+        start_blur_px=start_blur_px,
+        max_steps=max_steps,
+    )
+    return fit.reshaped(*grid.shape[:2])
+
+
+def fit_corners(
+    image: np.ndarray,
+    corners: Float[np.ndarray, "n 2"],
+    first: Float[np.ndarray, "n 2 2"],
+    second: Float[np.ndarray, "n 2 2"],
+    *,
+    plain: Float[np.ndarray, "n 2 2"] | None = None,
+    start_blur_px: float = 1.0,
+    max_steps: int = MAX_STEPS,
+) -> SaddleFit:
+    """Refine scattered corners: `fit_saddles` for corners that need not form a grid.
+
+    `first`, `second`: derivatives of the pixels by board squares as `grid_derivatives` gives them. `plain` limits what of each
+    quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag.
+    """
+    squares = first
     singular = np.linalg.svd(squares, compute_uv=False)[:, -1]
     squares = np.where((singular > 0.5)[:, None, None], squares, np.eye(2))
-    patches = _patches(image, corners, squares)
+    patches = _patches(image, corners, squares, plain)
     max_blur_px = max(0.25 * float(np.median(singular)), 1.5)
     blur = np.clip(0.2 * singular, 0.5, start_blur_px)
     start = _start(patches, corners, squares, blur)
-    curvature = _curvatures(squares, second.reshape(-1, 2, 2))
+    curvature = _curvatures(squares, second)
     parameters, residual, jacobian, settled = _levenberg_marquardt(start, curvature, patches, max_blur_px, max_steps)
 
     freedom = patches.mask.sum(1) - _PARAMETERS
@@ -248,10 +295,10 @@ def fit_saddles(
     moved = np.linalg.norm(parameters[:, :2] - corners, axis=1)
     converged = settled & (freedom > 0) & (singular > 0.5) & (moved < 0.5 * singular)
     return SaddleFit(
-        np.where(converged[:, None], parameters[:, :2], corners).reshape(*shape, 2),
-        np.where(converged, sigma, np.inf).reshape(shape),
-        parameters[:, 10].reshape(shape),
-        np.sqrt(variance).reshape(shape),
-        np.exp(parameters[:, 4:6]).reshape(*shape, 2),
-        converged.reshape(shape),
+        np.where(converged[:, None], parameters[:, :2], corners),
+        np.where(converged, sigma, np.inf),
+        parameters[:, 10],
+        np.sqrt(variance),
+        np.exp(parameters[:, 4:6]),
+        converged,
     )

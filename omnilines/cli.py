@@ -123,6 +123,18 @@ def _print_tables(result: "CommandResult") -> None:
 
 
 @app.command()
+def pattern(
+    specification: Annotated[str, typer.Argument(help="Target: checkerboard:8x6:32.5mm, charuco:..., aprilgrid:...")],
+    out: Annotated[Path, typer.Option("--out", help="File ending in .pdf or .svg, or a folder.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Print a calibration target at true scale -> PDF, SVG."""
+    from omnilines.commands.pattern import pattern as command
+
+    _run(lambda progress: command(specification, out), as_json)
+
+
+@app.command()
 def detect(photos: Photos, pattern: PatternSpec, out: Out, mirror: Mirror = False, as_json: Json = False) -> None:
     """Find target corners in photos -> corners.csv."""
     from omnilines.commands.detect import detect as command

@@ -136,7 +136,10 @@ def _with_uncertainty(arcs: Arcs, freedom: Freedom, prior: PosePrior | None, sol
 
 
 def _pose_covariance(problem: LineProblem, state: LinesAndPoses, kept: Float[Tensor, "k k"]) -> Float[Tensor, "images 6 6"]:
-    """Of every photo; with the steps f of its frame and c of its camera, exp(c) C exp(f) F ~ exp(c + Ad(C) f) C F to first order."""
+    """Of every photo: with the steps f of its frame and c of its camera, to first order,
+
+    exp(c) C exp(f) F = exp(c + Ad(C) f) C F
+    """
     frames, low = len(problem.freedom.held_frames), 6 * len(problem.free)
     # Held blocks stand in a last, empty place of the padded covariance.
     padded = torch.zeros(len(kept) + 6, len(kept) + 6, dtype=kept.dtype)

@@ -25,6 +25,8 @@ KNOWN, ESTIMATED = "known", "estimated"
 """The poses are the true ones and stay; or they are disturbed, and adjusted together with the lines."""
 POSES = (KNOWN, ESTIMATED)
 TRIANGULATION, ADJUSTMENT = "triangulation", "adjustment"
+MAX_ITERATIONS = 300
+"""A line that 3 px of noise barely determine may need more than the usual 100."""
 START_SHARE = 0.5
 """Of the lines of each photo, those that fit disturbed poses best refine the poses first: a line that they put behind its
 cameras, or far off, would else be lost or lead the adjustment astray."""
@@ -106,16 +108,14 @@ def run_study(
     for done, noise in enumerate(noise_px):
         arcs = arcs_from_segments(world.segments(noise, seed, trials), true, {"cam0": world.camera}).arcs
         level = _Level(world, arcs, noise, trials, tuple(triangulations), tuple(costs))
-        figures += level.triangulations(KNOWN, true.cam_from_world)
-        figures += level.triangulations(ESTIMATED, disturbed)
-        if not costs:
-            continue
-        figures += level.with_known_poses(true.cam_from_world)
+        for half, (poses, start) in enumerate(((KNOWN, true.cam_from_world), (ESTIMATED, disturbed))):
+            figures += level.triangulations(poses, start)
 
-        def tell(trial: int, before: int = done * trials) -> None:
-            progress("trials", before + trial, len(noise_px) * trials)
+            def tell(trial: int, before: int = (2 * done + half) * trials) -> None:
+                progress("trials", before + trial, 2 * len(noise_px) * trials)
 
-        figures += level.with_estimated_poses(disturbed, tell)
+            if costs:
+                figures += level.adjustments(poses, start, tell)
     return Study(world, noise_px, trials, bounds, tuple(figures))
 
 
@@ -136,32 +136,30 @@ class _Level:
             found = triangulate(method, _planes(self.arcs, cam_from_world))
             yield self._measured(found.lines, found.known, cam_from_world, (poses, TRIANGULATION, method))
 
-    def with_known_poses(self, cam_from_world: Pose) -> Iterator[MethodFigures]:
-        """Lines adjusted with every cost, all trials at once: no two lines depend on each other."""
-        first = triangulate(TRIANGULATIONS[0][0], _planes(self.arcs, cam_from_world))
-        inner, tracks = drop_unknown(self.arcs, first.known)
-        for cost in self.costs:
-            done = adjust_lines(inner, first.lines[tracks], cam_from_world, cost=cost, refine_poses=False)
-            lines = _in_place(first.lines, tracks, done.state.chart.lines())
-            yield self._measured(lines, first.known & _reached(done), cam_from_world, (KNOWN, ADJUSTMENT, cost))
-
-    def with_estimated_poses(self, disturbed: Pose, tell: Callable[[int], None]) -> Iterator[MethodFigures]:
-        """Lines and poses of each trial adjusted with every cost, from one start for all costs."""
+    def adjustments(self, poses: str, cam_from_world: Pose, tell: Callable[[int], None]) -> Iterator[MethodFigures]:
+        """Lines, and poses where they are estimated, of each trial adjusted with every cost, from one start for all costs."""
         adjusted: dict[str, list[tuple[PlueckerLines, Tensor, Pose]]] = {cost: [] for cost in self.costs}
-        for trial, (arcs, poses) in enumerate(self._each(disturbed)):
+        for trial, (arcs, given) in enumerate(self._each(cam_from_world)):
             tell(trial)
-            start = settled_poses(arcs, poses)
+            start = settled_poses(arcs, given) if poses == ESTIMATED else given
             first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, start))
             inner, tracks = drop_unknown(arcs, first.known)
             for cost, kept in adjusted.items():
-                done = adjust_lines(inner, first.lines[tracks], start, cost=cost)
+                done = adjust_lines(
+                    inner,
+                    first.lines[tracks],
+                    start,
+                    cost=cost,
+                    refine_poses=poses == ESTIMATED,
+                    max_iterations=MAX_ITERATIONS,
+                )
                 lines = _in_place(first.lines, tracks, done.state.chart.lines())
                 kept.append((lines, first.known & _reached(done), done.state.cam_from_world))
         for cost, kept in adjusted.items():
-            each = [lines for lines, _, _ in kept]
-            lines = PlueckerLines(torch.cat([k.direction for k in each]), torch.cat([k.moment for k in each]))
-            poses = Pose(torch.cat([pose.rotation for _, _, pose in kept]), torch.cat([pose.translation for _, _, pose in kept]))
-            yield self._measured(lines, torch.cat([known for _, known, _ in kept]), poses, (ESTIMATED, ADJUSTMENT, cost))
+            every, known, found = zip(*kept, strict=True)
+            lines = PlueckerLines(torch.cat([k.direction for k in every]), torch.cat([k.moment for k in every]))
+            reached = Pose(torch.cat([pose.rotation for pose in found]), torch.cat([pose.translation for pose in found]))
+            yield self._measured(lines, torch.cat(known), reached, (poses, ADJUSTMENT, cost))
 
     def _each(self, cam_from_world: Pose) -> Iterator[tuple[Arcs, Pose]]:
         """Arcs and poses of each trial, photos and tracks numbered from 0."""

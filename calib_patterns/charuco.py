@@ -1,0 +1,130 @@
+"""ChArUco: a checkerboard with a tag in every white square, `charuco:9x7:30mm:22mm:DICT_5X5_100` has 9 x 7 squares of 30 mm,
+tags of 22 mm.
+
+Geometry, ids and frame are those of OpenCV's CharucoBoard (not its legacy pattern): the origin is the top left corner of the top
+left square, which is black; the inner corners are numbered along x first; the white squares hold tags 0, 1, 2, ... row by row.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from calib_patterns._cells import CellGrid, bit_rectangles
+from calib_patterns._pattern import format_length_mm, parse_length
+from calib_patterns.tag_board import CornerKind, TagBoard
+from calib_patterns.tags import TagFamily
+from camera_models.errors import InputError
+
+_PLAIN_SHARE = 0.6
+"""Part of the white around a tag that fits use: the rest is touched by the blur of the tag."""
+TAGS_OF_DICTIONARY = {
+    **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
+}
+"""OpenCV's dictionaries and how many tags each has."""
+
+
+@dataclass(frozen=True)
+class ChArUco(TagBoard):
+    """nx x ny squares within a white margin of half a square; (nx - 1) x (ny - 1) inner corners."""
+
+    NAME = "charuco"
+
+    nx: int
+    ny: int
+    square_m: float
+    marker_m: float
+    dictionary: str
+
+    def __post_init__(self) -> None:
+        if min(self.nx, self.ny) < 3 or not 0.3 * self.square_m <= self.marker_m <= 0.95 * self.square_m:
+            raise InputError(
+                f"A ChArUco board needs at least 3x3 squares and tags of 0.3 to 0.95 of a square, found {self.nx}x{self.ny}, "
+                f"squares of {self.square_m} m and tags of {self.marker_m} m; measure both on the print."
+            )
+        tags = self.nx * self.ny // 2
+        if tags > TAGS_OF_DICTIONARY.get(self.dictionary, 0):
+            known = ", ".join(name for name, count in TAGS_OF_DICTIONARY.items() if count >= tags)
+            raise InputError(
+                f"A dictionary of OpenCV with at least {tags} tags was expected, found '{self.dictionary}'; use one of {known}."
+            )
+
+    @classmethod
+    def _from_arguments(cls, arguments: str) -> "ChArUco":
+        match = re.fullmatch(r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*:([^:]*):([^:]*):\s*(\w+)\s*", arguments)
+        if not match:
+            raise InputError(
+                f"Expected charuco:NXxNY:SQUARE:TAG:DICTIONARY such as charuco:9x7:30mm:22mm:DICT_5X5_100 (squares along x and "
+                f"y, sizes of squares and tags), found 'charuco:{arguments}'; write it in that form."
+            )
+        whole = f"charuco:{arguments}"
+        return cls(int(match[1]), int(match[2]), parse_length(match[3], whole), parse_length(match[4], whole), match[5])
+
+    @classmethod
+    def examples(cls) -> "Sequence[ChArUco]":
+        """Odd and even counts, large and small tags."""
+        return (
+            cls(9, 7, 0.03, 0.022, "DICT_5X5_100"),
+            cls(8, 6, 0.04, 0.03, "DICT_4X4_50"),
+            cls(5, 8, 0.035, 0.021, "DICT_APRILTAG_36h11"),
+        )
+
+    @property
+    def specification(self) -> str:
+        lengths = f"{format_length_mm(self.square_m)}:{format_length_mm(self.marker_m)}"
+        return f"{self.NAME}:{self.nx}x{self.ny}:{lengths}:{self.dictionary}"
+
+    @property
+    def points_m(self) -> Float[np.ndarray, "n 3"]:
+        x, y = np.meshgrid(np.arange(1, self.nx), np.arange(1, self.ny))
+        return self.square_m * np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3).astype(np.float64)
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        return (self.nx + 1) * self.square_m, (self.ny + 1) * self.square_m
+
+    @property
+    def top_left_m(self) -> tuple[float, float]:
+        return -0.5 * self.square_m, -0.5 * self.square_m
+
+    @property
+    def family(self) -> TagFamily:
+        return TagFamily(self.dictionary.removeprefix("DICT_"), 1, touching=False)
+
+    def _squares(self, white: bool) -> Float[np.ndarray, "n 2"]:
+        """Column and row of the white or black squares, row by row."""
+        row, column = np.mgrid[: self.ny, : self.nx]
+        chosen = ((row + column) % 2 == 1) == white
+        return np.stack([column[chosen], row[chosen]], -1).astype(np.float64)
+
+    @property
+    def tag_corners_m(self) -> Float[np.ndarray, "tags 4 2"]:
+        low = self.square_m * self._squares(white=True) + 0.5 * (self.square_m - self.marker_m)
+        return low[:, None] + self.marker_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+    @cached_property
+    def cells(self) -> CellGrid:
+        squares = self._squares(white=False)
+        black = [self.square_m * np.concatenate([squares, squares + 1], 1)]
+        for tag, (left, top) in enumerate(self.tag_corners_m[:, 0]):
+            black.append(bit_rectangles(self.family.bits(tag), float(left), float(top), self.marker_m))
+        return CellGrid.of_rectangles(np.concatenate(black), np.zeros((0, 4)))
+
+    @cached_property
+    def corner_kind(self) -> CornerKind:
+        corners = self.points_m[:, :2]
+        column, row = np.rint(corners / self.square_m).astype(np.int64).T
+        sign = np.where((column + row) % 2 == 1, 1.0, -1.0)
+        strip = _PLAIN_SHARE * 0.5 * (1.0 - self.marker_m / self.square_m)
+        # White quadrants are (+, +) and (-, -) where the sign is positive, the other two elsewhere; black ones hold no tag.
+        diagonal = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
+        return CornerKind(corners, sign, np.where(diagonal, strip, np.inf), self.square_m, self.square_m)

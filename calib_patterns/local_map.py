@@ -1,0 +1,107 @@
+"""The map from the board to the photo around given places, learnt from the corners that are known near them.
+
+No plane homography: through a fisheye the board is bent. Around each place b0 the map is a polynomial of fourth order in the
+offset (b - b0) / spacing, whose coefficients of each order have a prior: smooth lenses bend a little over one spacing, and ever
+less in higher orders. What one tag supports is then an affine map, what many corners support a map with its curvature, and
+the prediction states its own standard deviation, which grows as it leaves the known corners:
+
+    minimise  sum_i |p_i - sum_k c_k m_k(b_i)|^2 / s_i^2 + sum_k |c_k|^2 / q_k^2
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+NEIGHBOURS = 24
+"""Known corners that a prediction rests on."""
+PRIOR_BY_ORDER = (20.0, 10.0, 0.1, 0.03, 0.01)
+"""Standard deviation of the coefficients of each order, in units of the spacing as seen in the photo."""
+REMAINDER = 5e-4
+"""The same for the fifth order, which is left out: what a known corner n spacings away may be off, over n^5."""
+_POWERS = np.array([(i - j, j) for i in range(len(PRIOR_BY_ORDER)) for j in range(i + 1)])
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """The map at each place asked for."""
+
+    pixels: Float[np.ndarray, "n 2"]
+    first: Float[np.ndarray, "n 2 2"]
+    """Derivatives of (u, v) by (x, y), pixels per spacing."""
+    second: Float[np.ndarray, "n 2 2"]
+    """Second derivatives of (u, v), [..., 0] along x twice, [..., 1] along y twice."""
+    sigma_px: Float[np.ndarray, " n"]
+    """Standard deviation of `pixels`, each coordinate."""
+
+    @property
+    def spacing_px(self) -> Float[np.ndarray, " n"]:
+        """One spacing in the photo, where it is the most foreshortened."""
+        return np.linalg.svd(self.first, compute_uv=False)[:, -1]
+
+
+@dataclass(frozen=True)
+class KnownCorners:
+    """Places on the board whose pixels are known."""
+
+    board_m: Float[np.ndarray, "m 2"]
+    pixels: Float[np.ndarray, "m 2"]
+    sigma_px: Float[np.ndarray, " m"]
+
+    def joined(self, other: "KnownCorners") -> "KnownCorners":
+        """Both sets."""
+        return KnownCorners(
+            np.concatenate([self.board_m, other.board_m]),
+            np.concatenate([self.pixels, other.pixels]),
+            np.concatenate([self.sigma_px, other.sigma_px]),
+        )
+
+
+def local_map(known: KnownCorners, places_m: Float[np.ndarray, "n 2"], spacing_m: float, *, leave_out: bool = False) -> LocalMap:
+    """The map at `places_m` (n x 2, board) from the nearest of at least three known corners.
+
+    `leave_out` leaves out what is known of a place itself, so that the prediction tests it.
+    """
+    distance, index = _nearest(known, places_m)
+    weight = (distance > 1e-9 if leave_out else np.ones(distance.shape, dtype=bool)).astype(np.float64)
+    offset = (known.board_m[index] - places_m[:, None]) / spacing_m
+    pixels = known.pixels[index]
+    middle = np.sum(weight[..., None] * pixels, 1) / weight.sum(1)[:, None]
+    scale = _spacing_in_photo(offset, pixels - middle[:, None], weight)
+    spread = known.sigma_px[index] ** 2 + (REMAINDER * scale[:, None] * (distance / spacing_m) ** 5) ** 2
+    basis = (offset[:, :, None, 0] ** _POWERS[:, 0]) * (offset[:, :, None, 1] ** _POWERS[:, 1])
+    prior = np.array(PRIOR_BY_ORDER)[_POWERS.sum(1)] * scale[:, None]
+    # Scaled by the prior, so that the normal matrix is well conditioned: identity plus what the corners tell.
+    scaled = basis * prior[:, None, :]
+    weighted = scaled * (weight / spread)[..., None]
+    inverse = np.linalg.inv(weighted.transpose(0, 2, 1) @ scaled + np.eye(len(_POWERS)))
+    coefficients = prior[..., None] * (inverse @ (weighted.transpose(0, 2, 1) @ (pixels - middle[:, None])))
+    order = {(int(i), int(j)): k for k, (i, j) in enumerate(_POWERS)}
+    first = np.stack([coefficients[:, order[1, 0]], coefficients[:, order[0, 1]]], -1)
+    second = 2.0 * np.stack([coefficients[:, order[2, 0]], coefficients[:, order[0, 2]]], -1)
+    return LocalMap(middle + coefficients[:, 0], first, second, prior[:, 0] * np.sqrt(inverse[:, 0, 0]))
+
+
+def _nearest(known: KnownCorners, places_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n k"], Int[np.ndarray, "n k"]]:
+    count = min(NEIGHBOURS, len(known.board_m))
+    distance, index = cKDTree(known.board_m).query(places_m, k=count)
+    return np.asarray(distance).reshape(-1, count), np.asarray(index, dtype=np.int64).reshape(-1, count)
+
+
+def _spacing_in_photo(
+    offset: Float[np.ndarray, "n k 2"], pixels: Float[np.ndarray, "n k 2"], weight: Float[np.ndarray, "n k"]
+) -> Float[np.ndarray, " n"]:
+    """Pixels per spacing: ratio of the scatter of the known corners in the photo to that on the board."""
+    shares = (weight / weight.sum(1, keepdims=True))[..., None]
+    on_board = offset - np.sum(shares * offset, 1)[:, None]
+    return np.sqrt(np.sum(shares * pixels**2, (1, 2)) / np.maximum(np.sum(shares * on_board**2, (1, 2)), 1e-12)) + 1e-6
+
+
+def agrees(
+    known: KnownCorners, spacing_m: float, *, tolerance_px: float = 1.0, tolerance_spacings: float = 0.04
+) -> Bool[np.ndarray, " m"]:
+    """Whether each known corner is where the others say, within tolerance and three of the prediction's standard deviations."""
+    predicted = local_map(known, known.board_m, spacing_m, leave_out=True)
+    off = np.linalg.norm(predicted.pixels - known.pixels, axis=1)
+    return off < tolerance_px + tolerance_spacings * predicted.spacing_px + 3.0 * predicted.sigma_px

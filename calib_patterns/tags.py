@@ -1,0 +1,190 @@
+"""Square tags in a photo: OpenCV finds quadrilaterals at several scales, those that read as tags of the board are kept where they
+agree with their neighbours on it.
+
+Any dictionary of few bits decodes some of the clutter of a photo, so a tag counts only as one of the largest set of tags each
+of which lies where the local affine maps of its neighbours expect it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from calib_patterns.detection import MAX_SEARCH_PIXELS, SEARCH_SIDE_PX
+from calib_patterns.local_map import KnownCorners
+from calib_patterns.tag_decoding import Codes, decode
+
+MAX_MISFIT = 0.35
+"""How far a tag may be from where a neighbour's affine map expects it, as a share of their distance: lenses bend that much
+over three tags at the rim, while a false or misread tag is off by its distance or more."""
+_NEIGHBOURS = 24
+"""Nearest tags that each is compared with: eight, found by each of three searches."""
+
+
+@dataclass(frozen=True)
+class TagFamily:
+    """Which tags to look for, and how they are printed."""
+
+    dictionary: str
+    """Name of one of OpenCV's predefined dictionaries, without `DICT_`."""
+    border_bits: int
+    """Width of the black border in bits."""
+    touching: bool
+    """Whether the tags' corners touch other black: they are then parted by widening the white by a pixel."""
+
+    @property
+    def opencv(self) -> "cv2.aruco.Dictionary":
+        """OpenCV's dictionary."""
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
+
+    def bits(self, tag: int) -> Bool[np.ndarray, "n n"]:
+        """Black cells of a tag, the border included, in OpenCV's orientation."""
+        side = self.opencv.markerSize + 2 * self.border_bits
+        return cv2.aruco.generateImageMarker(self.opencv, tag, side, borderBits=self.border_bits) == 0
+
+
+@dataclass(frozen=True)
+class Tags:
+    """Tags found: their ids and their corners in OpenCV's order (clockwise from the tag's own top left as printed)."""
+
+    ids: Int[np.ndarray, " n"]
+    pixels: Float[np.ndarray, "n 4 2"]
+    sigma_px: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class _Search:
+    scale: float
+    widen: int
+    """Pixels by which white is widened in the scaled photo."""
+
+
+_SEARCHES = (_Search(1.0, 1), _Search(2.0, 2), _Search(0.5, 1))
+"""`widen` for tags that touch other black."""
+_CORRECTED_SHARE = 0.6
+"""Of the wrong bits that a dictionary could put right: clutter reads as a tag less often."""
+
+
+@lru_cache(maxsize=8)
+def _codes(family: TagFamily, count: int) -> Codes:
+    black = np.stack([family.bits(tag) for tag in range(count)])
+    return Codes(black, family.border_bits, int(_CORRECTED_SHARE * family.opencv.maxCorrectionBits))
+
+
+def _detector(family: TagFamily) -> "cv2.aruco.ArucoDetector":
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = family.border_bits
+    # Tags near the rim have bent sides and may be small.
+    parameters.polygonalApproxAccuracyRate = 0.05
+    parameters.minMarkerPerimeterRate = 0.02
+    parameters.adaptiveThreshWinSizeMin = 13
+    parameters.adaptiveThreshWinSizeMax = 53
+    parameters.adaptiveThreshWinSizeStep = 40
+    parameters.minDistanceToBorder = 1
+    return cv2.aruco.ArucoDetector(family.opencv, parameters)
+
+
+def _searched(image: np.ndarray, family: TagFamily, count: int) -> Iterator[Tags]:
+    """What each search finds of the first `count` tags, in pixels of the photo (8 bits)."""
+    detector = _detector(family)
+    base = min(1.0, SEARCH_SIDE_PX / max(image.shape))
+    for search in _SEARCHES:
+        scale = base * search.scale
+        if scale > 1 and scale**2 * image.size > MAX_SEARCH_PIXELS:
+            continue
+        interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        scaled = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=interpolation)
+        factors = np.array(image.shape[::-1]) / np.array(scaled.shape[::-1])
+        widen = search.widen if family.touching else 0
+        parted = cv2.dilate(scaled, np.ones((2 * widen + 1,) * 2, dtype=np.uint8)) if widen else scaled
+        read, _, rejected = detector.detectMarkers(parted)
+        quads = _clockwise(np.array([*read, *rejected], dtype=np.float64).reshape(-1, 4, 2))
+        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), _codes(family, count))
+        # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5).
+        yield Tags(ids, (pixels + 0.5) * factors - 0.5, np.full(len(ids), max(1.0 / scale, 0.7)))
+
+
+def _clockwise(quads: Float[np.ndarray, "n 4 2"]) -> Float[np.ndarray, "m 4 2"]:
+    """The convex ones of some extent, all turning from u to v."""
+    step = np.roll(quads, -1, axis=1) - quads
+    following = np.roll(step, -1, axis=1)
+    turns = step[..., 0] * following[..., 1] - step[..., 1] * following[..., 0]
+    convex = (np.abs(turns).min(1) > 4.0) & (np.abs(np.sign(turns).sum(1)) == 4)
+    quads, turns = quads[convex], turns[convex]
+    return np.where((turns[:, 0] > 0)[:, None, None], quads, quads[:, ::-1])
+
+
+def _unshrunk(pixels: Float[np.ndarray, "n 4 2"], widen: int) -> Float[np.ndarray, "n 4 2"]:
+    """The corners before white was widened."""
+    middle = pixels.mean(1, keepdims=True)
+    side = np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=2).mean(1)
+    return middle + (pixels - middle) * (1.0 + 2.0 * widen / np.maximum(side, 1.0))[:, None, None]
+
+
+def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
+    """The tags of a board in a photo of 8 bits, each at most once, none that disagrees with the others.
+
+    `board_m`: the corners of every tag of the board, in OpenCV's order, rows by id. The search ends when all are found, or some
+    and then no more.
+    """
+    found = kept = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+    for tags in _searched(image, family, len(board_m)):
+        before = len(kept.ids)
+        found = Tags(*(np.concatenate(columns) for columns in _columns(found, tags)))
+        kept = _agreeing(found, board_m)
+        if len(kept.ids) == len(board_m) or len(kept.ids) == before > 0:
+            break
+    return kept
+
+
+def _columns(a: Tags, b: Tags) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    return (a.ids, b.ids), (a.pixels, b.pixels), (a.sigma_px, b.sigma_px)
+
+
+def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
+    """The largest set of tags that agree with each other; of several of one id the first found."""
+    if not len(tags.ids):
+        return tags
+    on_board = board_m[tags.ids]
+    # Affine map of each tag: its centre and the mean of opposite sides.
+    sides = _sides(tags.pixels) @ np.linalg.inv(_sides(on_board))
+    right_handed = np.linalg.det(sides) > 0
+    centre_m, centre_px = on_board.mean(1), tags.pixels.mean(1)
+    count = min(_NEIGHBOURS + 1, len(tags.ids))
+    neighbour = np.asarray(cKDTree(centre_m).query(centre_m, k=count)[1], dtype=np.int64).reshape(-1, count)
+    pairs = np.stack([np.repeat(np.arange(len(tags.ids)), count), neighbour.ravel()])
+    pairs = np.concatenate([pairs, pairs[::-1]], 1)
+    steps_m = centre_m[pairs[1]] - centre_m[pairs[0]]
+    distance_px = np.linalg.norm(centre_px[pairs[1]] - centre_px[pairs[0]], axis=1)
+    # The mean of both maps expects a neighbour to second order.
+    both = 0.5 * (sides[pairs[0]] + sides[pairs[1]])
+    off = np.linalg.norm(centre_px[pairs[0]] + np.einsum("nij,nj->ni", both, steps_m) - centre_px[pairs[1]], axis=1)
+    same = tags.ids[pairs[0]] == tags.ids[pairs[1]]
+    size_px = np.sqrt(np.abs(np.linalg.det(_sides(tags.pixels))))[pairs[0]]
+    linked = np.where(same, distance_px < 0.3 * size_px, off < MAX_MISFIT * distance_px)
+    linked &= right_handed[pairs[0]] & right_handed[pairs[1]]
+    # Only true links: SciPy takes a stored False for an edge as well.
+    pairs = pairs[:, linked]
+    graph = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(tags.ids),) * 2)
+    member = connected_components(graph, directed=False)[1]
+    sizes = np.array([len(np.unique(tags.ids[(member == k) & right_handed])) for k in range(member.max() + 1)])
+    in_largest = np.flatnonzero((member == sizes.argmax()) & right_handed)
+    kept = in_largest[np.unique(tags.ids[in_largest], return_index=True)[1]]
+    return Tags(tags.ids[kept], tags.pixels[kept], tags.sigma_px[kept])
+
+
+def _sides(corners: Float[np.ndarray, "n 4 2"]) -> Float[np.ndarray, "n 2 2"]:
+    """Mean top and bottom side, mean left and right side, as columns."""
+    a, b, c, d = np.moveaxis(corners, 1, 0)
+    return 0.5 * np.stack([b - a + c - d, d - a + c - b], -1)
+
+
+def tag_corners(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"]) -> KnownCorners:
+    """The corners of the tags as known places of the board."""
+    return KnownCorners(board_m[tags.ids].reshape(-1, 2), tags.pixels.reshape(-1, 2), np.repeat(tags.sigma_px, 4))

@@ -1,0 +1,143 @@
+"""ChArUco boards: OpenCV's geometry, print and numbering; detection through wide lenses, whole and in part."""
+
+import cv2
+import numpy as np
+import pytest
+from tag_views import CAMERAS, check_partial, views
+
+import calib_patterns
+from calib_patterns.charuco import TAGS_OF_DICTIONARY, ChArUco
+from calib_patterns.rendering import render_target
+from camera_models.errors import InputError
+from camera_models.pinhole import Pinhole
+from camera_models.pose import Pose
+
+SPEC = "charuco:9x7:30mm:22mm:DICT_5X5_100"
+BOARD = calib_patterns.pattern(SPEC)
+PINHOLE = Pinhole.from_mapping({"fx": 960.0, "fy": 960.0, "cx": 479.5, "cy": 359.5}, (960, 720))
+
+
+def opencv_board(board: ChArUco) -> "cv2.aruco.CharucoBoard":
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    return cv2.aruco.CharucoBoard((board.nx, board.ny), board.square_m, board.marker_m, dictionary)
+
+
+@pytest.mark.parametrize("board", ChArUco.examples(), ids=lambda board: board.specification)
+def test_geometry_and_print_are_opencvs(board: ChArUco) -> None:
+    theirs = opencv_board(board)
+    np.testing.assert_allclose(board.points_m, np.array(theirs.getChessboardCorners()), atol=1e-7)
+    assert theirs.getIds().ravel().tolist() == list(range(len(board.tag_corners_m)))
+    np.testing.assert_allclose(board.tag_corners_m, np.array(theirs.getObjPoints())[..., :2], atol=1e-7)
+    # Their picture and ours, except at the edges of bits, which theirs rounds to pixels.
+    scale = 240
+    printed = theirs.generateImage((board.nx * scale, board.ny * scale), marginSize=0, borderBits=1)
+    u, v = np.meshgrid(np.arange(printed.shape[1]), np.arange(printed.shape[0]))
+    points = np.stack([u + 0.5, v + 0.5], -1) * board.square_m / scale
+    near_edge = board.reflectance(points, np.full_like(points, 4.0 * board.square_m / scale))
+    same = board.reflectance(points, np.zeros_like(points)) == printed / 255.0
+    assert same[(near_edge == 0) | (near_edge == 1)].all() and same.mean() > 0.98
+
+
+def test_dictionaries_are_opencvs() -> None:
+    for name, count in TAGS_OF_DICTIONARY.items():
+        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) == count, name
+    assert len(TAGS_OF_DICTIONARY) > 20
+
+
+def test_opencvs_detector_reads_our_photo_with_our_ids() -> None:
+    rotation, _ = cv2.Rodrigues(np.array([0.2, -0.15, 0.1]))
+    pose = Pose.of(rotation, np.array([0.0, 0.0, 0.45]) - rotation @ np.array([0.135, 0.105, 0.0]))
+    image = render_target(BOARD, PINHOLE, pose)
+    assert isinstance(BOARD, ChArUco)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(opencv_board(BOARD)).detectBoard(image)
+    found, reason = BOARD.detect(image)
+    assert reason is None and found.ids.tolist() == sorted(ids.ravel().tolist()) == list(range(48))
+    assert np.abs(found.pixels[ids.ravel()] - corners.reshape(-1, 2)).max() < 0.5
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_every_corner_through_wide_lenses(camera: str) -> None:
+    """Boards out to 85 degrees: all corners, right ids, hundredths of a pixel."""
+    errors = []
+    for view in views(SPEC, camera, 4, 12.0):
+        found, reason = BOARD.detect(view.image)
+        assert reason is None and len(found) == 48
+        errors.append(found.pixels - view.truth)
+    error = np.concatenate(errors)
+    assert len(errors) == 4 and np.sqrt((error**2).mean()) < 0.03 and np.abs(error).max() < 0.3
+    assert np.abs(error.mean(0)).max() < 0.006
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_part_of_the_board(camera: str) -> None:
+    checked = 0
+    for index, view in enumerate(views(SPEC, camera, 4, 12.0)):
+        for part in (view.cropped(0.4, index % 2), view.covered(0.6, 2.0 * index, index)):
+            found, reason = BOARD.detect(part.image)
+            assert reason is None
+            check_partial(found, part, may_miss=1)
+            checked += 1
+    assert checked == 8
+
+
+def test_one_tag_with_its_corners_is_enough() -> None:
+    """Three squares by three of the board, through the fisheye."""
+    view = views(SPEC, "fisheye-190", 4, 12.0)[0]
+    grid = view.truth.reshape(6, 8, 2)
+    window = grid[1:4, 2:5].reshape(-1, 2)
+    low, high = np.floor(window.min(0) - 4).astype(int), np.ceil(window.max(0) + 4).astype(int)
+    found, reason = BOARD.detect(np.ascontiguousarray(view.image[low[1] : high[1], low[0] : high[0]]))
+    assert reason is None and set(np.arange(48).reshape(6, 8)[1:4, 2:5].ravel()) <= set(found.ids)
+    assert np.linalg.norm(found.pixels + low - view.truth[found.ids], axis=1).max() < 0.3
+
+
+def test_sigma_states_the_error() -> None:
+    rotation, _ = cv2.Rodrigues(np.array([0.2, -0.15, 0.1]))
+    pose = Pose.of(rotation, np.array([0.0, 0.0, 0.45]) - rotation @ np.array([0.135, 0.105, 0.0]))
+    clean = render_target(BOARD, PINHOLE, pose, blur_px=0.7).astype(np.float64)
+    camera = np.array([[960.0, 0, 479.5], [0, 960.0, 359.5], [0, 0, 1]])
+    truth = cv2.projectPoints(BOARD.points_m, rotation, pose.translation.numpy(), camera, None)[0].reshape(-1, 2)
+    rng = np.random.default_rng(3)
+    normalised = []
+    for noise in (5.0, 10.0, 15.0):
+        noisy = np.clip(np.rint(clean + rng.normal(0, noise, clean.shape)), 0, 255).astype(np.uint8)
+        found, reason = BOARD.detect(noisy)
+        assert reason is None and len(found) == 48
+        normalised.append((found.pixels - truth) / found.sigma_px[:, None])
+    assert len(normalised) == 3 and 0.75 < np.sqrt((np.concatenate(normalised) ** 2).mean()) < 1.2
+
+
+@pytest.mark.parametrize(
+    "other",
+    ["charuco:9x7:30mm:22mm:DICT_4X4_50", "aprilgrid:6x6:35mm:0.3:36h11", "charuco:3x3:30mm:22mm:DICT_APRILTAG_16h5"],
+)
+def test_nothing_is_found_on_another_target(other: str) -> None:
+    found, reason = calib_patterns.pattern(other).detect(views(SPEC, "fisheye-190", 4, 12.0)[1].image)
+    assert len(found) == 0 and reason is not None
+
+
+def test_a_mirrored_photo_needs_the_option() -> None:
+    view = views(SPEC, "scaramuzza", 4, 12.0)[0]
+    flipped = np.ascontiguousarray(view.image[:, ::-1])
+    assert len(BOARD.detect(flipped)[0]) == 0
+    found, reason = BOARD.detect(flipped, mirrored=True)
+    assert reason is None and len(found) == 48
+    expected = view.truth * [-1, 1] + [view.image.shape[1] - 1, 0]
+    assert np.abs(found.pixels - expected).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "charuco:9x7:30mm:22mm",
+        "charuco:9x7:22mm:30mm:DICT_5X5_100",
+        "charuco:2x7:30mm:22mm:DICT_5X5_100",
+        "charuco:9x7:30mm:22mm:DICT_5X5",
+        "charuco:20x20:30mm:22mm:DICT_5X5_100",
+        "charuco:9x7:30:22mm:DICT_5X5_100",
+    ],
+)
+def test_malformed_specification(text: str) -> None:
+    with pytest.raises(InputError) as error:
+        calib_patterns.pattern(text)
+    assert "\n" not in str(error.value)
