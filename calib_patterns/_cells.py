@@ -24,17 +24,15 @@ class CellGrid:
     black: Bool[np.ndarray, "ny nx"]
 
     @staticmethod
-    def of_rectangles(rectangles_m: Float[np.ndarray, "n 4"], white_m: Float[np.ndarray, "m 4"]) -> "CellGrid":
-        """Black rectangles (x0, y0, x1, y1), then white ones painted over them; edges within a nanometre are one."""
-        everything = np.concatenate([rectangles_m, white_m])
-        x, y = (_distinct(everything[:, [k, k + 2]]) for k in (0, 1))
+    def of_rectangles(rectangles_m: Float[np.ndarray, "n 4"]) -> "CellGrid":
+        """Black rectangles (x0, y0, x1, y1); edges within a nanometre of each other are one."""
+        x, y = (_distinct(rectangles_m[:, [k, k + 2]]) for k in (0, 1))
         black = np.zeros((len(y) - 1, len(x) - 1), dtype=bool)
-        for rectangles, value in ((rectangles_m, True), (white_m, False)):
-            columns, rows = (
-                np.searchsorted(edges - 1e-9, rectangles[:, [k, k + 2]], "right") - 1 for k, edges in enumerate((x, y))
-            )
-            for (left, right), (top, bottom) in zip(columns, rows, strict=True):
-                black[top:bottom, left:right] = value
+        columns, rows = (
+            np.searchsorted(edges - 1e-9, rectangles_m[:, [k, k + 2]], "right") - 1 for k, edges in enumerate((x, y))
+        )
+        for (left, right), (top, bottom) in zip(columns, rows, strict=True):
+            black[top:bottom, left:right] = True
         return CellGrid(x, y, black)
 
     @cached_property

@@ -118,7 +118,7 @@ class AprilGrid(TagBoard):
         x, y = np.meshgrid(self._pitch_m * np.arange(self.nx + 1) - gap, -self._pitch_m * np.arange(self.ny + 1))
         low = np.stack([x, y], -1).reshape(-1, 2)
         black.append(np.concatenate([low, low + gap], 1))
-        return CellGrid.of_rectangles(np.concatenate(black), np.zeros((0, 4)))
+        return CellGrid.of_rectangles(np.concatenate(black))
 
     @cached_property
     def corner_kind(self) -> CornerKind:

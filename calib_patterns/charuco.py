@@ -117,7 +117,7 @@ class ChArUco(TagBoard):
         black = [self.square_m * np.concatenate([squares, squares + 1], 1)]
         for tag, (left, top) in enumerate(self.tag_corners_m[:, 0]):
             black.append(bit_rectangles(self.family.bits(tag), float(left), float(top), self.marker_m))
-        return CellGrid.of_rectangles(np.concatenate(black), np.zeros((0, 4)))
+        return CellGrid.of_rectangles(np.concatenate(black))
 
     @cached_property
     def corner_kind(self) -> CornerKind:

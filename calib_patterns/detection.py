@@ -71,7 +71,7 @@ def grey_of(image: np.ndarray) -> Grey:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def _stretched(grey: Grey) -> Grey:
+def stretched(grey: Grey) -> Grey:
     """8 bits that span the photo's own range, but for 0.1 percent at either end."""
     thinned = grey[:: max(1, grey.shape[0] // 500), :: max(1, grey.shape[1] // 500)]
     low, high = np.percentile(thinned, [0.1, 99.9])
@@ -87,13 +87,13 @@ def _rescaled(image: Grey, scale: float) -> Grey:
 
 def _candidates(grey: Grey, nx: int, ny: int) -> Iterator[tuple[Float[np.ndarray, "ny nx 2"], float]]:
     """Grids in full-scale pixels with the scale they were found at, in the order of the ensemble."""
-    stretched = _stretched(grey)
+    whole = stretched(grey)
     base = min(1.0, SEARCH_SIDE_PX / max(grey.shape))
     for search in _ENSEMBLE:
         scale = base * search.scale
         if scale > 1 and scale**2 * grey.size > MAX_SEARCH_PIXELS:
             continue
-        image = _rescaled(stretched, scale)
+        image = _rescaled(whole, scale)
         if search.equalise:
             image = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image)
         corners = search.finder(image, nx, ny)
@@ -214,7 +214,7 @@ def why_not(grey: Grey, name: str, needs: str = WHOLE_BOARD) -> str:
         return f"The photo is overexposed: 99 percent of it is above {100 * low:.0f} percent of full scale."
     if high - low < 0.08:
         return f"The photo has too little contrast to show a {name}: it spans {100 * (high - low):.0f} percent of full scale."
-    reduced = _rescaled(_stretched(grey), min(1.0, SEARCH_SIDE_PX / max(grey.shape))).astype(np.float32)
+    reduced = _rescaled(stretched(grey), min(1.0, SEARCH_SIDE_PX / max(grey.shape))).astype(np.float32)
     steepest = float(np.percentile(np.abs(np.diff(reduced, axis=1)), 99.9))
     if steepest < 12:
         return (

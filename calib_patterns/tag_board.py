@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from calib_patterns._cells import CellGrid
 from calib_patterns._pattern import Detection, Pattern, check_image
-from calib_patterns.detection import _stretched, grey_of, why_not
+from calib_patterns.detection import grey_of, stretched, why_not
 from calib_patterns.local_map import KnownCorners, LocalMap, agrees, local_map
 from calib_patterns.saddle import SaddleFit, fit_corners
 from calib_patterns.tags import TagFamily, find_tags, tag_corners
@@ -238,7 +238,7 @@ class TagBoard(Pattern):
         grey = grey_of(image)
         if mirrored:
             grey = np.ascontiguousarray(grey[:, ::-1])
-        tags = find_tags(_stretched(grey), self.family, self.tag_corners_m)
+        tags = find_tags(stretched(grey), self.family, self.tag_corners_m)
         if not len(tags.ids):
             return Detection.empty(), self._why_not(grey)
         found = grow_corners(grey, self.corner_kind, tag_corners(tags, self.tag_corners_m))

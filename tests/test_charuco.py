@@ -29,13 +29,13 @@ def test_geometry_and_print_are_opencvs(board: ChArUco) -> None:
     assert theirs.getIds().ravel().tolist() == list(range(len(board.tag_corners_m)))
     np.testing.assert_allclose(board.tag_corners_m, np.array(theirs.getObjPoints())[..., :2], atol=1e-7)
     # Their picture and ours, except at the edges of bits, which theirs rounds to pixels.
-    scale = 240
+    scale = 120
     printed = theirs.generateImage((board.nx * scale, board.ny * scale), marginSize=0, borderBits=1)
     u, v = np.meshgrid(np.arange(printed.shape[1]), np.arange(printed.shape[0]))
     points = np.stack([u + 0.5, v + 0.5], -1) * board.square_m / scale
     near_edge = board.reflectance(points, np.full_like(points, 4.0 * board.square_m / scale))
     same = board.reflectance(points, np.zeros_like(points)) == printed / 255.0
-    assert same[(near_edge == 0) | (near_edge == 1)].all() and same.mean() > 0.98
+    assert same[(near_edge == 0) | (near_edge == 1)].all() and same.mean() > 0.95
 
 
 def test_dictionaries_are_opencvs() -> None:

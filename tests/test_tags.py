@@ -115,7 +115,7 @@ def test_a_wrong_corner_disagrees() -> None:
 
 
 def test_cells_merge_edges_that_only_rounding_sets_apart() -> None:
-    cells = CellGrid.of_rectangles(np.array([[0.0, 0.0, 0.1 + 0.2, 1.0], [0.3, 0.0, 1.0, 1.0]]), np.zeros((0, 4)))
+    cells = CellGrid.of_rectangles(np.array([[0.0, 0.0, 0.1 + 0.2, 1.0], [0.3, 0.0, 1.0, 1.0]]))
     assert cells.black.shape == (1, 2) and len(cells.rectangles_m) == 1
     thin = cells.reflectance(np.array([[1.0, 0.5], [0.5, 0.5], [2.0, 0.5]]), np.array([[0.5, 0.0], [0.0, 0.0], [0.1, 0.1]]))
     np.testing.assert_allclose(thin, [0.5, 0.0, 1.0], atol=1e-9)
