@@ -255,6 +255,16 @@ def test_joint_covariance_holds_the_single_ones_and_is_the_dense_inverse() -> No
         torch.testing.assert_close(joint[k, :, k], adjusted.line_covariance[track], rtol=1e-9, atol=0)
 
 
+def test_joint_covariance_of_lines_with_all_poses_held_is_that_of_each() -> None:
+    scene = Scene(cameras=5, lines=8)
+    adjusted = adjust_lines(scene.arcs(NOISE_PX, stated_px=NOISE_PX), scene.lines, scene.poses, refine_poses=False)
+    tracks = torch.tensor([6, 1])
+    joint = adjusted.joint_line_covariance(tracks).reshape(2, 4, 2, 4)
+    for k, track in enumerate(tracks.tolist()):
+        torch.testing.assert_close(joint[k, :, k], adjusted.line_covariance[track], rtol=1e-9, atol=0)
+    assert float(joint[0, :, 1].abs().max()) == 0
+
+
 def test_sector_and_whitened_costs_differ_by_less_than_their_uncertainty() -> None:
     scene = Scene()
     arcs = scene.arcs(NOISE_PX, stated_px=NOISE_PX)

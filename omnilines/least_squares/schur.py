@@ -210,12 +210,13 @@ def joint_eliminated_covariance(
     count, dim = equations.eliminated.shape[:2]
     place = torch.full((count,), -1, device=blocks.device)
     place[blocks] = torch.arange(len(blocks), device=blocks.device)
-    gain = kept_covariance.new_full((len(blocks), dim, len(kept_covariance)), float("nan"))
-    own = kept_covariance.new_full((len(blocks), dim, dim), float("nan"))
+    observed = (torch.diagonal(equations.eliminated, dim1=-2, dim2=-1) > 0).any(-1)[blocks][:, None, None]
+    own = torch.where(observed, torch.cholesky_inverse(reduced.factor[blocks]), float("nan"))
+    # A block that touches no kept column has no more than its own part.
+    gain = torch.where(observed, 0.0, float("nan")).expand(-1, dim, len(kept_covariance)).clone().to(kept_covariance)
     for part in equations.structure.size_classes:
         wanted = torch.nonzero(place[part.blocks] >= 0).flatten()
         at, factor = place[part.blocks[wanted]], reduced.factor[part.blocks[wanted]]
-        own[at] = torch.cholesky_inverse(factor)
         local = torch.cholesky_solve(equations.coupling[part.rows[wanted]].mT, factor)
         columns = part.columns[wanted][:, None, :].expand(-1, dim, -1)
         gain[at] = torch.zeros_like(gain[at]).scatter_(-1, columns, local)
