@@ -91,23 +91,11 @@ def reconstruct_lines(
     mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
     models = tuple(cameras.values()) if refine_cameras else ()
     state = LinesAndPoses(frames, _no_chart(), mounted, models)
-    first, member = _triangulated(arcs, state.cam_from_world, triangulation, robust)
-    for _ in range(ROUNDS if refine_poses else 0):
-        if bool(first.known.all()):
-            break
-        better = _mended(arcs.rows(member), first, state)
-        again, member_again = _triangulated(arcs, better.cam_from_world, triangulation, robust)
-        if int(again.known.sum()) <= int(first.known.sum()):
-            break
-        state, first, member = better, again, member_again
+    state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0)
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
     start = first.lines[tracks]
     centres = state.cam_from_world.centre[inner.image]
     state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
-    prior = None
-    if pose_sigma is not None:
-        spread = [torch.full((len(frames),), sigma, dtype=torch.float64) for sigma in pose_sigma]
-        prior = PosePrior(frames, spread[0], spread[1])
     adjusted = adjust_lines(
         inner,
         start,
@@ -117,7 +105,7 @@ def reconstruct_lines(
         rig=mounted,
         refine_rig=refine_rig,
         models=models,
-        prior=prior,
+        prior=_prior(frames, pose_sigma),
         loss=_loss(loss, cost, inner, state),
         callback=callback,
     )
@@ -144,10 +132,34 @@ def reconstruct_lines(
     )
 
 
+def _prior(frames: Pose, sigma: tuple[float, float] | None) -> PosePrior | None:
+    """The poses of all frames with the same standard deviations (rad, m), or nothing."""
+    if sigma is None:
+        return None
+    turn, shift = (torch.full((len(frames),), value, dtype=torch.float64) for value in sigma)
+    return PosePrior(frames, turn, shift)
+
+
 def _no_chart() -> LineChart:
     """The chart of no line, until there are some."""
     none = torch.zeros(0, 3, dtype=torch.float64)
     return LineChart(none, none[:, 0], none[..., None].expand(0, 3, 3), none[:, 0])
+
+
+def _started(
+    arcs: Arcs, state: LinesAndPoses, method: str, robust: bool, rounds: int
+) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
+    """Poses mended up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
+    first, member = _triangulated(arcs, state.cam_from_world, method, robust)
+    for _ in range(rounds):
+        if bool(first.known.all()):
+            break
+        better = _mended(arcs.rows(member), first, state)
+        again, member_again = _triangulated(arcs, better.cam_from_world, method, robust)
+        if int(again.known.sum()) <= int(first.known.sum()):
+            break
+        state, first, member = better, again, member_again
+    return state, first, member
 
 
 def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndPoses:

@@ -142,6 +142,7 @@ class _Judged:
 
     @staticmethod
     def of(corners: Corners, judge: CameraCalibration, folds: int) -> "_Judged":
+        """The corners that one calibration kept. Raises InputError for fewer than LEAST_VIEWS views."""
         views = [v for v, view in enumerate(judge.views) if view.used]
         if len(views) < LEAST_VIEWS:
             raise InputError(

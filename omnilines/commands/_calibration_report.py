@@ -36,6 +36,7 @@ class UncertaintyMap:
 
     @staticmethod
     def of(result: CameraCalibration) -> "UncertaintyMap":
+        """The map of a calibration, at MAP_STEPS pixels along the longer side of its image."""
         width, height = result.model.image_size
         step = max(width, height) / MAP_STEPS
         u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
