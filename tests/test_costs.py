@@ -11,8 +11,7 @@ from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, arcs_from_segments
 from omnilines.costs import COSTS, cost_function, sector
 from omnilines.costs._cost import by_bearings
-from omnilines.costs.taylor_kriegman import along
-from omnilines.costs.whitened import end_sigmas
+from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Segments
 
 SIZE = (1280, 960)
@@ -127,7 +126,8 @@ def test_distances_on_a_wide_camera_are_those_to_the_curve_in_the_image(camera):
     unit = normal / normal.norm(dim=-1, keepdim=True)
     share = torch.linspace(-0.1, 1.1, 4001, dtype=torch.float64)
     feet = arcs.bearings - (arcs.bearings @ unit[..., None]) * unit[:, None]
-    curve, _ = model.project(along(feet / feet.norm(dim=-1, keepdim=True), share))
+    feet = feet / feet.norm(dim=-1, keepdim=True)
+    curve, _ = model.project(points_on_arc(feet[:, 0], feet[:, 1], share))
     ends = arcs.observed.pixels
     at = torch.cdist(ends, curve).argmin(-1).clamp(1, curve.shape[1] - 2)[..., None].expand(-1, -1, 2)
     tangent = curve.gather(1, at + 1) - curve.gather(1, at - 1)
@@ -136,7 +136,8 @@ def test_distances_on_a_wide_camera_are_those_to_the_curve_in_the_image(camera):
     torch.testing.assert_close(found.abs(), nearest, rtol=5e-3, atol=2e-3)
     nodes = arcs.nodes
     assert nodes is not None
-    pieces, _ = model.project(along(arcs.bearings, torch.linspace(0, 1, 2001, dtype=torch.float64)))
+    steps = torch.linspace(0, 1, 2001, dtype=torch.float64)
+    pieces, _ = model.project(points_on_arc(arcs.bearings[:, 0], arcs.bearings[:, 1], steps))
     length = pieces.diff(dim=1).norm(dim=-1).sum(-1)
     torch.testing.assert_close(nodes.length_px.sum(-1), length, rtol=1e-3, atol=0.05)
 
@@ -151,7 +152,8 @@ def test_whitened_is_the_whitened_sector_residual():
     unit = normal / normal.norm(dim=-1, keepdim=True)
     factor = sector.prepare(arcs.bearings[:, 0], arcs.bearings[:, 1])
     mixing = factor @ torch.linalg.pinv(arcs.bearings)
-    sigma = end_sigmas(arcs.by_pixel, arcs.covariance_px2, normal)
+    across = arcs.by_pixel.mT @ unit[:, None, :, None]
+    sigma = (across.mT @ arcs.covariance_px2 @ across)[..., 0, 0].sqrt()
     covariance = mixing @ torch.diag_embed(sigma**2) @ mixing.mT
     torch.testing.assert_close((factor @ unit[..., None])[..., 0], r)
     squared = (r[:, None] @ torch.linalg.solve(covariance, r[..., None]))[:, 0, 0]

@@ -11,8 +11,8 @@ from torch import Tensor
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.costs._cost import ArcNodes
-from omnilines.costs.taylor_kriegman import NODES, along
-from omnilines.geometry.sphere import angle_between, arc_normal
+from omnilines.costs.taylor_kriegman import NODES
+from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
 from omnilines.records import ImagePoses, Segments
 
 
@@ -177,7 +177,7 @@ def _nodes(observed: Observed, bearings: Float[Tensor, "n 2 3"], models: Sequenc
     """Gauss-Legendre nodes over the pixel length of the image of each arc: ds = |d pixel / d V (N x V)| d theta."""
     abscissa, weight = (torch.as_tensor(values) for values in np.polynomial.legendre.leggauss(NODES))
     share = 0.5 * (abscissa + 1)
-    places = along(bearings, share)
+    places = points_on_arc(bearings[:, 0], bearings[:, 1], share)
     normal = arc_normal(bearings[:, 0], bearings[:, 1])[:, None].expand_as(places)
     forward = torch.linalg.cross(normal, places)
     phi = angle_between(bearings[:, 0], bearings[:, 1])

@@ -8,21 +8,13 @@ Gauss's, with NODES nodes; for a pinhole camera h is linear in s to first order 
 segment of length l (C. J. Taylor, D. J. Kriegman, PAMI 17(11), 1995). The residuals are the square roots of its terms.
 """
 
-import torch
 from torch import Tensor
 
 from camera_models.errors import InputError
 from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
+from omnilines.geometry.sphere import points_on_arc
 
 NODES = 3
-
-
-def along(bearings: Tensor, share: Tensor) -> Tensor:
-    """Bearings (n, k, 3) at shares of the way along arcs (n, 2, 3); differentiable in the ends, for arcs below half a turn."""
-    v1, v2 = bearings.unbind(1)
-    phi = torch.atan2(torch.linalg.cross(v1, v2).norm(dim=-1), (v1 * v2).sum(-1))[:, None]
-    first, second = torch.sin((1 - share) * phi), torch.sin(share * phi)
-    return (first[..., None] * v1[:, None] + second[..., None] * v2[:, None]) / torch.sin(phi)[..., None]
 
 
 def of_arcs(arcs: ObservedArcs) -> CostFunction:
@@ -36,7 +28,7 @@ def of_arcs(arcs: ObservedArcs) -> CostFunction:
     spread, root = nodes.by_pixel @ nodes.by_pixel.mT, nodes.length_px.sqrt()
 
     def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        h, by_normal = scaled_distance(along(bearings, nodes.share), spread, normal)
+        h, by_normal = scaled_distance(points_on_arc(bearings[:, 0], bearings[:, 1], nodes.share), spread, normal)
         return root * h, root[..., None] * by_normal
 
     return evaluate

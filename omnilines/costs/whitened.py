@@ -7,23 +7,9 @@ sector's factor F cancels, and it attains the Cramer-Rao bound. The derivative i
 that of the sum of squares itself.
 """
 
-from jaxtyping import Float
 from torch import Tensor
 
-from camera_models._arrays import array_function
 from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
-
-
-@array_function
-def end_sigmas(
-    by_pixel: Float[Tensor, "*batch 2 3 2"],
-    covariance_px2: Float[Tensor, "*batch 2 2 2"],
-    normal: Float[Tensor, "*batch 3"],
-) -> Float[Tensor, "*batch 2"]:
-    """Standard deviation (rad) of both ends of each arc across the plane with normal M (camera frame, any length)."""
-    unit = (normal / normal.norm(dim=-1, keepdim=True))[..., None, :, None]
-    across = by_pixel.mT @ unit
-    return (across.mT @ covariance_px2 @ across)[..., 0, 0].sqrt()
 
 
 def of_arcs(arcs: ObservedArcs) -> CostFunction:
