@@ -1,0 +1,28 @@
+"""Arguments, progress and messages of the `omnilines` command; no arithmetic.
+
+torch and cv2 are imported by the commands themselves, so that `--help` answers at once.
+"""
+
+import sys
+
+import typer
+
+from camera_models.errors import OmnilinesError
+from omnilines.cli._shared import app
+
+# The order of the commands in the help is the order of these imports.
+from omnilines.cli import targets, cameras, lines, experiments  # isort: skip
+
+__all__ = ["app", "cameras", "experiments", "lines", "main", "targets"]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: an error that the user can mend is one sentence on standard error and exit status 2."""
+    try:
+        app(arguments, standalone_mode=True)
+    except OmnilinesError as error:
+        typer.echo(f"omnilines: {error}", err=True)
+        sys.exit(2)
+    except OSError as error:
+        typer.echo(f"omnilines: {error.filename or 'a file'} cannot be read or written ({error.strerror}).", err=True)
+        sys.exit(2)

@@ -1,0 +1,118 @@
+"""The application, its options and how a command is run and its result printed."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from camera_models.errors import InputError
+
+if TYPE_CHECKING:
+    from omnilines.commands._common import CommandResult, ProgressCallback
+
+app = typer.Typer(
+    name="omnilines",
+    help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+render_app = typer.Typer(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
+experiment_app = typer.Typer(help="The dissertation's experiments.", no_args_is_help=True)
+app.add_typer(render_app, name="render")
+app.add_typer(experiment_app, name="experiment")
+
+Photos = Annotated[list[Path], typer.Argument(help="Photos, or folders of photos; or one corners.csv.", show_default=False)]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
+PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
+Model = Annotated[
+    str,
+    typer.Option(
+        "--model", help="Camera model: pinhole, opencv-fisheye, scaramuzza, unified, extended-unified or double-sphere."
+    ),
+]
+Size = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
+Mirror = Annotated[bool, typer.Option("--mirror", help="The camera looks into a mirror (a0 < 0).")]
+LossName = Annotated[str, typer.Option("--loss", help="none, huber or cauchy.")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+
+
+def _print_version(wanted: bool | None) -> None:
+    if wanted:
+        typer.echo(f"omnilines {version('omnilines')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    show: Annotated[
+        bool | None, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = None,
+) -> None:
+    """Options of the command as a whole."""
+
+
+def parse_size(text: str, option: str) -> tuple[int, int]:
+    """(width, height) of a text such as 1280x960; raises InputError otherwise."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise InputError(f"{option} was expected as WIDTHxHEIGHT in pixels, such as 1280x960, found '{text}'.")
+    return int(parts[0]), int(parts[1])
+
+
+@contextmanager
+def progress() -> "Iterator[ProgressCallback]":
+    """A progress line on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total or None)
+            bar.update(tasks[stage], completed=done)
+
+        yield tell
+
+
+def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool) -> None:
+    """Run a command, print its result, and exit with 1 where a check does not hold."""
+    with progress() as tell:
+        result = command(tell)
+    for warning in result.warnings:
+        typer.echo(f"note: {warning}", err=True)
+    if as_json:
+        checks = [vars(check) for check in result.checks]
+        report = str(result.report) if result.report else None
+        files = [str(path) for path in result.files]
+        data = {**result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
+        typer.echo(json.dumps(data, indent=2, allow_nan=False))
+    else:
+        _print_tables(result)
+    if not result.holds:
+        raise typer.Exit(1)
+
+
+def _print_tables(result: "CommandResult") -> None:
+    for summary in result.summaries:
+        typer.echo(summary.title)
+        width = max((len(name) for name, _ in summary.rows), default=0)
+        for name, text in summary.rows:
+            typer.echo(f"  {name:<{width}}  {text}")
+    if result.checks:
+        typer.echo("Checks")
+        width = max(len(check.name) for check in result.checks)
+        for check in result.checks:
+            verdict = "holds" if check.holds else "DOES NOT HOLD"
+            typer.echo(f"  {check.name:<{width}}  {check.value:.4g} {check.unit} (limit {check.limit:.4g})  {verdict}")
+    if result.report:
+        typer.echo(f"Report: {result.report}")

@@ -1,0 +1,99 @@
+"""The experiments: board, wide, short, room, house."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from omnilines.cli._shared import (
+    Json,
+    Model,
+    Out,
+    PatternSpec,
+    Seed,
+    experiment_app,
+    run,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+from omnilines.cli.lines import Cost, Triangulation
+
+
+@experiment_app.command()
+def board(
+    data: Annotated[Path, typer.Option("--data", help="Folder of board photos, or of corners.csv.", show_default=False)],
+    out: Out,
+    pattern: PatternSpec = "checkerboard:8x6:32.5mm",
+    model: Model = "scaramuzza",
+    perturb_deg: Annotated[float, typer.Option("--perturb-deg", help="Turn of every pose before the adjustment.")] = 1.0,
+    perturb_m: Annotated[float, typer.Option("--perturb-m", help="Shift of every pose before the adjustment.")] = 0.01,
+    seed: Seed = 0,
+    triangulation: Triangulation = "dual",
+    cost: Cost = "sector",
+    as_json: Json = False,
+) -> None:
+    """Calibrate from photos of a board, rebuild its rows and columns as 3D lines from disturbed poses, before and after."""
+    from omnilines.commands.experiment import experiment_board
+
+    run(
+        lambda progress: experiment_board(
+            data, out, pattern_spec=pattern, model=model, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
+            triangulation=triangulation, cost=cost, progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip
+
+
+Noise = Annotated[str, typer.Option("--noise", help="Standard deviations of the end points, pixels, with commas.")]
+Trials = Annotated[int, typer.Option("--trials", help="Trials at each noise.")]
+PerturbDeg = Annotated[float, typer.Option("--perturb-deg", help="Turn of every pose before it is estimated.")]
+PerturbM = Annotated[float, typer.Option("--perturb-m", help="Shift of every pose before it is estimated.")]
+
+
+STUDIES = {
+    "wide": "Lines in a cube, cameras 45 degrees apart: every triangulation and cost against noise, with the Cramer-Rao bound.",
+    "short": "The same with cameras 9 degrees apart.",
+    "room": "The same in a room of lines through a fisheye of 190 degrees.",
+}
+
+
+def _add_study(name: str) -> None:
+    @experiment_app.command(name, help=STUDIES[name])
+    def study(
+        out: Out,
+        trials: Trials = 50,
+        noise: Noise = "0.2,0.5,1,1.5,2,2.5,3",
+        perturb_deg: PerturbDeg = 1.0,
+        perturb_m: PerturbM = 0.05,
+        seed: Seed = 0,
+        as_json: Json = False,
+    ) -> None:
+        from omnilines.commands.experiment_lines import experiment_lines, parse_noise
+
+        levels = parse_noise(noise)
+        run(
+            lambda progress: experiment_lines(
+                name, out, noise_px=levels, trials=trials, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
+                progress=progress,
+            ),
+            as_json,
+        )  # fmt: skip
+
+
+for _name in STUDIES:
+    _add_study(_name)
+
+
+@experiment_app.command()
+def house(
+    data: Annotated[Path, typer.Option("--data", help="Folder of the model house, with 2D and 3D in it.", show_default=False)],
+    out: Out,
+    as_json: Json = False,
+) -> None:
+    """Lines of the Oxford model house: every triangulation and every cost, residuals in pixels."""
+    from omnilines.commands.experiment_house import experiment_house
+
+    run(lambda progress: experiment_house(data, out, progress=progress), as_json)

@@ -1,0 +1,70 @@
+"""Commands on calibration targets: pattern, detect, render targets."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from omnilines.cli._shared import (
+    Json,
+    Mirror,
+    Model,
+    Out,
+    PatternSpec,
+    Photos,
+    Seed,
+    Size,
+    app,
+    parse_size,
+    render_app,
+    run,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command()
+def pattern(
+    specification: Annotated[str, typer.Argument(help="Target: checkerboard:8x6:32.5mm, charuco:..., aprilgrid:...")],
+    out: Annotated[Path, typer.Option("--out", help="File ending in .pdf or .svg, or a folder.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Print a calibration target at true scale -> PDF, SVG."""
+    from omnilines.commands.pattern import pattern as command
+
+    run(lambda progress: command(specification, out), as_json)
+
+
+@app.command()
+def detect(photos: Photos, pattern: PatternSpec, out: Out, mirror: Mirror = False, as_json: Json = False) -> None:
+    """Find target corners in photos -> corners.csv."""
+    from omnilines.commands.detect import detect as command
+
+    run(lambda progress: command(photos, pattern, out, mirror=mirror, progress=progress), as_json)
+
+
+@render_app.command()
+def targets(
+    out: Out,
+    pattern: PatternSpec = "checkerboard:8x6:30mm",
+    model: Model = "opencv-fisheye",
+    fov_deg: Annotated[float, typer.Option("--fov-deg", help="Field of view of the camera, degrees.")] = 190.0,
+    views: Annotated[int, typer.Option("--views", help="Number of photos.")] = 20,
+    size: Size = "1280x960",
+    noise: Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")] = 2.0,
+    blur: Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")] = 0.5,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Photos of a calibration target, with the true camera, poses and corners."""
+    from omnilines.commands.render import render_targets
+
+    image_size = parse_size(size, "--size")
+    run(
+        lambda progress: render_targets(
+            out, pattern_spec=pattern, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
+            seed=seed, progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip
