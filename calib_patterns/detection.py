@@ -1,11 +1,12 @@
-"""Finding a whole checkerboard in a wide-angle photo: an ordered ensemble of searches, each hit refined and verified.
+"""Finding a checkerboard in a wide-angle photo, whole or in part: an ordered ensemble of searches.
 
-The searches differ in scale and contrast, since strongly curved boards, small squares and large blurred photos each defeat some
-of them. What a search returns is only a start: every corner is fitted (saddle.py), and a grid counts when its corners are
-saddles of alternating sign, its squares are unfolded and it bends smoothly.
+First OpenCV's classic detector, the quickest where a board is seen whole; then the visible part grown from saddle points
+(partial.py), at several scales and contrasts; last OpenCV's sector-based detector. What a finder of whole boards returns is only
+a start: every corner is fitted (saddle.py), and a grid counts when its corners are saddles of alternating sign, its squares are
+unfolded and it bends smoothly.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from calib_patterns._pattern import Detection
+from calib_patterns.partial import visible_part
 from calib_patterns.saddle import SaddleFit, fit_saddles, grid_derivatives
 
 SEARCH_SIDE_PX = 1400
@@ -28,16 +30,6 @@ Grey = np.ndarray
 Finder = Callable[[Grey, int, int], np.ndarray | None]
 
 
-@dataclass(frozen=True)
-class _Search:
-    """One member of the ensemble."""
-
-    finder: Finder
-    scale: float
-    """Relative to the base scale of the photo."""
-    equalise: bool
-
-
 def _classic(image: Grey, nx: int, ny: int) -> np.ndarray | None:
     """Quadrilaterals of an adaptive threshold, linked into a grid."""
     found, corners = cv2.findChessboardCorners(image, (nx, ny), None, _CLASSIC)
@@ -50,20 +42,17 @@ def _sector_based(image: Grey, nx: int, ny: int) -> np.ndarray | None:
     return corners if found else None
 
 
-# The quick and most successful first; a photo without a board costs the whole list.
-_ENSEMBLE = (
-    _Search(_classic, 1.0, False),
-    _Search(_sector_based, 1.0, False),
-    _Search(_classic, 2.0, False),
-    _Search(_classic, 1.0, True),
-    _Search(_classic, 1.5, False),
-    _Search(_sector_based, 2.0, False),
-    _Search(_sector_based, 0.5, False),
-    _Search(_classic, 0.5, False),
-    _Search(_classic, 2.0, True),
-    _Search(_sector_based, 1.0, True),
-    _Search(_classic, 3.0, False),
-)
+@dataclass(frozen=True)
+class _Growth:
+    """One search for the visible part of a board."""
+
+    scale: float
+    """Relative to the base scale of the photo."""
+    equalise: bool
+
+
+_GROWTHS = (_Growth(1.0, False), _Growth(1.0, True), _Growth(2.0, False), _Growth(0.5, False))
+"""Uneven light hides corners in the second, small squares need the third, strongly blurred ones the last."""
 
 
 def grey_of(image: np.ndarray) -> Grey:
@@ -85,23 +74,15 @@ def _rescaled(image: Grey, scale: float) -> Grey:
     return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
 
 
-def _candidates(grey: Grey, nx: int, ny: int) -> Iterator[tuple[Float[np.ndarray, "ny nx 2"], float]]:
-    """Grids in full-scale pixels with the scale they were found at, in the order of the ensemble."""
-    whole = stretched(grey)
-    base = min(1.0, SEARCH_SIDE_PX / max(grey.shape))
-    for search in _ENSEMBLE:
-        scale = base * search.scale
-        if scale > 1 and scale**2 * grey.size > MAX_SEARCH_PIXELS:
-            continue
-        image = _rescaled(whole, scale)
-        if search.equalise:
-            image = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image)
-        corners = search.finder(image, nx, ny)
-        if corners is not None:
-            # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5), by factors that rounding sets off from `scale`.
-            factors = np.array(grey.shape[::-1]) / np.array(image.shape[::-1])
-            grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5
-            yield grid, scale
+def searched(grey: Grey, scale: float = 1.0, *, equalise: bool = False) -> tuple[Grey, Float[np.ndarray, "2"]]:
+    """The photo in 8 bits at `scale` times that of the search, and the factors (u, v) that take its pixels back to full scale.
+
+    Pixels have their centres at whole numbers: scaling is about (-0.5, -0.5), by factors that rounding sets off from `scale`.
+    """
+    image = _rescaled(stretched(grey), scale * min(1.0, SEARCH_SIDE_PX / max(grey.shape)))
+    if equalise:
+        image = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image)
+    return image, np.array(grey.shape[::-1]) / np.array(image.shape[::-1])
 
 
 def unfolded(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
@@ -201,10 +182,10 @@ def _board_order(fit: SaddleFit, mirrored: bool) -> np.ndarray:
     return max(_numberings(nx, ny, left_handed != mirrored), key=preference)[0]
 
 
-WHOLE_BOARD = "it has to be seen whole, with its white margin, its squares at least 8 px wide"
+VISIBLE_PART = "at least 3 x 3 corners with their squares have to be seen, some 8 px apart"
 
 
-def why_not(grey: Grey, name: str, needs: str = WHOLE_BOARD) -> str:
+def why_not(grey: Grey, name: str, needs: str = VISIBLE_PART) -> str:
     """One sentence: the likeliest reason why a target was not found; `needs` ends it where the photo itself is good."""
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
@@ -234,14 +215,32 @@ def _detection(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], order: np.ndarra
 
 
 def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> tuple[Detection, str | None]:
-    """The corners of an nx x ny board in the order of `Checkerboard.points_m`, or none and why."""
+    """The visible corners of an nx x ny board as `Checkerboard.detect` states, or none and why."""
     grey = grey_of(image)
     name = f"checkerboard of {nx}x{ny} inner corners"
-    flaw: str | None = None
-    for grid, scale in _candidates(grey, nx, ny):
-        fit = _refined(grey, grid, scale)
-        good = _good_corners(fit)
-        flaw = _flaw(grey, fit, good)
-        if flaw is None:
-            return _detection(fit, good, _board_order(fit, mirrored)), None
+    found, misfit = _whole_board(grey, _classic, nx, ny, mirrored)
+    flaw = None
+    for growth in _GROWTHS:
+        # A board that is not the one asked for is not searched on: something of it will always fit.
+        if found is None and flaw is None and growth.scale**2 * min(grey.size, SEARCH_SIDE_PX**2) <= MAX_SEARCH_PIXELS:
+            search, factors = searched(grey, growth.scale, equalise=growth.equalise)
+            found, flaw = visible_part(grey, search, factors, nx, ny, mirrored)
+    flaw = flaw or misfit
+    if found is None and flaw is None:
+        found, flaw = _whole_board(grey, _sector_based, nx, ny, mirrored)
+    if found is not None:
+        return found, None
     return Detection.empty(), why_not(grey, name) if flaw is None else f"A grid like a {name} was found, but {flaw}."
+
+
+def _whole_board(grey: Grey, finder: Finder, nx: int, ny: int, mirrored: bool) -> tuple[Detection | None, str | None]:
+    """The board that a finder of whole boards finds, or what keeps its grid from being one."""
+    search, factors = searched(grey)
+    corners = finder(search, nx, ny)
+    if corners is None:
+        return None, None
+    grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5
+    fit = _refined(grey, grid, 1.0 / float(factors.max()))
+    good = _good_corners(fit)
+    flaw = _flaw(grey, fit, good)
+    return (_detection(fit, good, _board_order(fit, mirrored)), None) if flaw is None else (None, flaw)

@@ -18,7 +18,7 @@ NEIGHBOURS = 24
 """Known corners that a prediction rests on."""
 PRIOR_BY_ORDER = (20.0, 10.0, 0.1, 0.03, 0.01)
 """Standard deviation of the coefficients of each order, in units of the spacing as seen in the photo."""
-REMAINDER = 5e-4
+REMAINDER = 2e-4
 """The same for the fifth order, which is left out: what a known corner n spacings away may be off, over n^5."""
 _POWERS = np.array([(i - j, j) for i in range(len(PRIOR_BY_ORDER)) for j in range(i + 1)])
 

@@ -1,13 +1,15 @@
 """Checkerboard corners to sub-pixel accuracy: least-squares fit of a blurred saddle, all corners at once.
 
-Around a corner p two edges cross. With h_k the signed distance of a pixel from edge k, w_k its blur and g the gain (px), the
-image is
+Around a corner p two edges cross. With h_k the signed distance of a pixel from edge k, w_k its blur, g the gain (px) and l the
+change of light, the image is
 
-    I = a + a_u du + a_v dv + b s,   (du, dv) = pixel - p
+    I = (1 + l_u du + l_v dv) (a + b s),   (du, dv) = pixel - p
     s = 1 - 2 [F((h_1 - g) / w_1) F((-h_2 - g) / w_2) + F((-h_1 - g) / w_1) F((h_2 - g) / w_2)]
     h_k = n_k . (du, dv) - curvature_k / 2 (t_k . (du, dv))^2
 
-with F the normal distribution function and t_k, n_k the unit tangent and normal of the edge at p. For g = 0, s is the product of
+with F the normal distribution function and t_k, n_k the unit tangent and normal of the edge at p. The light scales black and
+white alike, and steeply where a lens darkens towards its rim: a slope that is added instead pulls corners there towards the
+light by some tenths of a pixel. For g = 0, s is the product of
 two blurred steps. Overexposed white or spread ink moves all edges into the other colour, which leaves a gap or a bridge at the
 corner: that is the gain; by symmetry it does not move p. The curvatures are taken from the neighbouring corners: a wide lens
 bends edges enough to move a straight-edge fit by several hundredths of a pixel, and fitting them too would cost half as much
@@ -19,15 +21,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.special import ndtr
 
-MAX_HALF_WINDOW_PX = 15
+from calib_patterns.saddle_kernel import PARAMETERS, fit_all
+
+MAX_HALF_WINDOW_PX = 10
 WINDOW_SQUARES = 0.42
 """The window reaches this far into the adjoining squares, short of the next edges and their blur."""
 MODEL_SIGMA_PX = 0.01
 """What the saddle leaves unmodelled (pixel integration, third-order distortion), added in quadrature to the noise's share."""
 MAX_STEPS = 20
-_PARAMETERS = 11  # u, v, two edge angles, two log blurs, gain, a, a_u, a_v, b
 
 STENCIL = 5
 """Corners that a derivative along the board is taken from. Three leave the curvature of edges at the border of the board wrong,
@@ -112,7 +114,7 @@ def _patches(
     in_squares = np.einsum("nij,nkj->nki", np.linalg.inv(squares), offset)
     near = (np.abs(in_squares) < WINDOW_SQUARES).all(2) & (np.sum(offset**2, 2) < (half + 0.5) ** 2)
     # A window of fewer pixels than a fit needs is widened to the 5 x 5 around the corner.
-    few = near.sum(1, keepdims=True) < 2 * _PARAMETERS
+    few = near.sum(1, keepdims=True) < 2 * PARAMETERS
     near |= few & (np.abs(offset) < 2.51).all(2)
     if plain is not None:
         row, column = (in_squares[..., 1] > 0).astype(np.int64), (in_squares[..., 0] > 0).astype(np.int64)
@@ -124,120 +126,16 @@ def _patches(
     return _Patches(columns.astype(np.float64), np.take_along_axis(grey, kept, 1), np.take_along_axis(near, kept, 1))
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """Signed distance of every pixel from one edge and its derivatives by the corner and by the edge's angle."""
-
-    distance: Float[np.ndarray, "n k"]
-    by_corner: Float[np.ndarray, "n k 2"]
-    by_angle: Float[np.ndarray, "n k"]
-
-
-def _edge(
-    parameters: Float[np.ndarray, "n p"], edge: int, curvature: Float[np.ndarray, "n 2"], offset: Float[np.ndarray, "n k 2"]
-) -> _Edge:
-    cos, sin = np.cos(parameters[:, 2 + edge, None]), np.sin(parameters[:, 2 + edge, None])
-    bend = curvature[:, edge, None]
-    along = cos * offset[..., 0] + sin * offset[..., 1]
-    across = cos * offset[..., 1] - sin * offset[..., 0]
-    by_corner = np.stack([sin + bend * along * cos, -cos + bend * along * sin], -1)
-    return _Edge(across - 0.5 * bend * along**2, by_corner, -along * (1 + bend * across))
-
-
-def _saddle(
-    first: Float[np.ndarray, "n k"], second: Float[np.ndarray, "n k"], parameters: Float[np.ndarray, "n p"]
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """s of the header with its derivatives by both distances, both log blurs and the gain.
-
-    A negative gain shrinks the other pair of quadrants: s(h_1, h_2, g) = -s(h_1, -h_2, -g); both forms agree to first order at 0.
-    """
-    blur_1, blur_2 = np.exp(parameters[:, 4, None]), np.exp(parameters[:, 5, None])
-    side = np.where(parameters[:, 6, None] < 0, -1.0, 1.0)
-    gain = np.abs(parameters[:, 6, None])
-    turned = -side * second
-    a, b, c, d = (first - gain) / blur_1, (turned - gain) / blur_2, (-first - gain) / blur_1, (-turned - gain) / blur_2
-    cdf_a, cdf_b, cdf_c, cdf_d = ndtr(a), ndtr(b), ndtr(c), ndtr(d)
-    by_a, by_b, by_c, by_d = _density(a) * cdf_b, _density(b) * cdf_a, _density(c) * cdf_d, _density(d) * cdf_c
-    scale = -2.0 * side
-    by_edges = scale * (by_a - by_c) / blur_1, -side * scale * (by_b - by_d) / blur_2
-    by_blurs = -scale * (a * by_a + c * by_c), -scale * (b * by_b + d * by_d)
-    by_gain = -side * scale * ((by_a + by_c) / blur_1 + (by_b + by_d) / blur_2)
-    return side * (1.0 - 2.0 * (cdf_a * cdf_b + cdf_c * cdf_d)), by_edges, by_blurs, by_gain
-
-
-def _density(x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    return np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi)
-
-
-def _evaluate(
-    parameters: Float[np.ndarray, "n p"], curvature: Float[np.ndarray, "n 2"], patches: _Patches
-) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
-    """Residual (observed minus model) and the model's Jacobian, both zero outside the windows."""
-    offset = patches.pixels - parameters[:, None, :2]
-    first, second = (_edge(parameters, edge, curvature, offset) for edge in (0, 1))
-    product, by_edges, by_blurs, by_gain = _saddle(first.distance, second.distance, parameters)
-    contrast, shading = parameters[:, 10, None], parameters[:, None, 8:10]
-    model = parameters[:, 7, None] + np.sum(shading * offset, -1) + contrast * product
-    cross = [contrast * by_edges[0], contrast * by_edges[1]]
-    jacobian = np.concatenate(
-        [
-            cross[0][..., None] * first.by_corner + cross[1][..., None] * second.by_corner - shading,
-            np.stack([cross[0] * first.by_angle, cross[1] * second.by_angle], -1),
-            np.stack([contrast * by_blurs[0], contrast * by_blurs[1], contrast * by_gain], -1),
-            np.ones_like(product)[..., None],
-            offset,
-            product[..., None],
-        ],
-        -1,
-    )
-    return np.where(patches.mask, patches.grey - model, 0.0), jacobian * patches.mask[..., None]
-
-
 def _start(
-    patches: _Patches, corners: Float[np.ndarray, "n 2"], squares: Float[np.ndarray, "n 2 2"], blur_px: Float[np.ndarray, " n"]
+    corners: Float[np.ndarray, "n 2"], squares: Float[np.ndarray, "n 2 2"], blur_px: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n p"]:
-    """Parameters from the grid's directions (tangents +x and -y, normals +y and +x); level and contrast are solved for."""
-    parameters = np.zeros((len(corners), _PARAMETERS))
+    """Parameters from the grid's directions (tangents +x and -y, normals +y and +x)."""
+    parameters = np.zeros((len(corners), PARAMETERS))
     parameters[:, :2] = corners
     parameters[:, 2] = np.arctan2(squares[:, 1, 0], squares[:, 0, 0])
     parameters[:, 3] = np.arctan2(-squares[:, 1, 1], -squares[:, 0, 1])
     parameters[:, 4:6] = np.log(blur_px)[:, None]
-    residual, jacobian = _evaluate(parameters, np.zeros((len(corners), 2)), patches)
-    linear = jacobian[..., [7, 10]]
-    normal = np.einsum("nki,nkj->nij", linear, linear) + 1e-9 * np.eye(2)
-    right = np.einsum("nki,nk->ni", linear, residual)
-    parameters[:, [7, 10]] = np.linalg.solve(normal, right[..., None])[..., 0]
     return parameters
-
-
-def _levenberg_marquardt(
-    parameters: Float[np.ndarray, "n p"], curvature: Float[np.ndarray, "n 2"], patches: _Patches, max_blur_px: float, steps: int
-) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"], Bool[np.ndarray, " n"]]:
-    """The batch of fits: parameters, residuals and Jacobians there, and which have stopped moving."""
-    parameters = parameters.copy()
-    damping = np.full(len(parameters), 1e-3)
-    residual, jacobian = _evaluate(parameters, curvature, patches)
-    settled = np.zeros(len(parameters), dtype=bool)
-    for _ in range(steps):
-        # Only the corners that still move: most are done after five steps, and one that is covered takes them all.
-        at = np.flatnonzero(~settled)
-        if not at.size:
-            break
-        slopes = jacobian[at].transpose(0, 2, 1)
-        normal = slopes @ jacobian[at]
-        diagonal = np.einsum("nii->ni", normal)
-        normal = normal + (damping[at, None] * diagonal + 1e-9 * (1 + diagonal))[:, None, :] * np.eye(_PARAMETERS)
-        step = np.linalg.solve(normal, slopes @ residual[at][..., None])[..., 0]
-        trial = parameters[at] + step
-        trial[:, 4:6] = np.clip(trial[:, 4:6], np.log(0.3), np.log(max_blur_px))
-        window = _Patches(patches.pixels[at], patches.grey[at], patches.mask[at])
-        trial_residual, trial_jacobian = _evaluate(trial, curvature[at], window)
-        better = np.sum(trial_residual**2, 1) <= np.sum(residual[at] ** 2, 1)
-        settled[at] = np.abs(step[:, :2]).max(1) < 1e-3
-        damping[at] *= np.where(better, 0.2, 10.0)
-        taken = at[better]
-        parameters[taken], residual[taken], jacobian[taken] = trial[better], trial_residual[better], trial_jacobian[better]
-    return parameters, residual, jacobian, settled
 
 
 def fit_saddles(
@@ -281,15 +179,16 @@ def fit_corners(
     patches = _patches(image, corners, squares, plain)
     max_blur_px = max(0.25 * float(np.median(singular)), 1.5)
     blur = np.clip(0.2 * singular, 0.5, start_blur_px)
-    start = _start(patches, corners, squares, blur)
-    curvature = _curvatures(squares, second)
-    parameters, residual, jacobian, settled = _levenberg_marquardt(start, curvature, patches, max_blur_px, max_steps)
+    parameters = _start(corners, squares, blur)
+    counts = patches.mask.sum(1)
+    cost, normal, settled = fit_all(
+        parameters, _curvatures(squares, second), patches.pixels, patches.grey, counts, max_blur_px, max_steps
+    )
 
-    freedom = patches.mask.sum(1) - _PARAMETERS
-    variance = np.sum(residual**2, 1) / np.maximum(freedom, 1)
-    scale = 1e-6 + np.linalg.norm(jacobian, axis=1)
-    scaled = jacobian / scale[:, None, :]
-    inverse = np.linalg.inv(scaled.transpose(0, 2, 1) @ scaled + 1e-9 * np.eye(_PARAMETERS))
+    freedom = counts - PARAMETERS
+    variance = cost / np.maximum(freedom, 1)
+    scale = 1e-6 + np.sqrt(np.einsum("nii->ni", normal))
+    inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(PARAMETERS))
     position = inverse[:, [0, 1], [0, 1]] / scale[:, :2] ** 2
     sigma = np.sqrt(variance * position.mean(1) + MODEL_SIGMA_PX**2)
     moved = np.linalg.norm(parameters[:, :2] - corners, axis=1)

@@ -146,8 +146,8 @@ def test_what_photos_can_get_wrong(photos, tmp_path, capsys):
     assert "No image found" in refused(capsys, "calibrate", empty, "--pattern", SPEC, *out)
     assert "does not exist" in refused(capsys, "calibrate", tmp_path / "nowhere", "--pattern", SPEC, *out)
     assert "--pattern was expected" in refused(capsys, "calibrate", photos, *out)
-    assert "checkerboard:9x9:30mm was expected" in refused(
-        capsys, "calibrate", photos, "--pattern", "checkerboard:9x9:30mm", *out
+    assert "checkerboard:4x4:30mm was expected" in refused(
+        capsys, "calibrate", photos, "--pattern", "checkerboard:4x4:30mm", *out
     )
     assert "checkerboard" in refused(capsys, "calibrate", photos, "--pattern", "chess:7x5:30mm", *out)
     two = [photos / "view0.png", photos / "view1.png"]
@@ -156,6 +156,13 @@ def test_what_photos_can_get_wrong(photos, tmp_path, capsys):
         capsys, "calibrate", photos, "--pattern", SPEC, "--model", "fish", *out
     )
     assert not (tmp_path / "o").exists()
+
+
+def test_detect_tells_of_a_wrong_count_of_corners(photos, tmp_path, capsys):
+    status, _, err = run(capsys, "detect", photos, "--pattern", "checkerboard:9x8:30mm", "--out", tmp_path / "d")
+    assert status == 0 and "All 5 photos show 7x5 inner corners of a board of 9x8" in err.replace("5x7", "7x5")
+    status, _, err = run(capsys, "detect", photos, "--pattern", SPEC, "--out", tmp_path / "d")
+    assert status == 0 and "inner corners of a board" not in err
 
 
 def test_what_a_table_of_corners_can_get_wrong(tmp_path, capsys):

@@ -177,7 +177,7 @@ def test_black_first_square_settles_the_half_turn() -> None:
         np.testing.assert_allclose(detection.pixels, true_pixels(pattern, model, pose), atol=0.1)
 
 
-@pytest.mark.parametrize("counts", ["7x6", "8x5", "7x5", "9x6", "8x7", "4x4"])
+@pytest.mark.parametrize("counts", ["7x6", "8x5", "7x5", "4x4"])
 def test_part_of_a_larger_board_is_not_a_hit(counts: str) -> None:
     board = calib_patterns.pattern("checkerboard:8x6:32.5mm")
     image = render_target(board, camera(), pose_in_front(board))

@@ -86,8 +86,8 @@ def test_local_map_of_a_fisheye_with_its_derivatives() -> None:
     np.testing.assert_allclose(fitted.pixels, here[:, 0], atol=0.03)
     np.testing.assert_allclose(fitted.first, np.swapaxes((plus - minus) / (2 * h) * 0.03, 1, 2), atol=0.25)
     second = np.swapaxes((plus + minus - 2 * here) / h**2 * 0.03**2, 1, 2)
-    np.testing.assert_allclose(fitted.second, second, atol=0.4)
-    assert np.abs(second).max() > 5  # a homography fitted to a square would not know
+    np.testing.assert_allclose(fitted.second, second, atol=0.5)
+    assert np.abs(second).max() > 10  # a homography fitted to a square would not know
 
 
 def test_predictions_state_their_error() -> None:

@@ -37,11 +37,23 @@ def pattern(
 
 
 @app.command()
-def detect(photos: Photos, pattern: PatternSpec, out: Out, mirror: Mirror = False, as_json: Json = False) -> None:
+def detect(
+    photos: Photos,
+    pattern: PatternSpec,
+    out: Out,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="calibration.yaml of the camera, which leads to more corners.")
+    ] = None,
+    mirror: Mirror = False,
+    as_json: Json = False,
+) -> None:
     """Find target corners in photos -> corners.csv."""
     from omnilines.commands.detect import detect as command
 
-    run(lambda progress: command(photos, pattern, out, mirror=mirror, progress=progress), as_json)
+    run(
+        lambda progress: command(photos, pattern, out, calibration=calibration, mirror=mirror, progress=progress),
+        as_json,
+    )
 
 
 @render_app.command()

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from calib_patterns import pattern as parse_pattern
+from calib_patterns._pattern import Pattern
 from camera_models import Calibration, CameraEstimate, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
 from omnilines.calibration.board_shape import BoardShape
@@ -17,14 +18,18 @@ from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
 from omnilines.commands._calibration_report import calibration_data, calibration_sections, calibration_summaries
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
-from omnilines.commands.detect import detect_corners
-from omnilines.files import find_photos, read_corners, write_corners
+from omnilines.commands.detect import PhotoCorners, counts_remark, detect_corners, search_again
+from omnilines.files import PhotoRef, find_photos, read_corners, write_corners
 from omnilines.least_squares import Loss, Progress
 from omnilines.records import Corners, ViewResult
 from omnilines.report import write_report
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts views best."""
+GUIDE = "scaramuzza"
+"""The model that leads to more corners where the user has not chosen one: it fits lenses of every width, and mirrors."""
+SEARCHES = 3
+"""Times at most that a camera is sent out for more corners."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,9 @@ class _Source:
     skipped: tuple[ViewResult, ...] = ()
     remarks: tuple[str | None, ...] = ()
     """On each view, from its photo."""
+    notes: tuple[str, ...] = ()
+    result: CameraCalibration | None = None
+    """The calibration of these corners with the options of the user, where it has been made already."""
 
 
 def calibrate_photos(
@@ -86,7 +94,8 @@ def calibrate_photos(
     refine_board: tuple[str, ...] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Calibrate one camera from photos of a target.
+    """Calibrate one camera from photos of a target; the camera leads to corners and photos that were missed, and is calibrated
+    anew, until nothing is gained.
 
     With `model` "auto" all models are fitted and one is chosen by held-out views (`calibration.select`).
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
@@ -96,9 +105,68 @@ def calibrate_photos(
     pattern = parse_pattern(pattern_spec)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect_corners(refs, pattern, mirrored=mirror, progress=progress)
-    inputs = {"photos": found.photo_folder, "pattern": pattern.specification}
-    source = _Source(found.corners, found.image_size, inputs, found.photo_folder, found.skipped, found.remarks)
-    return _calibrate(source, out, options, progress)
+    return _calibrate(_guided(refs, found, pattern, options, progress), out, options, progress)
+
+
+def _guided(
+    photos: Sequence[PhotoRef], first: PhotoCorners, pattern: Pattern, options: CalibrationOptions, progress: ProgressCallback
+) -> _Source:
+    """The corners of photos with those that the camera leads to."""
+    found, result = first, None
+    for done in range(SEARCHES):
+        result = _fitted(found.corners, found.image_size, options, progress)
+        poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
+        # A photo that shows nothing to the first camera shows nothing to the next one.
+        again = search_again(
+            photos, found, pattern, result.model, poses, lost_too=done == 0, mirrored=options.mirror, progress=progress
+        )
+        if np.array_equal(again.corners.pixels, found.corners.pixels):
+            break
+        found, result = again, None
+    return _Source(
+        found.corners,
+        found.image_size,
+        {"photos": found.photo_folder, "pattern": pattern.specification},
+        found.photo_folder,
+        found.skipped,
+        found.remarks,
+        _gains(first, found) + ((remark,) if (remark := counts_remark(pattern, found.corners)) else ()),
+        None if options.model == AUTO else result,
+    )
+
+
+def _gains(first: PhotoCorners, last: PhotoCorners) -> tuple[str, ...]:
+    """One sentence on what the camera led to, none where that is nothing."""
+    corners = len(last.corners) - len(first.corners)
+    photos = len(set(last.corners.images) - set(first.corners.images))
+    if corners <= 0:
+        return ()
+    among = f", those of {_count(photos, 'photo')} in which no board had been found among them" if photos else ""
+    return (f"The camera led to {_count(corners, 'corner')} that had been missed{among}.",)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _fitted(
+    corners: Corners, image_size: tuple[int, int], options: CalibrationOptions, progress: ProgressCallback
+) -> CameraCalibration:
+    """The camera by the user's model, or by GUIDE where that is yet to be chosen."""
+
+    def tell(step: Progress) -> None:
+        progress("refining the camera", step.iteration, 0)
+
+    return calibrate_camera(
+        corners,
+        image_size,
+        GUIDE if options.model == AUTO else options.model,
+        loss=options.loss,
+        mirror=options.mirror,
+        options=options.of_model,
+        refine_board=options.refine_board,
+        callback=tell,
+    )
 
 
 def calibrate_corners(
@@ -149,13 +217,15 @@ def _calibrate(source: _Source, out: Path, options: CalibrationOptions, progress
         model, of_model = selection.chosen.candidate.model, dict(selection.chosen.candidate.options)
     if selection is not None and not options.refine_board:
         result = selection.result
+    elif source.result is not None:
+        result = source.result
     else:
         board = options.refine_board
         result = calibrate_camera(
             source.corners, source.image_size, model, options=of_model, refine_board=board, callback=tell, **common
         )
     result = with_remarks(result, _remarks(source, result))
-    result = replace(result, views=result.views + source.skipped)
+    result = replace(result, views=result.views + source.skipped, notes=source.notes + result.notes)
     folder = output_folder(out)
     files = (folder / "calibration.yaml", folder / "corners.csv")
     save(files[0], calibration_record(result, options.mirror, source.inputs))

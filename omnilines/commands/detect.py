@@ -2,21 +2,29 @@
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from calib_patterns import pattern as parse_pattern
 from calib_patterns._pattern import Detection, Pattern
+from calib_patterns.checkerboard import Checkerboard
+from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
-from camera_models import InputError
+from camera_models import CameraModel, InputError, load
+from camera_models.pose import Pose
+from omnilines.commands._camera_search import completed, searched
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.files import PhotoRef, find_photos, read_photo, write_corners
 from omnilines.records import Corners, Summary, ViewResult
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -37,14 +45,48 @@ class PhotoCorners:
         views = len(self.corners.images)
         return (None,) * views if self.blur_px is None else blur_remarks(self.corners.view, self.blur_px, views)
 
+    def detection(self, name: str) -> Detection:
+        """The corners of the photo of that name, none where it was skipped."""
+        corners = self.corners
+        if name not in corners.view_names or corners.ids is None:
+            return Detection.empty()
+        rows = corners.view == corners.view_names.index(name)
+        sigma_px = np.ones(len(corners)) if corners.sigma_px is None else corners.sigma_px
+        blur_px = None if self.blur_px is None else self.blur_px[rows]
+        return Detection(corners.ids[rows], corners.pixels[rows], sigma_px[rows], blur_px)
+
+    def updated(self, photos: Sequence[PhotoRef], better: Mapping[str, Detection], pattern: Pattern) -> "PhotoCorners":
+        """With other corners for the photos named, of which those skipped before are views then."""
+        kept = [(photo, better.get(photo.name, self.detection(photo.name))) for photo in photos]
+        kept = [(photo, detection) for photo, detection in kept if len(detection)]
+        seen = {photo.name for photo, _ in kept}
+        skipped = tuple(view for view in self.skipped if view.name not in seen)
+        return PhotoCorners(_table(kept, pattern), self.image_size, skipped, self.photo_folder, _blur_px(kept))
+
+
+def on_all_cores(work: Callable[[T], R], items: Sequence[T], stage: str, progress: ProgressCallback) -> list[R]:
+    """The results in order, one item per core at a time."""
+    results = []
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for done, result in enumerate(pool.map(work, items), 1):
+            results.append(result)
+            progress(stage, done, len(items))
+    return results
+
 
 def detect_corners(
-    photos: Sequence[PhotoRef], pattern: Pattern, *, mirrored: bool = False, progress: ProgressCallback = silent
+    photos: Sequence[PhotoRef],
+    pattern: Pattern,
+    *,
+    model: CameraModel | None = None,
+    mirrored: bool = False,
+    progress: ProgressCallback = silent,
 ) -> PhotoCorners:
-    """Find the pattern in every photo, on all cores, one photo per core in memory.
+    """Find the pattern in every photo, on all cores, one photo per core in memory; with the camera's `model` also what only it
+    leads to.
 
-    A photo that cannot be read, is of another size than most, or shows no pattern is skipped with its reason. Raises InputError
-    when no photo shows the pattern.
+    A photo that cannot be read, is of another size than most (than the camera's), or shows no pattern is skipped with its
+    reason. Raises InputError when no photo shows the pattern.
     """
 
     def look(photo: PhotoRef) -> tuple[Detection, str | None, tuple[int, int] | None]:
@@ -52,14 +94,14 @@ def detect_corners(
             image = read_photo(photo.path)
         except InputError as error:
             return Detection.empty(), str(error), None
+        size = (image.shape[1], image.shape[0])
         detection, reason = pattern.detect(image, mirrored=mirrored)
-        return detection, reason, (image.shape[1], image.shape[0])
+        if model is not None and size == model.image_size:
+            detection = searched(image, pattern, model, detection, mirrored=mirrored)
+            reason = None if len(detection) else reason
+        return detection, reason, size
 
-    found = []
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for done, result in enumerate(pool.map(look, photos), 1):
-            found.append(result)
-            progress("detecting corners", done, len(photos))
+    found = on_all_cores(look, photos, "detecting corners", progress)
     sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
     if not sizes:
         reasons = [reason for _, reason, _ in found if reason]
@@ -77,9 +119,70 @@ def detect_corners(
             kept.append((photo, detection))
         else:
             skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
+    return PhotoCorners(_table(kept, pattern), size, tuple(skipped), _folder(photos), _blur_px(kept))
+
+
+def search_again(
+    photos: Sequence[PhotoRef],
+    found: PhotoCorners,
+    pattern: Pattern,
+    model: CameraModel,
+    poses: Mapping[str, Pose],
+    *,
+    lost_too: bool,
+    mirrored: bool = False,
+    progress: ProgressCallback = silent,
+) -> PhotoCorners:
+    """The corners found and those that a camera leads to, on all cores, one photo per core in memory.
+
+    `poses`: cam_from_board of the photos, by name, whose corners fit the camera; photos of which all corners in the camera's
+    view are known are not read. `lost_too`: look through the other photos as well, those skipped included.
+    """
+
+    def may_gain(photo: PhotoRef) -> bool:
+        if photo.name not in poses:
+            return lost_too
+        return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
+
+    def look(photo: PhotoRef) -> Detection:
+        known = found.detection(photo.name)
+        try:
+            image = read_photo(photo.path)
+        except InputError:
+            return known  # the reason why it was skipped stands
+        if (image.shape[1], image.shape[0]) != model.image_size:
+            return known
+        if photo.name not in poses:
+            return searched(image, pattern, model, known, mirrored=mirrored)
+        whole = completed(image, pattern, model, known, poses[photo.name])
+        return known if whole is None else whole
+
+    again = [photo for photo in photos if may_gain(photo)]
+    better = on_all_cores(look, again, "searching with the camera", progress)
+    return found.updated(photos, {photo.name: detection for photo, detection in zip(again, better, strict=True)}, pattern)
+
+
+def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
+    """What tells of a wrong count of corners: three photos or more that all show the same smaller grid."""
+    if not isinstance(pattern, Checkerboard) or corners.ids is None or len(corners.images) < 3:
+        return None
+    extents = {
+        (int(np.ptp(ids % pattern.nx)) + 1, int(np.ptp(ids // pattern.nx)) + 1)
+        for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
+    }
+    counts = {tuple(sorted(extent)) for extent in extents}
+    if len(counts) > 1 or counts == {tuple(sorted((pattern.nx, pattern.ny)))}:
+        return None
+    seen, asked = "{}x{}".format(*next(iter(extents))), f"{pattern.nx}x{pattern.ny}"
+    return (
+        f"All {len(corners.images)} photos show {seen} inner corners of a board of {asked}: if that is the whole board, give "
+        f"checkerboard:{seen} with its square."
+    )
+
+
+def _blur_px(kept: list[tuple[PhotoRef, Detection]]) -> Float[np.ndarray, "n 2"] | None:
     blurs = [detection.blur_px for _, detection in kept if detection.blur_px is not None]
-    blur_px = np.concatenate(blurs) if len(blurs) == len(kept) else None
-    return PhotoCorners(_table(kept, pattern), size, tuple(skipped), _folder(photos), blur_px)
+    return np.concatenate(blurs) if len(blurs) == len(kept) else None
 
 
 def _table(kept: list[tuple[PhotoRef, Detection]], pattern: Pattern) -> Corners:
@@ -98,14 +201,28 @@ def _folder(photos: Sequence[PhotoRef]) -> Path:
 
 
 def detect(
-    photos: Sequence[Path], pattern_spec: str, out: Path, *, mirror: bool = False, progress: ProgressCallback = silent
+    photos: Sequence[Path],
+    pattern_spec: str,
+    out: Path,
+    *,
+    calibration: Path | None = None,
+    mirror: bool = False,
+    progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Write the corners of a target seen in photos to `out/corners.csv`.
+    """Write the corners of a target seen in photos to `out/corners.csv`; a `calibration` of the camera leads to more of them.
 
-    Raises InputError when there is no photo, the specification is malformed or no photo shows the pattern.
+    Raises InputError when there is no photo, the specification is malformed, no photo shows the pattern, or the calibration is
+    not that of one camera and these photos.
     """
     pattern = parse_pattern(pattern_spec)
-    found = detect_corners(find_photos(photos), pattern, mirrored=mirror, progress=progress)
+    model = None if calibration is None else _one_camera(calibration)
+    found = detect_corners(find_photos(photos), pattern, model=model, mirrored=mirror, progress=progress)
+    if model is not None and found.image_size != model.image_size:
+        photo_size, camera_size = (f"{width}x{height} px" for width, height in (found.image_size, model.image_size))
+        raise InputError(
+            f"{calibration}: the camera of the photos, of {photo_size}, was expected, found one of {camera_size}; give the "
+            "calibration of these photos, or leave it out."
+        )
     path = output_folder(out) / "corners.csv"
     write_corners(path, found.corners)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
@@ -119,4 +236,16 @@ def detect(
         + [{"image": view.image, "corners": 0, "reason": view.reason, "remark": None} for view in found.skipped],
     }
     summary = Summary(f"Corners of {pattern.specification}", rows + skipped, (f"{len(found.corners)} corners in {path}",))
-    return CommandResult((summary,), data, files=(path,))
+    remark = counts_remark(pattern, found.corners)
+    return CommandResult((summary,), data, files=(path,), warnings=(remark,) if remark else ())
+
+
+def _one_camera(calibration: Path) -> CameraModel:
+    """The camera of a file of one; raises InputError where it holds more."""
+    cameras = load(calibration)
+    if len(cameras) != 1:
+        raise InputError(
+            f"{calibration}: the calibration of one camera was expected, found {len(cameras)} cameras ({', '.join(cameras)}); "
+            "write the one that took the photos to a file of its own."
+        )
+    return next(iter(cameras.values()))

@@ -1,0 +1,248 @@
+"""Corners of a board grown from a few known places, corner by corner, each verified as a saddle of the printed kind.
+
+What is known gives a local map of the board (local_map.py). Corners it predicts well are fitted (saddle.py); those that fit join
+what is known, and the next ones are predicted from them, until nothing is gained. So none is returned that the photo does not
+show.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from calib_patterns._pattern import Detection
+from calib_patterns.local_map import KnownCorners, LocalMap, agrees, local_map
+from calib_patterns.saddle import SaddleFit, fit_corners
+
+MAX_PREDICTION_SIGMA = 0.25
+"""Corners are looked for where the map is this certain, in squares."""
+MAX_GUESS_SIGMA, MAX_GUESS_STEP, ALIKE = 0.5, 0.25, 1.4
+"""Where nothing certain is left, less certain predictions are tried too, in squares; corners found there have to be nearer to
+them and as contrasted and clear as the others, within this factor."""
+MAX_STEP = 0.4
+"""How far from its prediction a corner may be, in squares."""
+MIN_CLEARNESS = 3.5
+"""Contrast of a corner over what its fit leaves."""
+MIN_CONTRAST = 0.2
+"""Contrast of a corner, as a share of the median."""
+MIN_NARROW_PX = 8.0
+"""Squares that are at least this wide are also tried with half the window."""
+MUCH_MORE = 1.5
+"""Fits that leave this many times what others do have something in their window that is not of the corner."""
+MOST_SIGMA = 10.0
+"""A corner whose standard deviation is so many times the usual one is covered in part."""
+MIN_CORNERS = 4
+_MAX_ROUNDS = 30
+_FIELDS = ("pixels", "sigma_px", "contrast", "residual", "blur_px", "converged")
+
+
+@dataclass(frozen=True)
+class CornerKind:
+    """What the print looks like around its corners, for `fit_corners` and for telling a corner from what is none."""
+
+    corners_m: Float[np.ndarray, "n 2"]
+    sign: Float[np.ndarray, " n"]
+    """+1 where the quadrant towards +x and +y is white, -1 where it is black."""
+    plain: Float[np.ndarray, "n 2 2"]
+    """See `fit_corners`."""
+    square_m: float
+    """Side of the squares around the corners, which the windows are sized by."""
+    spacing_m: float
+    """Typical distance of neighbouring corners, the unit of the local map."""
+
+    def at(self, chosen: Int[np.ndarray, " k"]) -> "CornerKind":
+        """Some of the corners."""
+        return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
+
+    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float) -> SaddleFit:
+        """The saddles near the predicted places."""
+        share = self.square_m / self.spacing_m
+        first, second = places.first * share, places.second * share**2
+        return fit_corners(grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px)
+
+    def narrowed(self) -> "CornerKind":
+        """With windows of half the width."""
+        return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain)
+
+    def square_px(self, places: LocalMap) -> Float[np.ndarray, " n"]:
+        """Width of the squares in the photo, where they are the most foreshortened."""
+        return places.spacing_px * self.square_m / self.spacing_m
+
+
+def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float) -> Bool[np.ndarray, " n"]:
+    """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, no more blurred
+    than their squares are wide, near their prediction."""
+    strength = kind.sign * fit.contrast
+    square_px = kind.square_px(places)
+    clear = (strength > MIN_CLEARNESS * fit.residual) & (strength > MIN_CONTRAST * contrast)
+    near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(MAX_STEP * square_px, 2.0)
+    sharp = fit.blur_px.max(1) < np.maximum(0.24 * square_px, 1.4)
+    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < 1.0)
+    return good
+
+
+def _inside(pixels: Float[np.ndarray, "n 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+    """Corners in the photo, with a few pixels on either side."""
+    return np.all((pixels >= 1.0) & (pixels <= np.array(shape[1::-1]) - 2.0), axis=1)
+
+
+@dataclass
+class _Growth:
+    """Corners accepted so far."""
+
+    grey: np.ndarray
+    kind: CornerKind
+    seeds: KnownCorners
+    good: Bool[np.ndarray, " n"]
+    fit: SaddleFit
+
+    @property
+    def corners(self) -> KnownCorners:
+        """The accepted ones."""
+        return KnownCorners(
+            self.kind.corners_m[self.good], self.fit.pixels[self.good], np.maximum(self.fit.sigma_px[self.good], 0.03)
+        )
+
+    @property
+    def contrast(self) -> float:
+        """Their usual contrast, 0 where there is none yet."""
+        return float(np.median(np.abs(self.fit.contrast[self.good]))) if self.good.any() else 0.0
+
+    @property
+    def blur_px(self) -> float:
+        """Their usual blur, of the more blurred edge."""
+        return float(np.clip(np.median(self.fit.blur_px[self.good].max(-1)), 0.5, 4.0)) if self.good.any() else 1.0
+
+    def known(self) -> KnownCorners:
+        """Corners, and the tags' where too few corners are known."""
+        return self.corners.joined(self.seeds)
+
+    def look(self, chosen: Int[np.ndarray, " k"], places: LocalMap, *, narrow: bool = False) -> None:
+        """Fit corners at their predictions; keep those that are accepted, forget the others."""
+        kind = self.kind.at(chosen).narrowed() if narrow else self.kind.at(chosen)
+        fit = kind.fit(self.grey, places, self.blur_px)
+        _put(self.fit, chosen, fit)
+        contrast = max(self.contrast, float(np.median(np.abs(fit.contrast[fit.converged]))) if fit.converged.any() else 0.0)
+        self.good[chosen] = accepted(kind, fit, places, contrast) & _inside(fit.pixels, self.grey.shape)
+
+    def grow(self) -> None:
+        """Until nothing is gained."""
+        for _ in range(_MAX_ROUNDS):
+            before = int(self.good.sum())
+            missing = np.flatnonzero(~self.good)
+            if not missing.size:
+                break
+            places = local_map(self.known(), self.kind.corners_m[missing], self.kind.spacing_m)
+            square_px, inside = self.kind.square_px(places), _inside(places.pixels, self.grey.shape)
+            certain = inside & (places.sigma_px < MAX_PREDICTION_SIGMA * square_px + 0.7)
+            if certain.any():
+                self.look(missing[certain], _at(places, certain))
+            if int(self.good.sum()) == before:
+                guessed = inside & ~certain & (places.sigma_px < MAX_GUESS_SIGMA * square_px + 0.7)
+                if guessed.any():
+                    self.guess(missing[guessed], _at(places, guessed))
+            if int(self.good.sum()) == before:
+                break
+
+    def guess(self, chosen: Int[np.ndarray, " k"], places: LocalMap) -> None:
+        """Fit corners at uncertain predictions; keep those that are near them all the same and look just like the others."""
+        kind = self.kind.at(chosen)
+        fit = kind.fit(self.grey, places, self.blur_px)
+        strength, contrast = kind.sign * fit.contrast, self.contrast
+        alike = (strength > contrast / ALIKE) & (strength < contrast * ALIKE) & (strength > ALIKE * MIN_CLEARNESS * fit.residual)
+        near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < MAX_GUESS_STEP * kind.square_px(places)
+        good = accepted(kind, fit, places, contrast) & alike & near & _inside(fit.pixels, self.grey.shape)
+        _put(self.fit, chosen[good], _rows(fit, good))
+        self.good[chosen[good]] = True
+
+    def look_closely(self) -> None:
+        """Try what is missing with half the window: something may lie next to a corner. The neighbours must agree."""
+        missing = np.flatnonzero(~self.good)
+        if not missing.size or not self.good.any():
+            return
+        places = local_map(self.known(), self.kind.corners_m[missing], self.kind.spacing_m)
+        square_px = self.kind.square_px(places)
+        ahead = (square_px >= MIN_NARROW_PX) & (places.sigma_px < 0.1 * square_px + 0.5) & _inside(places.pixels, self.grey.shape)
+        if ahead.any():
+            self.look(missing[ahead], _at(places, ahead), narrow=True)
+            self.drop_what_disagrees()
+
+    def look_again(self) -> None:
+        """Fit corners that leave more than others do with half the window: the next edge may be nearer than a square away. The
+        smaller window is taken where it leaves clearly less."""
+        if not self.good.any():
+            return
+        usual = float(np.median(self.fit.residual[self.good]))
+        chosen = np.flatnonzero(self.good & (self.fit.residual > MUCH_MORE * usual))
+        if not chosen.size:
+            return
+        places = local_map(self.known(), self.kind.corners_m[chosen], self.kind.spacing_m)
+        wide = self.kind.square_px(places) >= MIN_NARROW_PX
+        chosen, places = chosen[wide], _at(places, wide)
+        if not chosen.size:
+            return
+        kind = self.kind.at(chosen).narrowed()
+        fit = kind.fit(self.grey, places, self.blur_px)
+        better = accepted(kind, fit, places, self.contrast) & (self.fit.residual[chosen] > MUCH_MORE * fit.residual)
+        _put(self.fit, chosen[better], _rows(fit, better))
+
+    def drop_what_disagrees(self) -> None:
+        """Forget the corners that the others contradict."""
+        chosen = np.flatnonzero(self.good)
+        if chosen.size:
+            self.good[chosen[~agrees(self.known(), self.kind.spacing_m)[: chosen.size]]] = False
+
+    def settle(self) -> None:
+        """Fit all again with windows and curvatures from each other, and drop those that the others contradict."""
+        chosen = np.flatnonzero(self.good)
+        if chosen.size < MIN_CORNERS:
+            return
+        # One at a time from the worst would be safer and slow; those that a wrong corner drags along grow again.
+        self.drop_what_disagrees()
+        chosen = np.flatnonzero(self.good)
+        if chosen.size:
+            self.look(chosen, local_map(self.known(), self.kind.corners_m[chosen], self.kind.spacing_m))
+
+
+def _at(places: LocalMap, chosen: Bool[np.ndarray, " n"]) -> LocalMap:
+    return LocalMap(places.pixels[chosen], places.first[chosen], places.second[chosen], places.sigma_px[chosen])
+
+
+def _rows(fit: SaddleFit, chosen: Bool[np.ndarray, " n"]) -> SaddleFit:
+    return SaddleFit(*(getattr(fit, name)[chosen] for name in _FIELDS))
+
+
+def _put(fit: SaddleFit, rows: Int[np.ndarray, " k"], new: SaddleFit) -> None:
+    """Replace some rows."""
+    for name in _FIELDS:
+        getattr(fit, name)[rows] = getattr(new, name)
+
+
+def grow_corners(grey: np.ndarray, kind: CornerKind, seeds: KnownCorners) -> Detection:
+    """Every corner of a board that a photo shows, grown from known places of the board; ids are rows of `kind`.
+
+    `grey`: (h, w) of any depth, the board seen from its front. `seeds`: at least three places, known to about a pixel.
+    """
+    count = len(kind.corners_m)
+    none = SaddleFit(
+        np.zeros((count, 2)),
+        np.full(count, np.inf),
+        np.zeros(count),
+        np.zeros(count),
+        np.ones((count, 2)),
+        np.zeros(count, dtype=bool),
+    )
+    growth = _Growth(grey, kind, seeds, np.zeros(count, dtype=bool), none)
+    growth.grow()
+    growth.settle()
+    growth.grow()
+    growth.settle()
+    growth.look_closely()
+    growth.look_again()
+    growth.drop_what_disagrees()
+    ids = np.flatnonzero(growth.good)
+    # What lies half under something else fits, but far worse than the rest.
+    ids = ids[growth.fit.sigma_px[ids] < MOST_SIGMA * np.median(growth.fit.sigma_px[ids])] if len(ids) else ids
+    if len(ids) < MIN_CORNERS:
+        return Detection.empty()
+    return Detection(ids, growth.fit.pixels[ids], growth.fit.sigma_px[ids], growth.fit.blur_px[ids])

@@ -1,0 +1,286 @@
+"""Corners that a detection missed, found where a camera says that they are.
+
+1. The pose of the board is fitted to the corners that are known, the camera held (pose_refit.py).
+2. The camera predicts every missing corner that it sees, with the directions and curvatures of its edges. What the camera leaves
+   of the known corners near it is smooth, and its local map (local_map.py) corrects the prediction and says how certain it is:
+   a first camera is a little off where no corner has been yet.
+3. The corner is fitted in the photo (saddle.py). It counts when it is a saddle of the printed sign and of the board's own
+   contrast, clear of what the fit leaves (corner_growth.py), within NEAR_SIGMA standard deviations of its prediction, and when
+   the corners around it, found before or with it, say so too.
+
+This is repeated until nothing is gained. So a corner that is covered, or a background that resembles one, is not returned.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from calib_patterns._pattern import Detection, Pattern, check_image
+from calib_patterns.corner_growth import MIN_CORNERS, MIN_NARROW_PX, CornerKind, accepted
+from calib_patterns.detection import grey_of
+from calib_patterns.local_map import KnownCorners, LocalMap, local_map
+from calib_patterns.pose_refit import FREEDOM, refit_pose, robust_scale_px
+from calib_patterns.saddle import SaddleFit
+from calib_patterns.tag_board import TagBoard
+from camera_models._model import CameraModel
+from camera_models.pose import Pose
+
+NEAR_SIGMA, NEAR_PX = 4.0, 0.15
+"""A corner lies within NEAR_SIGMA standard deviations plus NEAR_PX of its prediction."""
+FAR_SQUARES = 0.25
+"""And never farther from it than this share of a square (or a pixel, where squares are small)."""
+USUAL_SCALE_PX, USUAL_FREEDOM = 0.1, 6
+"""What a camera usually leaves of corners, and how many residuals must say something else to count as much."""
+MOST_SIGMA = 3.0
+"""A corner whose own standard deviation is more than so many times the usual one is given no more room for it."""
+CERTAIN_SQUARES, CERTAIN_PX = 0.2, 0.5
+"""Corners are looked for where the standard deviation of their prediction is below the sum of both."""
+MOST_MISFIT_SPACINGS, MOST_MISFIT_PX = 0.05, 0.5
+"""A camera that leaves more than the larger of both of the known corners (robust standard deviation) contradicts them."""
+START_SIGMA_PX = 1.5
+"""How certain the predictions of a pose are that no corner supports."""
+LEAST_UNSUPPORTED = 9
+"""Corners that such a pose must lead to: 3 x 3."""
+READS, TAG_SAMPLES, TAG_INSIDE = 0.5, 9, 0.56
+"""Correlation of a tag in the photo with the printed one, samples along its side, and the share of it within all borders."""
+NEWS_PX = 0.2
+"""A corner is fitted again when its prediction has moved by more than this."""
+BORDER_PX = 1.0
+_ROUNDS = 8
+_STEP = 0.02
+"""Step of the numerical derivatives along the board, in spacings: they are exact to some 1e-6 px."""
+
+
+@dataclass(frozen=True)
+class GuidedCorners:
+    """What a photo shows of a board for a given camera."""
+
+    detection: Detection
+    """The corners known before, as they were, and those gained."""
+    cam_from_board: Pose
+    gained: int
+    fits: bool
+    """Whether camera and pose agree with the corners known before or, without any, with the photo; where not, none is gained."""
+
+
+def corner_kind(pattern: Pattern) -> CornerKind:
+    """What the print of any pattern looks like around its corners."""
+    if isinstance(pattern, TagBoard):
+        return pattern.corner_kind
+    corners = pattern.points_m[:, :2]
+    spacing = float(np.linalg.norm(corners[1:] - corners[0], axis=1).min())
+    white = pattern.reflectance(corners + 0.25 * spacing, np.zeros_like(corners)) > 0.5
+    return CornerKind(corners, np.where(white, 1.0, -1.0), np.full((len(corners), 2, 2), np.inf), spacing, spacing)
+
+
+def seen_ids(pattern: Pattern, model: CameraModel, cam_from_board: Pose) -> Int[np.ndarray, " k"]:
+    """Corners that the camera sees inside its image from a pose, unless something covers them."""
+    with torch.no_grad():
+        pixels, valid = model.project(cam_from_board.transform(torch.as_tensor(pattern.points_m)))
+    return np.flatnonzero(valid.numpy() & _inside(pixels.numpy(), model.image_size))
+
+
+def guided_search(
+    image: np.ndarray, pattern: Pattern, model: CameraModel, cam_from_board: Pose, found: Detection
+) -> GuidedCorners:
+    """The corners of a board in a photo: those found before and those that the camera leads to.
+
+    `image` as in `Pattern.detect`, of `model.image_size`. `found`: corners known before, to half a pixel or so, a few of them may
+    be wrong. With four or more the pose needs to be right to about a square; fewer are not used, and the pose has to be right to
+    0.25 squares. Raises InputError for an image that is none.
+    """
+    check_image(image)
+    search = _Search(grey_of(image), pattern, model, cam_from_board, found)
+    if search.supported and not search.consistent():
+        return GuidedCorners(found, cam_from_board, 0, False)
+    for _ in range(_ROUNDS):
+        before = int(search.good.sum())
+        search.look(0)
+        search.doubt()
+        if int(search.good.sum()) <= before:
+            break
+    for halvings in (1, 2):
+        search.look(halvings)
+        search.doubt()
+    if not (search.supported or search.holds_alone(pattern)):
+        return GuidedCorners(found, cam_from_board, 0, False)
+    return GuidedCorners(search.detection(), search.pose, int((search.good & ~search.given).sum()), True)
+
+
+class _Search:
+    """The corners known so far, rows by id."""
+
+    def __init__(self, grey: np.ndarray, pattern: Pattern, model: CameraModel, pose: Pose, found: Detection) -> None:
+        self.grey, self.model, self.pose = grey, model, pose
+        self.kind, self.points_m = corner_kind(pattern), pattern.points_m
+        count = len(self.points_m)
+        self.pixels, self.sigma_px, self.blur_px = np.zeros((count, 2)), np.ones(count), np.ones((count, 2))
+        self.contrast, self.residual_px, self.scale_px = np.zeros(count), np.zeros((count, 2)), START_SIGMA_PX
+        self.tried_px = np.full((count, 2), -1e6)
+        self.given = np.zeros(count, dtype=bool)
+        self.supported = len(found) >= MIN_CORNERS
+        if self.supported:
+            self.given[found.ids] = True
+            self.pixels[found.ids], self.sigma_px[found.ids] = found.pixels, found.sigma_px
+        self.good, self.trusted = self.given.copy(), self.given.copy()
+        if self.supported:
+            self._refit()
+            self._measure(found, plain=not isinstance(pattern, TagBoard))
+            self.doubt()
+
+    def _measure(self, found: Detection, *, plain: bool) -> None:
+        """Contrast and blur of the corners found; a plain board may begin with either colour."""
+        places, _ = self._seen(found.ids)
+        kind = self.kind.at(found.ids)
+        fit = kind.fit(self.grey, replace(places, pixels=found.pixels), 1.0)
+        self.contrast[found.ids] = fit.contrast
+        self.blur_px[found.ids] = fit.blur_px if found.blur_px is None else found.blur_px
+        if plain and np.median(kind.sign * fit.contrast) < 0:
+            self.kind = replace(self.kind, sign=-self.kind.sign)
+
+    def _refit(self) -> None:
+        """The pose, what it leaves of the good corners, and the scale of that."""
+        ids = np.flatnonzero(self.good)
+        if ids.size < MIN_CORNERS:
+            return
+        self.pose, self.residual_px[ids] = refit_pose(self.model, self.pose, self.points_m[ids], self.pixels[ids])
+        freedom, scale_px = 2 * ids.size - FREEDOM, robust_scale_px(self.residual_px[ids])
+        mean = (USUAL_FREEDOM * USUAL_SCALE_PX**2 + freedom * scale_px**2) / (USUAL_FREEDOM + freedom)
+        self.scale_px = float(np.sqrt(mean))
+
+    def consistent(self) -> bool:
+        """Whether the camera agrees with the corners that are known."""
+        places, seen = self._seen(np.flatnonzero(self.good))
+        spacing_px = float(np.median(places.spacing_px[seen])) if seen.any() else 0.0
+        return self.scale_px <= max(MOST_MISFIT_PX, MOST_MISFIT_SPACINGS * spacing_px)
+
+    def holds_alone(self, pattern: Pattern) -> bool:
+        """Whether a pose that no corner supported has led to so many that it must be right, and the tags say so too."""
+        enough = int(self.good.sum()) >= LEAST_UNSUPPORTED and self.consistent()
+        return enough and (not isinstance(pattern, TagBoard) or _tags_agree(self.grey, pattern, self.model, self.pose))
+
+    def _seen(self, ids: Int[np.ndarray, " k"]) -> tuple[LocalMap, Bool[np.ndarray, " k"]]:
+        """The map at some corners as the camera alone has it, and which corners it sees with their surroundings."""
+        offsets = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=np.float64)
+        around = self.points_m[ids][:, None] + _STEP * self.kind.spacing_m * offsets
+        pixels, valid = _projected(self.model, self.pose, around)
+        at, right, left, down, up = np.moveaxis(pixels, 1, 0)
+        first = np.stack([right - left, down - up], -1) / (2 * _STEP)
+        second = np.stack([right - 2 * at + left, down - 2 * at + up], -1) / _STEP**2
+        return LocalMap(at, first, second, np.full(len(ids), self.scale_px)), np.asarray(valid.all(1))
+
+    def _predicted(self, ids: Int[np.ndarray, " k"], *, leave_out: bool = False) -> tuple[LocalMap, Bool[np.ndarray, " k"]]:
+        """The same, corrected by what the camera leaves of the corners that are trusted, or of the others among them. Where no
+        corner was given, nothing but the camera vouches for those gained."""
+        places, seen = self._seen(ids)
+        rows = np.flatnonzero(self.trusted)
+        if not self.supported:
+            return places, seen
+        sigma_px = np.hypot(self.sigma_px[rows], self.scale_px)
+        left = KnownCorners(self.kind.corners_m[rows], self.residual_px[rows], sigma_px)
+        correction = local_map(left, self.kind.corners_m[ids], self.kind.spacing_m, leave_out=leave_out)
+        return replace(places, pixels=places.pixels + correction.pixels, sigma_px=correction.sigma_px), seen
+
+    def _too_far(
+        self, ids: Int[np.ndarray, " k"], places: LocalMap, pixels: Float[np.ndarray, "k 2"], sigma_px: Float[np.ndarray, " k"]
+    ) -> Float[np.ndarray, " k"]:
+        """Distance of corners from their predictions over what it may be."""
+        usual = float(np.median(self.sigma_px[self.good])) if self.good.any() else np.inf
+        spread = np.sqrt(places.sigma_px**2 + np.minimum(sigma_px, MOST_SIGMA * usual) ** 2 + self.scale_px**2)
+        farthest = np.maximum(FAR_SQUARES * self.kind.at(ids).square_px(places), 1.0)
+        return np.linalg.norm(pixels - places.pixels, axis=1) / np.minimum(NEAR_PX + NEAR_SIGMA * spread, farthest)
+
+    def look(self, halvings: int) -> None:
+        """Fit the corners that were not given at their predictions, again where these have moved, and keep those that are
+        accepted. With the window halved once or twice, since something may lie next to a corner, only the missing ones."""
+        missing = np.flatnonzero(~(self.good if halvings else self.given))
+        if not missing.size:
+            return
+        places, seen = self._predicted(missing)
+        square_px = self.kind.at(missing).square_px(places)
+        if halvings:
+            worth_it = square_px >= 0.5 * MIN_NARROW_PX * 2**halvings
+        else:
+            worth_it = np.linalg.norm(places.pixels - self.tried_px[missing], axis=1) > NEWS_PX
+        certain = places.sigma_px < CERTAIN_SQUARES * square_px + CERTAIN_PX
+        ahead = seen & worth_it & certain & _inside(places.pixels, self.model.image_size)
+        if ahead.any():
+            self._fit(missing[ahead], _at(places, ahead), halvings)
+
+    def _fit(self, ids: Int[np.ndarray, " k"], places: LocalMap, halvings: int) -> None:
+        """Fit corners at their predictions; keep those that are accepted, forget the others."""
+        kind = self.kind.at(ids)
+        for _ in range(halvings):
+            kind = kind.narrowed()
+        known = self.blur_px[self.good].max(-1)
+        fit = kind.fit(self.grey, places, float(np.clip(np.median(known), 0.5, 4.0)) if known.size else 1.0)
+        taken = accepted(kind, fit, places, self._usual_contrast(fit)) & _inside(fit.pixels, self.model.image_size)
+        taken &= self._too_far(ids, places, fit.pixels, fit.sigma_px) < 1.0
+        self.tried_px[ids], self.good[ids], self.trusted[ids] = places.pixels, taken, taken
+        rows = ids[taken]
+        self.pixels[rows], self.sigma_px[rows] = fit.pixels[taken], fit.sigma_px[taken]
+        self.blur_px[rows], self.contrast[rows] = fit.blur_px[taken], fit.contrast[taken]
+        self._refit()
+
+    def _usual_contrast(self, fit: SaddleFit) -> float:
+        """Of the known corners or, where there is none, of those that were fitted."""
+        known = self.contrast[self.good] if self.good.any() else fit.contrast[fit.converged]
+        return float(np.median(np.abs(known))) if known.size else 0.0
+
+    def doubt(self) -> None:
+        """Drop what was gained where the other corners say something else, the worst first. What was found before is only no
+        longer predicted from: the calibration judges it."""
+        ids = np.flatnonzero(self.trusted)
+        while ids.size > MIN_CORNERS:
+            places, _ = self._predicted(ids, leave_out=True)
+            excess = self._too_far(ids, places, self.pixels[ids], self.sigma_px[ids])
+            worst = int(excess.argmax())
+            if excess[worst] < 1.0:
+                return
+            self.trusted[ids[worst]] = False
+            self.good[ids[worst]] = self.given[ids[worst]]
+            self._refit()
+            ids = np.delete(ids, worst)
+
+    def detection(self) -> Detection:
+        """What is known."""
+        ids = np.flatnonzero(self.good)
+        return Detection(ids, self.pixels[ids], self.sigma_px[ids], self.blur_px[ids])
+
+
+def _projected(
+    model: CameraModel, cam_from_board: Pose, points_m: Float[np.ndarray, "n k 3"]
+) -> tuple[Float[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
+    """Pixels of points of the board, and which of them the camera sees."""
+    with torch.no_grad():
+        pixels, valid = model.project(cam_from_board.transform(torch.as_tensor(points_m.reshape(-1, 3))))
+    return pixels.numpy().reshape(*points_m.shape[:2], 2), valid.numpy().reshape(points_m.shape[:2])
+
+
+def _inside(pixels: Float[np.ndarray, "n 2"], image_size: tuple[int, int]) -> Bool[np.ndarray, " n"]:
+    return np.all((pixels >= BORDER_PX) & (pixels <= np.array(image_size) - 1.0 - BORDER_PX), axis=1)
+
+
+def _at(places: LocalMap, chosen: Bool[np.ndarray, " n"]) -> LocalMap:
+    return LocalMap(places.pixels[chosen], places.first[chosen], places.second[chosen], places.sigma_px[chosen])
+
+
+def _tags_agree(grey: np.ndarray, board: TagBoard, model: CameraModel, pose: Pose) -> bool:
+    """Whether a quarter of the tags in the image look as printed: their corners alone are the same a few squares on."""
+    low, right, _, down = np.moveaxis(board.tag_corners_m, 1, 0)
+    share = 0.5 + TAG_INSIDE * ((np.arange(TAG_SAMPLES) + 0.5) / TAG_SAMPLES - 0.5)
+    s, t = (axis.reshape(1, -1, 1) for axis in np.meshgrid(share, share))
+    points = low[:, None] + s * (right - low)[:, None] + t * (down - low)[:, None]
+    pixels, valid = _projected(model, pose, np.concatenate([points, np.zeros_like(points[..., :1])], -1))
+    inside = valid.all(1) & _inside(pixels.reshape(-1, 2), model.image_size).reshape(valid.shape).all(1)
+    if not inside.any():
+        return False
+    places = pixels[inside].astype(np.float32)
+    seen = cv2.remap(grey.astype(np.float32), places[..., 0], places[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+    printed = board.reflectance(points[inside], np.zeros_like(points[inside]))
+    seen, printed = seen - seen.mean(1, keepdims=True), printed - printed.mean(1, keepdims=True)
+    norm = np.sqrt((seen**2).sum(1) * (printed**2).sum(1))
+    return bool(np.percentile((seen * printed).sum(1) / np.maximum(norm, 1e-12), 75) > READS)

@@ -1,0 +1,180 @@
+"""Plain checkerboards of which only a part is seen, that are blurred, noisy or past 90 degrees off axis; what growth rests on."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from ov_plane import read_split
+from tag_views import CAMERAS, View, views
+
+from calib_patterns import pattern
+from calib_patterns._pattern import Detection
+from calib_patterns.board_poses import random_board_poses
+from calib_patterns.rendering import render_target
+from calib_patterns.saddle_kernel import PARAMETERS, normal_equations
+from calib_patterns.saddle_points import lattices, saddle_points
+from camera_models.opencv_fisheye import OpenCVFisheye
+
+SPEC = "checkerboard:8x6:30mm"
+BOARD = pattern(SPEC)
+COLUMNS, ROWS = 8, 6
+
+
+def shift_of(found: Detection, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """True id of every corner found (the nearest true corner), and its distance; the ids found differ from the true ones by one
+    shift and symmetry of the board, or the grid is not one."""
+    distance = np.linalg.norm(found.pixels[:, None] - truth, axis=-1)
+    true_id = distance.argmin(1)
+    ours = np.stack([found.ids % COLUMNS, found.ids // COLUMNS, np.ones(len(found))], -1).astype(float)
+    true = np.stack([true_id % COLUMNS, true_id // COLUMNS], -1).astype(float)
+    numbering = np.linalg.lstsq(ours, true, rcond=None)[0]
+    np.testing.assert_allclose(ours @ numbering, true, atol=1e-6)
+    np.testing.assert_allclose(np.abs(numbering[:2]).sum(0), 1.0, atol=1e-6)
+    assert np.linalg.det(numbering[:2]) > 0
+    return true_id, distance.min(1)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_cropped_and_covered_boards(camera: str) -> None:
+    """Every clearly visible corner but one or two next to the edge, in one grid, none invented, none off by more than 1 px."""
+    checked = 0
+    for index, view in enumerate(views(SPEC, camera, 4, 12.0)):
+        for part in (view.cropped(0.4, index % 2), view.covered(0.6, 2.0 * index, index)):
+            check_part(part)
+            checked += 1
+    assert checked == 8
+
+
+def check_part(part: View) -> None:
+    found, reason = BOARD.detect(part.image)
+    assert reason is None
+    true_id, distance = shift_of(found, part.truth)
+    assert len(np.setdiff1d(np.flatnonzero(part.visible), true_id)) <= 2
+    assert not part.hidden[true_id].any() and distance.max() < 1.0
+    assert np.sqrt((distance**2).mean() / 2) < 0.1
+
+
+def test_three_by_three_corners_are_enough() -> None:
+    view = views(SPEC, "fisheye-190", 4, 12.0)[0]
+    window = view.truth.reshape(ROWS, COLUMNS, 2)[1:4, 2:5].reshape(-1, 2)
+    low, high = np.floor(window.min(0) - 7).astype(int), np.ceil(window.max(0) + 7).astype(int)
+    found, reason = BOARD.detect(np.ascontiguousarray(view.image[low[1] : high[1], low[0] : high[0]]))
+    assert reason is None and len(found) >= 9
+    assert np.linalg.norm((found.pixels + low)[:, None] - view.truth, axis=-1).min(1).max() < 0.3
+
+
+def test_clutter_is_no_board() -> None:
+    """Smooth noise has saddle points everywhere; none of its lattices passes for nine corners with their squares."""
+    rng = np.random.default_rng(5)
+    lost = 0
+    for scale in (3.0, 5.0, 8.0):
+        texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), scale)
+        grey = np.clip(128 + 45 * texture / texture.std(), 0, 255).astype(np.uint8)
+        assert len(saddle_points(grey).pixels) > 50
+        found, reason = BOARD.detect(grey)
+        assert len(found) == 0 and reason is not None
+        lost += 1
+    assert lost == 3
+
+
+@pytest.mark.parametrize(("blur_px", "noise_grey", "limit_px"), [(0.5, 2.0, 0.06), (2.0, 8.0, 0.25)])
+def test_boards_past_90_degrees_off_axis(blur_px: float, noise_grey: float, limit_px: float) -> None:
+    """A 220 degree lens: all corners of boards out to 108 degrees, clean, and with blur and noise."""
+    model = OpenCVFisheye([230.0, 230.0, 639.5, 479.5, 0.01, -0.002, 0.0005, 0.0], (1280, 960))
+    poses = random_board_poses(BOARD, model, 5, math.radians(108.0), seed=4)
+    errors, farthest = [], 0.0
+    for index in range(5):
+        seen = poses[index].transform(torch.as_tensor(BOARD.points_m))
+        truth = model.project(seen)[0].numpy()
+        image = render_target(BOARD, model, poses[index], blur_px=blur_px, noise_grey=noise_grey, seed=index)
+        found, reason = BOARD.detect(image)
+        assert reason is None and len(found) == COLUMNS * ROWS
+        _, distance = shift_of(found, truth)
+        errors.append(distance)
+        farthest = max(farthest, math.degrees(float(torch.atan2(torch.hypot(seen[:, 0], seen[:, 1]), seen[:, 2]).max())))
+    assert farthest > 95.0 and np.sqrt((np.concatenate(errors) ** 2).mean() / 2) < limit_px
+
+
+def test_a_board_of_fewer_corners_is_a_part_of_a_larger_one() -> None:
+    """The ids are then those of some part of it."""
+    view = views(SPEC, "fisheye-190", 4, 12.0)[0]
+    found, reason = pattern("checkerboard:11x8:30mm").detect(view.image)
+    assert reason is None and len(found) == COLUMNS * ROWS
+    assert found.ids.max() < 88 and np.linalg.norm(found.pixels[:, None] - view.truth, axis=-1).min(1).max() < 0.3
+
+
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.full)])
+def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
+    """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 0.2 percent are not found,
+    5 percent are found farther off. Those lie at the dark rim, where a camera fitted to all other corners puts ours nearer, and
+    in the board's outermost rows, which are cut off and lie up to 0.7 mm inside their grid by either tool."""
+    board = pattern("checkerboard:22x22:7.5mm")
+    listed = near = found_at_all = photos = 0
+    for split in ("train", "test"):
+        folder = shared_data / "calibration/ov_plane" / split
+        corners = read_split(folder.parent, split)
+        for index in range(0, len(corners.images), every):
+            found, reason = board.detect(cv2.imread(str(folder / corners.images[index]), cv2.IMREAD_UNCHANGED))
+            assert reason is None
+            theirs = corners.view == index
+            distance = np.linalg.norm(corners.pixels[theirs][:, None] - found.pixels, axis=-1)
+            hit = distance.min(1) < 0.5
+            found_at_all += int((distance.min(1) < 2.5).sum())
+            places = np.stack([found.ids % 22, found.ids // 22], -1)[distance.argmin(1)][hit]
+            design = np.concatenate([np.rint(corners.board_m[theirs, :2] / 0.0075), np.ones((len(hit), 1))], 1)[hit]
+            np.testing.assert_allclose(design @ np.linalg.lstsq(design, places, rcond=None)[0], places, atol=1e-6)
+            listed, near, photos = listed + len(hit), near + int(hit.sum()), photos + 1
+    assert photos >= 4 and near >= 0.94 * listed and found_at_all >= 0.995 * listed, (near, found_at_all, listed)
+
+
+def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
+    """Squares at 40 degrees to each other, where the Hessian's directions are those of no edge."""
+    square = (np.indices((12, 14)).sum(0) % 2).astype(np.uint8) * 200 + 20
+    flat = cv2.resize(square, None, fx=30, fy=30, interpolation=cv2.INTER_NEAREST)
+    shear = np.array([[0.9, 0.75, 40.0], [0.1, 0.8, 30.0]])
+    image = cv2.GaussianBlur(cv2.warpAffine(flat, shear, (800, 480), flags=cv2.INTER_AREA, borderValue=128), (0, 0), 0.8)
+    grid = lattices(saddle_points(image), 9, 3)[0]
+    x, y = np.meshgrid(np.arange(1, 14), np.arange(1, 12))
+    truth = (np.stack([x, y], -1) * 30 - 0.5).reshape(-1, 2) @ shear[:, :2].T + shear[:, 2]
+    distance = np.linalg.norm(grid.pixels[:, None] - truth, axis=-1)
+    place = np.stack([x, y], -1).reshape(-1, 2)[distance.argmin(1)]
+    design = np.concatenate([place, np.ones((len(place), 1))], 1)
+    assert len(grid.places) > 100 and distance.min(1).max() < 1.0
+    np.testing.assert_allclose(design @ np.linalg.lstsq(design, grid.places, rcond=None)[0], grid.places, atol=1e-6)
+
+
+def test_compiled_derivatives_are_those_of_the_fit() -> None:
+    """J'r is half the negative gradient of the sum of squares: by central differences, for both signs of the gain."""
+    rng = np.random.default_rng(1)
+    u, v = (values.ravel().astype(float) for values in np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))
+    grey = rng.uniform(40, 200, u.shape)
+    curvature = np.array([0.01, -0.015])
+    for gain in (0.3, -0.3):
+        at = np.array([0.3, -0.2, 0.1, 1.4, 0.1, -0.2, gain, 110.0, 0.004, -0.006, 60.0])
+        normal, slope, other = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(PARAMETERS)
+        normal_equations(at, curvature, u, v, grey, normal, slope)
+        numeric = np.empty(PARAMETERS)
+        for k in range(PARAMETERS):
+            step = np.zeros(PARAMETERS)
+            step[k] = 1e-6
+            ahead = normal_equations(at + step, curvature, u, v, grey, normal, other)
+            behind = normal_equations(at - step, curvature, u, v, grey, normal, other)
+            numeric[k] = -(ahead - behind) / 4e-6
+        np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-3 * np.abs(slope).max())
+    assert np.linalg.norm(slope) > 0
+
+
+def test_corners_where_the_lens_darkens() -> None:
+    """Light that falls by a third over a square: an additive slope would move corners by tenths of a pixel."""
+    view = views(SPEC, "fisheye-190", 4, 12.0)[1]
+    truth = view.truth.reshape(ROWS, COLUMNS, 2)
+    middle, square = truth[2, 3], np.linalg.norm(truth[2, 4] - truth[2, 3])
+    u = np.arange(view.image.shape[1])
+    light = np.exp(-np.clip((u - middle[0]) * math.log(1.5) / square, -1.5, 1.5))
+    dimmed = np.clip(np.rint(view.image * light * 0.5), 0, 255).astype(np.uint8)
+    found, reason = BOARD.detect(dimmed)
+    assert reason is None and len(found) >= 40
+    _, distance = shift_of(found, view.truth)
+    assert np.sqrt((distance**2).mean() / 2) < 0.06
