@@ -6,6 +6,7 @@ bearing keeps its direction, so poses and lines stay what they are.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +34,22 @@ TIGHT = 1e-12
 """Relative change of the sum of squares and of the parameters at which a fit ends."""
 AFFINE = ("skew", "c", "d", "e")
 """Parameters that a calibration may hold or tie to each other, because its free poses absorb them; given bearings decide them."""
+RING_DEG = 5.0
+"""Width of the rings of the field of view for which errors are stated."""
+
+
+@dataclass(frozen=True)
+class RingError:
+    """The error of a conversion between two angles from the bearing of the centre pixel."""
+
+    from_deg: float
+    to_deg: float
+    pixels: int
+    """Pixels of the source that were compared."""
+    rms_px: float
+    max_px: float
+    rms_deg: float
+    max_deg: float
 
 
 @dataclass(frozen=True)
@@ -48,12 +65,21 @@ class Conversion:
     max_deg: float
     fov_deg: float
     """Twice the largest angle off axis that was compared."""
+    rings: tuple[RingError, ...] = ()
+    """The same errors ring by ring, from the centre outwards; rings without a pixel are left out."""
 
 
-def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = None, **options: Any) -> Conversion:
+def convert(
+    model: CameraModel,
+    target_name: str,
+    fov_deg: float | int | None = None,
+    held: Mapping[str, float] | None = None,
+    **options: Any,
+) -> Conversion:
     """The camera of another model that is nearest to `model`, within `fov_deg` across and inside the image.
 
-    Without `fov_deg` it is all that the image of the source sees. `options` go to the target (`degree`, `coefficients`).
+    Without `fov_deg` it is all that the image of the source sees. Parameters of the target named in `held` keep the values given
+    there. `options` go to the target (`degree`, `coefficients`).
 
     Raises InputError for an unknown model, a field of view out of range or one that the target cannot hold: beyond its largest
     angle, a mirror where the target has none, a model without parameters to fit.
@@ -66,9 +92,9 @@ def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = 
     # A model is its own start, with all its coefficients, unless options ask for others.
     own = type(model) is target and target.CALIBRATED and not options
     start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
-    fitted = _refine(start, bearings, pixels)
+    fitted = _refine(start, bearings, pixels, held)
     for rival in fitted.rivals(half):
-        other = _refine(rival, bearings, pixels)
+        other = _refine(rival, bearings, pixels, held)
         # Where both are exact, rounding must not decide.
         if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
             fitted = other
@@ -82,8 +108,22 @@ def convert(model: CameraModel, target_name: str, fov_deg: float | int | None = 
         )
     off_px = (projected - pixels).norm(dim=-1)
     off_deg = torch.rad2deg(_angle(again, bearings))
+    whole = _error(0.0, math.degrees(half), off_px, off_deg)
+    rings = _rings(torch.rad2deg(_angle(bearings, axis.expand_as(bearings))), off_px, off_deg)
+    return Conversion(fitted, whole.rms_px, whole.max_px, whole.rms_deg, whole.max_deg, 2 * whole.to_deg, rings)
+
+
+def _error(from_deg: float, to_deg: float, off_px: Float[Tensor, " n"], off_deg: Float[Tensor, " n"]) -> RingError:
     rms_px, rms_deg = (float((off**2).mean().sqrt()) for off in (off_px, off_deg))
-    return Conversion(fitted, rms_px, float(off_px.max()), rms_deg, float(off_deg.max()), 2 * math.degrees(half))
+    return RingError(from_deg, to_deg, len(off_px), rms_px, float(off_px.max()), rms_deg, float(off_deg.max()))
+
+
+def _rings(angle_deg: Float[Tensor, " n"], off_px: Float[Tensor, " n"], off_deg: Float[Tensor, " n"]) -> tuple[RingError, ...]:
+    ring = (angle_deg / RING_DEG).to(torch.int64)
+    return tuple(
+        _error(RING_DEG * k, min(RING_DEG * (k + 1), 180.0), off_px[ring == k], off_deg[ring == k])
+        for k in ring.unique().tolist()
+    )
 
 
 def _rms_px(model: CameraModel, bearings: Float[Tensor, "n 3"], pixels: Float[Tensor, "n 2"]) -> float:
@@ -164,20 +204,31 @@ def _start(model: CameraModel, target: type[CameraModel], mirror: bool, half: fl
         raise
 
 
-def _directions(model: CameraModel) -> Float[Tensor, "p q"]:
-    """The directions that a calibration estimates, and one for each affine parameter that these leave open."""
-    basis = model.calibration_basis()
-    for index, name in enumerate(model.PARAMETER_NAMES):
-        unit = torch.eye(len(basis), dtype=torch.float64)[:, index : index + 1]
-        wider = torch.cat([basis, unit], -1)
-        if name in AFFINE and int(torch.linalg.matrix_rank(wider)) > basis.shape[1]:
+def _directions(model: CameraModel, held: Mapping[str, float]) -> Float[Tensor, "p q"]:
+    """The directions that a calibration estimates, and one for each affine parameter that these leave open; none moves `held`."""
+    names = model.PARAMETER_NAMES
+    units = torch.eye(len(names), dtype=torch.float64)
+    free = torch.tensor([[0.0 if name in held else 1.0] for name in names], dtype=torch.float64)
+    basis = units[:, :0]
+    affine = units[:, [index for index, name in enumerate(names) if name in AFFINE]]
+    for direction in (free * torch.cat([model.calibration_basis(), affine], -1)).unbind(-1):
+        wider = torch.cat([basis, direction[:, None]], -1)
+        if int(torch.linalg.matrix_rank(wider)) > basis.shape[1]:
             basis = wider
     return basis
 
 
-def _refine(start: CameraModel, bearings: Float[Tensor, "n 3"], pixels: Float[Tensor, "n 2"]) -> CameraModel:
+def _refine(
+    start: CameraModel,
+    bearings: Float[Tensor, "n 3"],
+    pixels: Float[Tensor, "n 2"],
+    held: Mapping[str, float] | None = None,
+) -> CameraModel:
     """Least squares of the distance in pixels; a bearing outside the domain counts from the edge that stands for it."""
-    basis = _directions(start)
+    held = held or {}
+    values = start.named_parameters() | {name: held[name] for name in start.PARAMETER_NAMES if name in held}
+    start = start.with_parameters(list(values.values()))
+    basis = _directions(start, held)
 
     def moved(step: np.ndarray) -> CameraModel:
         return start.with_parameters(start.parameters + basis @ torch.as_tensor(step))

@@ -154,3 +154,10 @@ class Pose:
     def stack(poses: "list[Pose]") -> "Pose":
         """A batch of single poses."""
         return Pose(torch.stack([p.rotation for p in poses]), torch.stack([p.translation for p in poses]))
+
+
+def adjoint(pose: Pose) -> Float[Tensor, "*batch 6 6"]:
+    """Ad with T exp(delta) = exp(Ad delta) T for delta = (rotation_rad, translation_m)."""
+    rotation = pose.rotation
+    lower = torch.cat([hat(pose.translation) @ rotation, rotation], -1)
+    return torch.cat([torch.cat([rotation, torch.zeros_like(rotation)], -1), lower], -2)

@@ -145,3 +145,43 @@ def test_a_panorama_is_fitted_over_a_narrow_field_only():
 def test_what_cannot_be_converted(source, target, fov, message):
     with pytest.raises(InputError, match=message):
         convert(source, target, fov)
+
+
+def test_parameters_that_are_held():
+    """They keep their values, the others are at the minimum that is left, and a tie (e = d) is cut where one side is held."""
+    source = Pinhole.examples()[0]
+    held = {"skew": 0.0, "k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0}
+    result = convert(source, "pinhole", held=held)
+    named = result.model.named_parameters()
+    assert all(named[name] == value for name, value in held.items()) and named["k2"] != source.named_parameters()["k2"]
+    free = convert(source, "pinhole")
+    assert free.rms_px < 1e-9 < result.rms_px
+    pixels = torch.as_tensor(np.random.default_rng(0).uniform([0, 0], source.image_size, (500, 2)))
+    bearings = source.unproject(pixels)[0]
+    _, _, _, by_parameter = result.model.project_with_jacobians(bearings)
+    off = (result.model.project(bearings)[0] - pixels).flatten()
+    for name in ("fx", "cx", "k1", "k2", "p1"):
+        column = by_parameter[..., result.model.PARAMETER_NAMES.index(name)].flatten()
+        assert abs(float(column @ off)) < 0.1 * float(column.norm() * off.norm()), name
+    slanted = convert(Scaramuzza.examples()[1], "scaramuzza", 150, {"d": 0.0, "e": 0.0}, degree=2)
+    assert slanted.model.named_parameters()["d"] == slanted.model.named_parameters()["e"] == 0.0
+    assert slanted.model.named_parameters()["c"] != 1.0
+
+
+def test_rings_of_the_field_of_view():
+    result = convert(FISHEYE, "double-sphere", 120)
+    edges = [(ring.from_deg, ring.to_deg) for ring in result.rings]
+    assert edges == [(5.0 * k, 5.0 * k + 5.0) for k in range(12)]
+    weight = np.array([ring.pixels for ring in result.rings])
+    for whole, part in (("rms_px", "rms_px"), ("rms_deg", "rms_deg")):
+        squared = np.array([getattr(ring, part) ** 2 for ring in result.rings])
+        assert math.isclose(math.sqrt((weight * squared).sum() / weight.sum()), getattr(result, whole), rel_tol=1e-9)
+    assert max(ring.max_px for ring in result.rings) == result.max_px
+    w, h = FISHEYE.image_size
+    pixels = np.stack(np.meshgrid(np.arange(0.0, w, 4), np.arange(0.0, h, 4)), -1).reshape(-1, 2)
+    bearings = FISHEYE.unproject(pixels)[0]
+    angle = np.degrees(np.arctan2(np.hypot(bearings[:, 0], bearings[:, 1]), bearings[:, 2]))
+    off = np.linalg.norm(result.model.project(bearings)[0] - pixels, axis=-1)
+    for ring in result.rings[2:]:
+        inside = (angle >= ring.from_deg) & (angle < ring.to_deg)
+        assert math.isclose(np.sqrt((off[inside] ** 2).mean()), ring.rms_px, rel_tol=0.1)

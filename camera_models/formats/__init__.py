@@ -1,0 +1,107 @@
+"""File formats of calibrations: which there are, and which of them a file is of. Listing them imports neither torch nor cv2.
+
+    content = formats.read("camchain.yaml")                  # .calibration and .notes; the format by its contents
+    formats.write("cameras.txt", content.calibration)        # the format by the name
+
+A new format is one module with a `CalibrationFormat` (`formats.contract`) and one line in FORMATS.
+"""
+
+import fnmatch
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from camera_models.errors import InputError
+
+if TYPE_CHECKING:
+    from camera_models.formats.calibration_data import Calibration
+    from camera_models.formats.contract import CalibrationFormat, Content
+
+HEAD = 65536
+"""Bytes of a file by which its format is told."""
+
+
+class FormatEntry(NamedTuple):
+    """One format of the registry."""
+
+    name: str
+    """On the command line."""
+    module: str
+    """module:Class of a `CalibrationFormat`."""
+    files: tuple[str, ...]
+    """Names that are written in this format unless another is asked for, as shell patterns in lower case."""
+
+
+# Formats with names of their own first; the last takes every other .yaml, so it must come after those whose files are .yaml too.
+FORMATS: tuple[FormatEntry, ...] = (
+    FormatEntry("colmap", "camera_models.formats.colmap:Colmap", ("cameras.txt", "cameras.bin")),
+    FormatEntry("mrcal", "camera_models.formats.mrcal:Mrcal", ("*.cameramodel",)),
+    FormatEntry("basalt", "camera_models.formats.basalt:Basalt", ("*.json",)),
+    FormatEntry("ocamcalib", "camera_models.formats.ocamcalib:OCamCalib", ("*calib_results*.txt", "*ocam*.txt", "*ocam*.yaml")),
+    FormatEntry("kalibr", "camera_models.formats.kalibr:Kalibr", ("*camchain*.yaml", "*kalibr*.yaml")),
+    FormatEntry("ros", "camera_models.formats.ros:RosCameraInfo", ("*camera_info*.yaml", "ost.yaml")),
+    FormatEntry("opencv", "camera_models.formats.opencv:OpenCV", ("*.yml", "*.xml", "*opencv*.yaml")),
+    FormatEntry("omnilines", "camera_models.formats.native:Native", ("*.yaml",)),
+)
+
+
+def format_named(name: str) -> "CalibrationFormat":
+    """The format of a name; raises InputError where there is none."""
+    for entry in FORMATS:
+        if entry.name == name:
+            module, _, attribute = entry.module.partition(":")
+            found: CalibrationFormat = getattr(importlib.import_module(module), attribute)()
+            return found
+    raise InputError(f"A format is one of {', '.join(entry.name for entry in FORMATS)}, found '{name}'; choose one of these.")
+
+
+def format_of_file(path: str | Path) -> "CalibrationFormat":
+    """The format that a file or a folder is of, by its contents; raises InputError where it is of none."""
+    file = Path(path)
+    parts = sorted(part for part in file.iterdir() if part.is_file()) if file.is_dir() else []
+    for entry in FORMATS:
+        candidate = format_named(entry.name)
+        if file.is_dir() and not candidate.FOLDERS:
+            own = [part for part in parts if part.suffix.lower() in candidate.SUFFIXES]
+            recognised = bool(own) and all(candidate.recognises(part, _head(part)) for part in own)
+        else:
+            recognised = candidate.recognises(file, "" if file.is_dir() else _head(file))
+        if recognised:
+            return candidate
+    raise InputError(
+        f"{file} was expected to be a calibration of {', '.join(entry.name for entry in FORMATS)}, found none of these; name its "
+        "format with --from, or another file."
+    )
+
+
+def format_for_writing(path: str | Path) -> "CalibrationFormat":
+    """The format that owns a file name; raises InputError where none does."""
+    name = Path(path).name.lower()
+    for entry in FORMATS:
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in entry.files):
+            return format_named(entry.name)
+    raise InputError(
+        f"A file name that tells the format was expected ({', '.join(pattern for entry in FORMATS for pattern in entry.files)}), "
+        f"found '{Path(path).name}'; name the format with --to."
+    )
+
+
+def read(path: str | Path, name: str | None = None, image_size: tuple[int, int] | None = None) -> "Content":
+    """The calibration in a file or folder, in the format of a name or by its contents; `image_size` where the file has none."""
+    return (format_of_file(path) if name is None else format_named(name)).read(path, image_size)
+
+
+def write(path: str | Path, calibration: "Calibration", name: str | None = None) -> list[Path]:
+    """Write a calibration in the format of a name or else that owns the file name; returns the files.
+
+    Raises InputError where the format does not hold a camera exactly; `camera_models.formats.transfer` fits it first.
+    """
+    return (format_for_writing(path) if name is None else format_named(name)).write(path, calibration)
+
+
+def _head(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            return stream.read(HEAD).decode("latin-1")
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); check the path.") from error

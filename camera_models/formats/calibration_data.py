@@ -54,6 +54,8 @@ class RigCamera:
     cam_from_rig: Pose
     sigma: Float[np.ndarray, "6"] | None = None
     """Standard deviations of the left perturbation (rotation_rad, translation_m)."""
+    covariance: Float[np.ndarray, "6 6"] | None = None
+    """Of the same perturbation."""
 
 
 @dataclass(frozen=True, eq=False)

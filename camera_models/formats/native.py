@@ -7,10 +7,10 @@ Required of a camera are `model`, `image_size` and `parameters`; all else is opt
 ignored. Parameters and all other numbers come back to the bit; rotations do once they have been through a file.
 """
 
-import sys
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -20,15 +20,29 @@ import camera_models
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera, ViewRecord
+from camera_models.formats.contract import CalibrationFormat, Content, Documents
 from camera_models.formats.disk import write_atomically
+from camera_models.formats.forms import Form
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
+from camera_models.formats.values import (
+    default,
+    image_size,
+    items,
+    mapping,
+    number,
+    numbers,
+    optional_number,
+    required,
+    text,
+    whole,
+)
 from camera_models.formats.yaml_text import read_yaml, yaml_text
 from camera_models.pose import Pose
 
 FORMAT = "omnilines-calibration"
 VERSION = 1
 
-__all__ = ["FORMAT", "VERSION", "Calibration", "CameraEstimate", "RigCamera", "ViewRecord", "load", "save"]
+__all__ = ["FORMAT", "VERSION", "Calibration", "CameraEstimate", "RigCamera", "ViewRecord", "calibration_text", "load", "save"]
 
 
 def load(path: str | Path) -> Calibration:
@@ -46,22 +60,27 @@ def save(path: str | Path, calibration: Mapping[str, CameraModel]) -> None:
     Raises InputError where a number is NaN or infinite (an unknown one is None) or the file cannot be written; the file that
     was there is then untouched.
     """
-    whole = calibration if isinstance(calibration, Calibration) else Calibration(dict(calibration))
+    write_atomically(path, calibration_text(calibration))
+
+
+def calibration_text(calibration: Mapping[str, CameraModel]) -> str:
+    """What `save` writes."""
+    entire = calibration if isinstance(calibration, Calibration) else Calibration(dict(calibration))
     data: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
-        "cameras": {name: _camera_data(model, whole.estimates.get(name)) for name, model in whole.items()},
+        "cameras": {name: _camera_data(model, entire.estimates.get(name)) for name, model in entire.items()},
     }
-    if whole.rig:
+    if entire.rig:
         data["rig"] = {
-            name: {"cam_from_rig": _pose_data(item.cam_from_rig) | _present({"sigma": item.sigma})}
-            for name, item in whole.rig.items()
+            name: {"cam_from_rig": _pose_data(item.cam_from_rig) | _present({"sigma": item.sigma, "covariance": item.covariance})}
+            for name, item in entire.rig.items()
         }
-    if whole.views:
-        data["views"] = [_view_data(view) for view in whole.views]
-    if whole.provenance:
-        data["provenance"] = whole.provenance
-    write_atomically(path, yaml_text(data))
+    if entire.views:
+        data["views"] = [_view_data(view) for view in entire.views]
+    if entire.provenance:
+        data["provenance"] = entire.provenance
+    return yaml_text(data)
 
 
 def _present(data: dict[str, Any]) -> dict[str, Any]:
@@ -117,46 +136,41 @@ def _view_data(view: ViewRecord) -> dict[str, Any]:
 
 
 def _calibration(data: Any) -> Calibration:
-    top = _mapping(data, "the file")
+    top = mapping(data, "the file")
     if top.get("format") != FORMAT:
         found = f"'{top['format']}'" if "format" in top else "none"
         raise InputError(f"The key format must be {FORMAT}, found {found}; give a calibration.yaml of omnilines.")
-    version = _whole(_required(top, "version", "the file"), "version")
+    version = whole(required(top, "version", "the file"), "version")
     if version > VERSION:
         raise InputError(f"The file is of version {version} and this omnilines reads up to {VERSION}; install a newer omnilines.")
     if version < 1:
         raise InputError(f"The version must be 1 to {VERSION}, found {version}; correct it.")
     cameras: dict[str, CameraModel] = {}
     estimates: dict[str, CameraEstimate] = {}
-    for name, value in _mapping(_required(top, "cameras", "the file"), "cameras").items():
+    for name, value in mapping(required(top, "cameras", "the file"), "cameras").items():
         where = f"camera {name}"
-        camera = _mapping(value, where)
+        camera = mapping(value, where)
         cameras[name] = _model(camera, where)
         estimates[name] = _estimate(camera, cameras[name], where)
-    views = _list(_or(top.get("views"), []), "views")
+    views = items(default(top.get("views"), []), "views")
     return Calibration(
         cameras,
         estimates,
-        {name: _rig_camera(value, f"rig camera {name}") for name, value in _mapping(_or(top.get("rig"), {}), "rig").items()},
+        {name: _rig_camera(value, f"rig camera {name}") for name, value in mapping(default(top.get("rig"), {}), "rig").items()},
         tuple(_view(view, f"view {index + 1}", next(iter(cameras), "")) for index, view in enumerate(views)),
-        _mapping(_or(top.get("provenance"), {}), "provenance"),
+        mapping(default(top.get("provenance"), {}), "provenance"),
     )
 
 
 def _model(camera: Mapping[str, Any], where: str) -> CameraModel:
-    name = _text(_required(camera, "model", where), f"model of {where}")
-    size = _list(_required(camera, "image_size", where), f"image_size of {where}")
-    if len(size) != 2:
-        raise InputError(f"image_size of {where} must be [width, height], found {len(size)} numbers; give two.")
-    width, height = (_whole(value, f"image_size of {where}") for value in size)
-    if min(width, height) < 1:
-        raise InputError(f"image_size of {where} must be at least 1 x 1 pixels, found {width} x {height}; correct it.")
+    name = text(required(camera, "model", where), f"model of {where}")
+    size = image_size(required(camera, "image_size", where), f"image_size of {where}")
     parameters = {
-        key: _number(value, f"parameter {key} of {where}")
-        for key, value in _mapping(_required(camera, "parameters", where), f"parameters of {where}").items()
+        key: number(value, f"parameter {key} of {where}")
+        for key, value in mapping(required(camera, "parameters", where), f"parameters of {where}").items()
     }
     try:
-        return camera_models.model_class(name).from_mapping(parameters, (width, height))
+        return camera_models.model_class(name).from_mapping(parameters, size)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
@@ -165,25 +179,25 @@ def _estimate(camera: Mapping[str, Any], model: CameraModel, where: str) -> Came
     sigma = camera.get("sigma")
     covariance = camera.get("covariance")
     sign = camera.get("sign_source")
-    min_angle = _optional_number(camera, "min_angle_deg", where)
+    min_angle = optional_number(camera, "min_angle_deg", where)
     try:
         return CameraEstimate(
-            sigma={key: _number(value, f"sigma {key} of {where}") for key, value in _mapping(sigma, f"sigma of {where}").items()}
+            sigma={key: number(value, f"sigma {key} of {where}") for key, value in mapping(sigma, f"sigma of {where}").items()}
             if sigma is not None
             else None,
             covariance=_covariance(covariance, list(camera["parameters"]), model, where) if covariance is not None else None,
-            max_angle_deg=_optional_number(camera, "max_angle_deg", where),
+            max_angle_deg=optional_number(camera, "max_angle_deg", where),
             min_angle_deg=0.0 if min_angle is None else min_angle,
-            rms_px_per_axis=_optional_number(camera, "rms_px_per_axis", where),
-            rms_px_per_point=_optional_number(camera, "rms_px_per_point", where),
-            sign_source=_text(sign, f"sign_source of {where}") if sign is not None else None,
+            rms_px_per_axis=optional_number(camera, "rms_px_per_axis", where),
+            rms_px_per_point=optional_number(camera, "rms_px_per_point", where),
+            sign_source=text(sign, f"sign_source of {where}") if sign is not None else None,
         )
     except InputError as error:
         raise InputError(str(error) if where in str(error) else f"{where}: {error}") from None
 
 
 def _covariance(value: Any, names: list[str], model: CameraModel, where: str) -> Float[np.ndarray, "p p"]:
-    given = _numbers(value, (len(names), len(names)), f"covariance of {where}")
+    given = numbers(value, (len(names), len(names)), f"covariance of {where}")
     # Rows stand in the order of the parameters in the file, which may leave out those that were held.
     index = [model.PARAMETER_NAMES.index(name) for name in names]
     covariance = np.zeros((len(model.PARAMETER_NAMES),) * 2)
@@ -192,97 +206,67 @@ def _covariance(value: Any, names: list[str], model: CameraModel, where: str) ->
 
 
 def _rig_camera(value: Any, where: str) -> RigCamera:
-    pose = _mapping(_required(_mapping(value, where), "cam_from_rig", where), f"cam_from_rig of {where}")
-    sigma = pose.get("sigma")
-    return RigCamera(_pose(pose, where), _numbers(sigma, (6,), f"sigma of {where}") if sigma is not None else None)
+    pose = mapping(required(mapping(value, where), "cam_from_rig", where), f"cam_from_rig of {where}")
+    known = {name: pose.get(name) for name in ("sigma", "covariance")}
+    shapes = {"sigma": (6,), "covariance": (6, 6)}
+    given = {name: numbers(value, shapes[name], f"{name} of {where}") for name, value in known.items() if value is not None}
+    return RigCamera(_pose(pose, where), **given)
 
 
 def _view(value: Any, where: str, first_camera: str) -> ViewRecord:
-    view = _mapping(value, where)
-    image = _text(_required(view, "image", where), f"image of {where}")
+    view = mapping(value, where)
+    image = text(required(view, "image", where), f"image of {where}")
     where = f"{where} ({image})"
-    used = _or(view.get("used"), True)
+    used = default(view.get("used"), True)
     if not isinstance(used, bool):
         raise InputError(f"used of {where} must be true or false, found {used!r}; correct it.")
     pose = view.get("cam_from_board")
-    texts = {key: _text(view[key], f"{key} of {where}") for key in ("reason", "frame", "view") if view.get(key) is not None}
+    texts = {key: text(view[key], f"{key} of {where}") for key in ("reason", "frame", "view") if view.get(key) is not None}
     return ViewRecord(
         image=image,
-        camera=_text(_or(view.get("camera"), first_camera), f"camera of {where}"),
+        camera=text(default(view.get("camera"), first_camera), f"camera of {where}"),
         used=used,
-        corners_used=_whole(_or(view.get("corners_used"), 0), f"corners_used of {where}"),
-        corners_rejected=_whole(_or(view.get("corners_rejected"), 0), f"corners_rejected of {where}"),
-        rms_px_per_point=_optional_number(view, "rms_px_per_point", where),
-        cam_from_board=_pose(_mapping(pose, f"cam_from_board of {where}"), where) if pose is not None else None,
+        corners_used=whole(default(view.get("corners_used"), 0), f"corners_used of {where}"),
+        corners_rejected=whole(default(view.get("corners_rejected"), 0), f"corners_rejected of {where}"),
+        rms_px_per_point=optional_number(view, "rms_px_per_point", where),
+        cam_from_board=_pose(mapping(pose, f"cam_from_board of {where}"), where) if pose is not None else None,
         **texts,
     )
 
 
 def _pose(value: Mapping[str, Any], where: str) -> Pose:
-    q = _numbers(_required(value, "rotation_wxyz", where), (4,), f"rotation_wxyz of {where}")
-    t = _numbers(_required(value, "translation_m", where), (3,), f"translation_m of {where}")
+    q = numbers(required(value, "rotation_wxyz", where), (4,), f"rotation_wxyz of {where}")
+    t = numbers(required(value, "translation_m", where), (3,), f"translation_m of {where}")
     if not np.linalg.norm(q) > 1e-12:
         raise InputError(f"rotation_wxyz of {where} must be a unit quaternion, found one of length zero; correct it.")
     return Pose(rotation_from_file(torch.from_numpy(q)), torch.from_numpy(t))
 
 
-def _or(value: Any, default: Any) -> Any:
-    return default if value is None else value
+class Native(CalibrationFormat):
+    """calibration.yaml among the formats that are converted: it holds everything."""
 
+    NAME = "omnilines"
+    TITLE = "omnilines"
+    SUFFIXES = (".yaml", ".yml")
+    RIGS = True
+    REFERRED = False
+    FORMS: ClassVar[tuple[Form, ...]] = tuple(Form(name, name) for name, _ in camera_models.MODELS)
 
-def _required(data: Mapping[str, Any], key: str, where: str) -> Any:
-    if data.get(key) is None:
-        raise InputError(f"The key {key} is missing in {where}; add it.")
-    return data[key]
+    def recognises(self, path: Path, head: str) -> bool:
+        """The key `format`."""
+        return f"format: {FORMAT}" in head
 
+    def names(self, calibration: Calibration) -> list[str]:
+        """Those that they have."""
+        return list(calibration)
 
-def _mapping(value: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(f"{where} must be a mapping of names to values, found {_found(value)}; correct it.")
-    for key in value:
-        if not isinstance(key, str):
-            raise InputError(f"Names in {where} must be text, found {key!r}; put it in quotes.")
-    return value
+    def keeps(self, path: Path, calibration: Calibration) -> frozenset[str]:
+        """Everything, and what is known of the poses of a rig."""
+        parts = (CameraEstimate, RigCamera, Calibration)
+        return frozenset({"rig", *(item.name for part in parts for item in fields(part))})
 
+    def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
+        return Content(load(path))
 
-def _list(value: Any, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{where} must be a list, found {_found(value)}; correct it.")
-    return value
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str):
-        raise InputError(f"{where} must be text, found {_found(value)}; put it in quotes.")
-    return value
-
-
-def _whole(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise InputError(f"{where} must be a whole number, not negative, found {_found(value)}; correct it.")
-    return value
-
-
-def _number(value: Any, where: str) -> float:
-    # A comparison, because float() overflows for an int of hundreds of digits.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise InputError(f"{where} must be a finite number, found {_found(value)}; correct it.")
-    return float(value)
-
-
-def _optional_number(data: Mapping[str, Any], key: str, where: str) -> float | None:
-    return None if data.get(key) is None else _number(data[key], f"{key} of {where}")
-
-
-def _numbers(value: Any, shape: tuple[int, ...], where: str) -> Float[np.ndarray, "..."]:
-    items = _list(value, where)
-    if len(items) != shape[0]:
-        raise InputError(f"{where} must hold {' x '.join(map(str, shape))} numbers, found a list of {len(items)}; correct it.")
-    if len(shape) == 1:
-        return np.array([_number(item, where) for item in items])
-    return np.array([_numbers(item, shape[1:], f"row {row + 1} of the {where}") for row, item in enumerate(items)])
-
-
-def _found(value: Any) -> str:
-    kinds = {dict: "a mapping", list: "a list", type(None): "nothing"}
-    return kinds.get(type(value)) or repr(value)
+    def _documents(self, path: Path, calibration: Calibration) -> Documents:
+        return {path: calibration_text(calibration)}

@@ -1,14 +1,33 @@
-"""Commands on cameras: calibrate, validate."""
+"""Commands on cameras: calibrate, convert, validate."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Mirror, Model, Out, PatternSpec, Photos, Seed, Size, app, parse_size, run
+from camera_models.formats import FORMATS
+from omnilines.cli._shared import (
+    Json,
+    LossName,
+    Mirror,
+    Model,
+    Out,
+    PatternSpec,
+    Photos,
+    Seed,
+    Size,
+    app,
+    parse_each,
+    parse_size,
+    run,
+)
 
 if TYPE_CHECKING:
     from omnilines.commands._common import CommandResult, ProgressCallback
+
+EACH = "; of a rig also by camera, as in cam0=...,cam1=..."
+FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
 
 
 @app.command()
@@ -16,17 +35,21 @@ def calibrate(
     photos: Photos,
     out: Out,
     pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
-    image_size: Annotated[str | None, typer.Option("--image-size", help="WIDTHxHEIGHT, with corners.csv.")] = None,
-    model: Annotated[str, typer.Option("--model", help="A camera model, or auto: fit all, take the best.")] = "scaramuzza",
+    image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
+    model: Annotated[str, typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.")] = "scaramuzza",
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (4).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
     loss: LossName = "cauchy",
     mirror: Mirror = False,
+    boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
+    calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
+    hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Photos or corners.csv of one camera -> calibration.yaml, report.html."""
+    """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
     from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
+    from omnilines.commands.calibrate_rig import RigOptions, calibrate_rig_corners, calibrate_rig_photos, is_rig
 
     tables = [path for path in photos if path.suffix.lower() == ".csv"]
     if tables and (len(photos) > 1 or image_size is None):
@@ -36,13 +59,28 @@ def calibrate(
         )
     if not tables and pattern is None:
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
-    size = parse_size(image_size, "--image-size") if image_size else None
     board = tuple(name.strip() for name in refine_board.split(",") if name.strip())
+    sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
+    models = parse_each(model, "--model")
+    rig = is_rig(photos)
+    if rig and board:
+        raise InputError("--refine-board is for one camera, found a rig; calibrate one of its cameras alone for that.")
+    if not rig and (boards != "fixed" or calibration is not None or hold or set(models) != {""} or set(sizes) - {""}):
+        raise InputError(
+            "A rig was expected with --boards, --calibration, --hold and options by camera, found one camera; give a folder with "
+            "one sub-folder per camera and equal file names, or a corners.csv with a column camera."
+        )
 
     def command(progress: "ProgressCallback") -> "CommandResult":
-        if size is not None and tables:
+        if rig:
+            options = RigOptions(models, degree, coefficients, loss, mirror, boards, calibration, hold)
+            if tables:
+                return calibrate_rig_corners(tables[0], sizes, out, options, progress=progress)
+            patterns = [text.strip() for text in (pattern or "").split(",")]
+            return calibrate_rig_photos(photos[0], patterns, out, options, progress=progress)
+        if tables:
             return calibrate_corners(
-                tables[0], size, out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
+                tables[0], sizes[""], out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
                 refine_board=board, progress=progress,
             )  # fmt: skip
         return calibrate_photos(
@@ -51,6 +89,35 @@ def calibrate(
         )  # fmt: skip
 
     run(command, as_json)
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="Calibration file, or folder of them.", metavar="IN", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
+    from_format: Annotated[
+        str | None, typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.")
+    ] = None,
+    to_format: Annotated[str | None, typer.Option("--to", help="Format of OUT, else told by its name.")] = None,
+    model: Annotated[
+        str | None, typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.")
+    ] = None,
+    fov_deg: Annotated[
+        float | None, typer.Option("--fov", help="Field of view of a fit, degrees, else all that is known.")
+    ] = None,
+    image_size: Annotated[str | None, typer.Option("--image-size", help="WIDTHxHEIGHT, where IN does not hold it.")] = None,
+    as_json: Json = False,
+) -> None:
+    """A calibration from one file format or camera model to another, with the conversion error."""
+    from omnilines.commands.convert import convert as command
+
+    size = parse_size(image_size, "--image-size") if image_size else None
+    run(
+        lambda progress: command(
+            source, out, from_format=from_format, to_format=to_format, model=model, fov_deg=fov_deg, image_size=size
+        ),
+        as_json,
+    )
 
 
 @app.command()

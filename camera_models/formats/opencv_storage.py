@@ -1,0 +1,73 @@
+"""cv2.FileStorage as a mapping: matrices as arrays, numbers, texts and lists of them."""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from camera_models.errors import InputError
+from camera_models.formats.disk import read_text
+
+_SYNTAX = {".xml": ".xml", ".json": ".json"}
+
+
+def read_storage(path: Path) -> dict[str, Any]:
+    """The top level of a file; raises InputError where it cannot be parsed."""
+    text = read_text(path)
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = storage.root()
+        return {key: _value(root.getNode(key), key) for key in root.keys()}
+    except (cv2.error, SystemError) as error:
+        # The constructor raises cv2.error as the cause of a SystemError.
+        cause = error.__cause__ or error
+        said = getattr(cause, "err", None) or "not a file of cv2.FileStorage"
+        raise InputError(f"{path} cannot be parsed by OpenCV ({said}); correct it or restore the file.") from None
+
+
+def _value(node: Any, name: str) -> Any:
+    if node.isInt():
+        return int(node.real())
+    if node.isReal():
+        return float(node.real())
+    if node.isString():
+        return node.string()
+    if node.isSeq():
+        parts = [_value(node.at(index), name) for index in range(node.size())]
+        return np.array(parts, dtype=np.float64) if parts and all(isinstance(part, int | float) for part in parts) else parts
+    if node.isMap():
+        keys = node.keys()
+        return _matrix(node, name) if "data" in keys else {key: _value(node.getNode(key), name) for key in keys}
+    return None
+
+
+def _matrix(node: Any, name: str) -> Any:
+    """The array of a node with its shape (rows and cols, or sizes), dt and data, which OpenCV itself takes on trust."""
+    sizes, kind, data = (node.getNode(key) for key in ("sizes", "dt", "data"))
+    sides = [node.getNode(key) for key in ("rows", "cols")] if sizes.empty() else _parts(sizes)
+    layout = re.fullmatch(r"(\d{0,3})[a-z]", kind.string()) if kind.isString() else None
+    if layout is None or not all(side.isInt() for side in sides):
+        raise InputError(f"The matrix {name} must have rows, cols (or sizes), dt and a list of data, found others; correct it.")
+    shape = [*(int(side.real()) for side in sides), int(layout[1] or 1)]
+    count = len(_parts(data))
+    if min(shape) < 1 or math.prod(shape) != count:
+        raise InputError(f"The matrix {name} must hold {' x '.join(map(str, shape))} numbers, found {count}; correct it.")
+    return node.mat()
+
+
+def _parts(node: Any) -> list[Any]:
+    """The items of a sequence; XML has one item as the item itself."""
+    return [node.at(index) for index in range(node.size())] if node.isSeq() else [node] if node.isInt() or node.isReal() else []
+
+
+def storage_text(data: Mapping[str, Any], suffix: str) -> str:
+    """What cv2.FileStorage writes of matrices, numbers, texts and lists of texts, in the syntax that the suffix asks for."""
+    storage = cv2.FileStorage(_SYNTAX.get(suffix, ".yml"), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for key, value in data.items():
+        storage.write(key, value)
+    written: str = storage.releaseAndGetString()
+    return written
