@@ -14,6 +14,7 @@ from camera_models.errors import GeometryError, InputError, OmnilinesError
 
 if TYPE_CHECKING:
     from camera_models._model import CameraModel
+    from camera_models.cylindrical import Cylindrical
     from camera_models.double_sphere import DoubleSphere
     from camera_models.equirectangular import Equirectangular
     from camera_models.extended_unified import ExtendedUnified
@@ -34,6 +35,7 @@ MODELS: tuple[tuple[str, str], ...] = (
     ("extended-unified", "camera_models.extended_unified:ExtendedUnified"),
     ("double-sphere", "camera_models.double_sphere:DoubleSphere"),
     ("equirectangular", "camera_models.equirectangular:Equirectangular"),
+    ("cylindrical", "camera_models.cylindrical:Cylindrical"),
 )
 
 _LAZY = {
@@ -41,6 +43,7 @@ _LAZY = {
     "Calibration": "camera_models.formats.native",
     "CameraEstimate": "camera_models.formats.native",
     "Conversion": "camera_models.fitting",
+    "Cylindrical": "camera_models.cylindrical",
     "DoubleSphere": "camera_models.double_sphere",
     "Equirectangular": "camera_models.equirectangular",
     "ExtendedUnified": "camera_models.extended_unified",
@@ -60,6 +63,7 @@ __all__ = [
     "CameraEstimate",
     "CameraModel",
     "Conversion",
+    "Cylindrical",
     "DoubleSphere",
     "Equirectangular",
     "ExtendedUnified",

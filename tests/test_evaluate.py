@@ -11,7 +11,7 @@ import torch
 
 from calib_patterns import pattern
 from calib_patterns.board_poses import random_board_poses
-from camera_models import MODELS, GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza
+from camera_models import MODELS, GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza, model_class
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines
@@ -26,7 +26,7 @@ SIZE = (640, 480)
 BOARD = pattern("checkerboard:8x6:30mm")
 FISHEYE = OpenCVFisheye([160.0, 160.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0], SIZE)
 SLANTED = Scaramuzza([322.0, 236.0, 0.995, 0.004, -0.003, 150.0, -3.3e-3, 5e-6, -4e-8], SIZE)
-CALIBRATED = [name for name, _ in MODELS if name != "equirectangular"]
+CALIBRATED = [name for name, _ in MODELS if model_class(name).CALIBRATED]
 
 
 def test_a_longer_equidistant_lens_is_off_in_proportion_to_the_angle() -> None:

@@ -1,6 +1,6 @@
 """The files of a scene folder: tables (CSV), covariances (NPZ), line drawings (PLY), photos."""
 
-from omnilines.files.corners import read_corners, write_corners
+from omnilines.files.corners import is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.files.lines import read_lines, write_covariance, write_lines
 from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
 from omnilines.files.ply import write_ply
@@ -12,10 +12,12 @@ __all__ = [
     "PHOTO_SUFFIXES",
     "PhotoRef",
     "find_photos",
+    "is_rig_table",
     "read_corners",
     "read_lines",
     "read_photo",
     "read_poses",
+    "read_rig_corners",
     "read_segments",
     "read_vgg_lines",
     "write_corners",

@@ -1,8 +1,10 @@
 """`corners.csv`: observed target corners, one row each."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int
 
 from camera_models.errors import InputError
 from omnilines.files.tables import Table, name_cells, number_cells, read_table, write_table
@@ -19,10 +21,42 @@ def read_corners(path: str | Path) -> Corners:
     a finite number, a corner stands twice in a view, a view has two images, or the rows are of more than one camera.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
-    view, view_names = table.names("view")
-    images = table.name_of_each("image", view, view_names, "view")
     if table.has("camera"):
         _require_one_camera(table)
+    view, view_names = table.names("view")
+    return _corners(table, view, view_names)
+
+
+def read_rig_corners(path: str | Path) -> Corners:
+    """Corners of a rig. Rows with the same view, camera and board are one view; `frames` is None where that column is absent.
+    Raises InputError as `read_corners`, and where a view has two frames."""
+    table = read_table(path, COLUMNS, OPTIONAL)
+    keys = [table.names(name) if table.has(name) else None for name in ("view", "camera", "board")]
+    combined = np.zeros(len(table), dtype=np.int64)
+    for key in keys:
+        if key is not None:
+            combined = combined * len(key[1]) + key[0]
+    _, first, group = np.unique(combined, return_index=True, return_inverse=True)
+    # In the order of first appearance.
+    order = np.argsort(first)
+    view = np.argsort(order)[group.ravel()]
+    own = first[order]
+    names = [None if key is None else tuple(key[1][k] for k in key[0][own].tolist()) for key in keys]
+    view_names, cameras, boards = names
+    assert view_names is not None
+    corners = _corners(table, view, view_names)
+    frames = table.name_of_each("frame", view, view_names, "view") if table.has("frame") else None
+    return replace(corners, cameras=cameras or ("cam0",) * len(view_names), frames=frames, boards=boards)
+
+
+def is_rig_table(path: str | Path) -> bool:
+    """Whether the rows are of more than one camera, or of more than one board."""
+    table = read_table(path, COLUMNS, OPTIONAL)
+    return any(table.has(name) and len(table.names(name, may_be_empty=True)[1]) > 1 for name in ("camera", "board"))
+
+
+def _corners(table: Table, view: Int[np.ndarray, " n"], view_names: tuple[str, ...]) -> Corners:
+    images = table.name_of_each("image", view, view_names, "view")
     board = np.zeros((len(table), 3))
     board[:, :2] = table.numbers("board_x_m", "board_y_m")
     if table.has("board_z_m"):
@@ -53,6 +87,9 @@ def write_corners(path: str | Path, corners: Corners) -> None:
         columns["id"] = list(map(str, corners.ids.tolist()))
     if corners.sigma_px is not None:
         columns["sigma_px"] = number_cells(corners.sigma_px, path, "sigma_px")
+    for name, values in (("camera", corners.cameras), ("frame", corners.frames), ("board", corners.boards)):
+        if values is not None:
+            columns[name] = name_cells(values, corners.view, path, name)
     write_table(path, columns)
 
 

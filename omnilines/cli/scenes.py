@@ -1,0 +1,69 @@
+"""Commands on scenes and views: render scene, rectify."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size, render_app, run
+
+
+@render_app.command()
+def scene(
+    out: Out,
+    scene: Annotated[str, typer.Option("--scene", help="room or street.")] = "room",
+    model: Annotated[
+        str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
+    ] = "opencv-fisheye",
+    fov_deg: Annotated[
+        float | None, typer.Option("--fov-deg", help="Field of view, degrees; default 190, pinhole 80, cylindrical 360.")
+    ] = None,
+    views: Annotated[int, typer.Option("--views", help="Number of photos.")] = 20,
+    size: Size = "1280x960",
+    noise: Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")] = 2.0,
+    blur: Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")] = 0.5,
+    seed: Seed = 0,
+    mirror: Mirror = False,
+    as_json: Json = False,
+) -> None:
+    """Photos of a furnished room or a street, with the true camera, poses, edges and what each photo sees of them."""
+    from omnilines.commands.render_scene import render_scene
+
+    image_size = parse_size(size, "--size")
+    run(
+        lambda progress: render_scene(
+            out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
+            seed=seed, mirror=mirror, progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip
+
+
+@app.command()
+def rectify(
+    photos: Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)],
+    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)],
+    out: Out,
+    view: Annotated[str, typer.Option("--view", help="perspective, cylindrical, panorama or cube.")] = "perspective",
+    poses: Annotated[
+        Path | None, typer.Option("--poses", help="poses.csv of the photos: the poses of the views are written too.")
+    ] = None,
+    fov_deg: Annotated[
+        float | None, typer.Option("--fov-deg", help="Angle across a perspective (90) or cylindrical (360) view, degrees.")
+    ] = None,
+    size: Annotated[str | None, typer.Option("--size", help="Size of a view, WIDTHxHEIGHT.")] = None,
+    yaw_deg: Annotated[float, typer.Option("--yaw-deg", help="Turn to the right from the optical axis, degrees.")] = 0.0,
+    pitch_deg: Annotated[float, typer.Option("--pitch-deg", help="Turn upwards, degrees.")] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """Perspective, cylindrical, panoramic or cube views of photos, with their calibration and poses."""
+    from omnilines.commands.rectify import rectify as command
+
+    image_size = None if size is None else parse_size(size, "--size")
+    run(
+        lambda progress: command(
+            photos, calibration, out, view=view, poses=poses, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg, progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip

@@ -1,0 +1,45 @@
+"""Furnished rooms and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
+
+scene = build_scene("room", seed=0)
+camera, circle = scene_camera("opencv-fisheye", (1280, 960), seed=0, fov_deg=190.0)
+poses = scene_poses(scene, views=8, seed=0, camera=camera)
+photo = render_photo(scene, eye(camera, circle), poses[0], noise_grey=2.0)          # (h, w, 3) BGR
+edge, t, length_px, contrast = visible_stretches(scene, eye(camera, circle), poses[0], scene_edges(scene))
+"""
+
+from camera_models import InputError
+from omnilines.scenes.cameras import largest_angle, scene_camera
+from omnilines.scenes.edges import scene_edges
+from omnilines.scenes.line_scene import LineScene
+from omnilines.scenes.photo import Eye, eye, render_clean, render_photo
+from omnilines.scenes.poses import scene_poses
+from omnilines.scenes.room import furnished_room
+from omnilines.scenes.street import street
+from omnilines.scenes.visibility import stretches_of_photos, visible_stretches
+
+SCENES = ("room", "street")
+
+__all__ = [
+    "SCENES",
+    "Eye",
+    "LineScene",
+    "build_scene",
+    "eye",
+    "furnished_room",
+    "largest_angle",
+    "render_clean",
+    "render_photo",
+    "scene_camera",
+    "scene_edges",
+    "scene_poses",
+    "street",
+    "stretches_of_photos",
+    "visible_stretches",
+]
+
+
+def build_scene(name: str, seed: int) -> LineScene:
+    """The scene of a name; raises InputError on an unknown one."""
+    if name not in SCENES:
+        raise InputError(f"A scene is one of {', '.join(SCENES)}, found '{name}'; choose one of these.")
+    return furnished_room(seed) if name == "room" else street(seed)

@@ -1,0 +1,148 @@
+"""omnilines rectify: views against photos rendered directly with the camera and pose that the command states."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from camera_models import Calibration, load, save
+from omnilines.cli import main
+from omnilines.commands.render_scene import RenderedScene, write_scene
+from omnilines.files import read_poses, write_poses
+from omnilines.records import ImagePoses
+from omnilines.scenes import eye, render_photo
+
+CASES = [
+    ("perspective", ["--size", "320x240", "--fov-deg", "80", "--yaw-deg", "20", "--pitch-deg", "-10"], 1),
+    ("cylindrical", ["--size", "480x240", "--fov-deg", "170"], 1),
+    ("panorama", ["--size", "480x240"], 1),
+    ("cube", ["--size", "200x200"], 6),
+]
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory) -> tuple[RenderedScene, str]:
+    folder = tmp_path_factory.mktemp("scene")
+    made = write_scene(
+        folder, scene="room", model="opencv-fisheye", fov_deg=190.0, views=2, size=(800, 600), noise=0.0, blur=0.0, seed=1
+    )
+    return made, str(folder)
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(list(arguments))
+    return int(end.value.code or 0)
+
+
+@pytest.mark.parametrize(("kind", "options", "faces"), CASES, ids=[case[0] for case in CASES])
+def test_views_are_what_their_camera_would_see(rendered, tmp_path, capsys, kind: str, options: list[str], faces: int) -> None:
+    scene, folder = rendered
+    inputs = ["--calibration", f"{folder}/calibration.yaml", "--poses", f"{folder}/poses.csv", "--out", str(tmp_path)]
+    assert run("rectify", folder, *inputs, "--view", kind, *options, "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert len(data["views"]) == 2 * faces and data["photos"] == 2
+    camera, poses = load(tmp_path / "calibration.yaml")[kind], read_poses(tmp_path / "poses.csv")
+    assert list(poses.images) == data["views"] and set(poses.cameras) == {kind}
+    compared = 0
+    for k, name in enumerate(poses.images):
+        view = cv2.imread(str(tmp_path / name)).astype(int)
+        direct = render_photo(scene.scene, eye(camera, np.pi), poses.cam_from_world[k]).astype(int)
+        # Where the photo saw it, away from its dimmer rim: the direction in the frame of the photo.
+        photo = scene.poses.cam_from_world[list(scene.poses.images).index(photo_of(name))]
+        v, u = np.mgrid[: view.shape[0], : view.shape[1]]
+        bearings, valid = camera.unproject(np.stack([u, v], -1).astype(np.float64))
+        photo_from_view = (photo.rotation @ poses.cam_from_world[k].rotation.T).numpy()
+        theta = np.degrees(np.arccos(np.clip((bearings @ photo_from_view.T)[..., 2], -1, 1)))
+        shown = valid & (theta < 85)
+        assert (view[theta > 100] <= 5).all()
+        if shown.sum() < 500:
+            continue
+        ratio = (view[shown].mean(-1) + 1) / (direct[shown].mean(-1) + 1)
+        dimmed = 1 - 0.3 * (theta[shown] / 95) ** 2 * 0.36  # vignetting by the square of the radius, 480 of 800 px at the corner
+        off = ratio / dimmed - 1
+        assert abs(np.median(off)) < 0.03
+        assert (np.abs(off) < 0.12).mean() > 0.85
+        compared += 1
+    assert compared >= 2
+
+
+def photo_of(view: str) -> str:
+    return view.split(".")[0].split("_")[0] + ".png"
+
+
+def test_colmap_model_has_the_same_cameras(rendered, tmp_path) -> None:
+    _, folder = rendered
+    inputs = ["--calibration", f"{folder}/calibration.yaml", "--poses", f"{folder}/poses.csv", "--out", str(tmp_path)]
+    assert run("rectify", folder, *inputs, "--view", "cube", "--size", "100x100") == 0
+    rows = [line.split() for line in (tmp_path / "colmap/cameras.txt").read_text().splitlines() if not line.startswith("#")]
+    assert len(rows) == 1 and rows[0][:4] == ["1", "PINHOLE", "100", "100"]
+    np.testing.assert_allclose([float(x) for x in rows[0][4:]], [50.0, 50.0, 50.0, 50.0], atol=1e-12)
+    lines = [line for line in (tmp_path / "colmap/images.txt").read_text().splitlines() if not line.startswith("#")]
+    assert len(lines) == 24 and not any(lines[1::2])
+    poses = read_poses(tmp_path / "poses.csv")
+    camera = load(tmp_path / "calibration.yaml")["cube"]
+    point = np.random.default_rng(0).uniform(-1, 4, (20, 3))
+    for k, line in enumerate(lines[::2]):
+        cells = line.split()
+        assert cells[0] == str(k + 1) and cells[8:] == ["1", poses.images[k]]
+        w, x, y, z, *translation = map(float, cells[1:8])
+        in_camera = Rotation.from_quat([x, y, z, w]).apply(point) + translation
+        ours = poses.cam_from_world[k].transform(torch.as_tensor(point)).numpy()
+        np.testing.assert_allclose(in_camera, ours, atol=1e-12)
+        pixels, valid = camera.project(ours)
+        front = in_camera[:, 2] > 1e-3
+        assert (valid[in_camera[:, 2] > 1e-2]).all()
+        theirs = 50.0 * in_camera[front, :2] / in_camera[front, 2:] + 50.0
+        np.testing.assert_allclose(theirs, pixels[front] + 0.5, atol=1e-8)
+    assert (tmp_path / "colmap/points3D.txt").read_text().startswith("#")
+
+
+def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
+    scene, folder = rendered
+    (tmp_path / "in" / "left").mkdir(parents=True)
+    for name in ("view00.png", "view01.png"):
+        (tmp_path / "in" / "left" / name).write_bytes((scene.files[0].parent / name).read_bytes())
+    calibration = ["--calibration", f"{folder}/calibration.yaml"]
+    assert run("rectify", str(tmp_path / "in"), *calibration, "--size", "100x80", "--out", str(tmp_path / "out")) == 0
+    assert (tmp_path / "out/left/view01.png").exists()
+    assert not (tmp_path / "out/poses.csv").exists() and not (tmp_path / "out/colmap").exists()
+    assert load(tmp_path / "out/calibration.yaml")["perspective"].image_size == (100, 80)
+
+
+def test_several_cameras(rendered, tmp_path, capsys) -> None:
+    """Each photo through its own camera; the frame of a rig is kept."""
+    scene, folder = rendered
+    wide = scene.model.with_parameters(scene.model.parameters * torch.tensor([1.1, 1.1, 1, 1, 1, 1, 1, 1]))
+    save(tmp_path / "two.yaml", Calibration({"a": scene.model, "b": wide}))
+    poses = ImagePoses(scene.poses.images, scene.poses.cam_from_world, ("a", "b"), None, ("7", "8"))
+    write_poses(tmp_path / "poses.csv", poses)
+    inputs = ["--calibration", str(tmp_path / "two.yaml"), "--size", "120x90", "--fov-deg", "70"]
+    assert run("rectify", folder, *inputs, "--out", str(tmp_path / "x")) == 2
+    assert "give --poses with the camera of every photo" in " ".join(capsys.readouterr().err.split())
+    assert run("rectify", folder, *inputs, "--poses", str(tmp_path / "poses.csv"), "--out", str(tmp_path / "x")) == 0
+    assert run("rectify", folder, *inputs[2:], "--calibration", f"{folder}/calibration.yaml", "--out", str(tmp_path / "y")) == 0
+    first, second = ((cv2.imread(str(tmp_path / way / "view01.png")).astype(int)) for way in "xy")
+    assert np.abs(first - second).mean() > 1
+    same = [cv2.imread(str(tmp_path / way / "view00.png")) for way in "xy"]
+    assert (same[0] == same[1]).all()
+    assert read_poses(tmp_path / "x/poses.csv").frames == ("7", "8")
+
+
+def test_wrong_inputs_are_named(rendered, tmp_path, capsys) -> None:
+    scene, folder = rendered
+    one = ImagePoses(scene.poses.images[:1], scene.poses.cam_from_world[:1])
+    write_poses(tmp_path / "one.csv", one)
+    write_poses(tmp_path / "other.csv", ImagePoses(scene.poses.images, scene.poses.cam_from_world, ("cam7", "cam7")))
+    base = ["rectify", folder, "--calibration", f"{folder}/calibration.yaml", "--out", str(tmp_path / "out")]
+    for options, message in (
+        (["--poses", str(tmp_path / "one.csv")], "A pose of every photo was expected, found none of 'view01.png'"),
+        (["--poses", str(tmp_path / "other.csv")], "found 'cam7'; name one of cam0"),
+        (["--view", "globe"], "one of perspective, cylindrical, panorama, cube, found 'globe'"),
+        (["--size", "12"], "--size was expected as WIDTHxHEIGHT"),
+    ):
+        assert run(*base, *options) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
