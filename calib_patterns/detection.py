@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from calib_patterns._pattern import Detection
 from calib_patterns.partial import visible_part
-from calib_patterns.saddle import SaddleFit, fit_saddles, grid_derivatives
+from calib_patterns.saddle import SaddleFit, fit_corners, fit_saddles, grid_derivatives
 
 SEARCH_SIDE_PX = 1400
 """Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
@@ -115,12 +115,16 @@ def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> Sa
     return fit_saddles(grey, coarse.pixels, start_blur_px=_typical_blur_px(coarse))
 
 
+def _strengths(contrast: Float[np.ndarray, "ny nx"]) -> Float[np.ndarray, "ny nx"]:
+    """Contrasts of a grid, positive where they alternate as most do."""
+    ny, nx = contrast.shape
+    alternating = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, contrast, -contrast)
+    return np.asarray(alternating * np.sign(np.median(alternating)))
+
+
 def _good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
     """Corners where a saddle of the board's own contrast and sign stands clear of what the fit leaves."""
-    ny, nx = fit.contrast.shape
-    alternating = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, fit.contrast, -fit.contrast)
-    sign = np.sign(np.median(alternating))
-    strength = alternating * sign
+    strength = _strengths(fit.contrast)
     clear = (strength > 2.5 * fit.residual) & (strength > 0.15 * np.median(strength))
     return fit.converged & clear & (fit.sigma_px < 1.0)
 
@@ -137,10 +141,19 @@ def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"
 def _goes_on(grey: Grey, fit: SaddleFit) -> bool:
     """Whether the board has another row or column of inner corners beyond one of the sides of the grid."""
     start = _extended(fit.pixels)
+    ring = np.ones(start.shape[:2], dtype=bool)
+    ring[1:-1, 1:-1] = False
+    first, second = grid_derivatives(start)
     # What is no saddle never settles; what is one does so within a few steps from here.
-    wider = fit_saddles(grey, start, start_blur_px=_typical_blur_px(fit), max_steps=8)
-    square = np.linalg.norm(grid_derivatives(start)[0], axis=-2).min(-1)
-    good = _good_corners(wider) & (np.linalg.norm(wider.pixels - start, axis=-1) < 0.3 * square)
+    outer = fit_corners(grey, start[ring], first[ring], second[ring], start_blur_px=_typical_blur_px(fit), max_steps=8)
+    square = np.linalg.norm(first, axis=-2).min(-1)
+    near = np.linalg.norm(outer.pixels - start[ring], axis=-1) < 0.3 * square[ring]
+    wider = np.pad(fit.contrast, 1)
+    wider[ring] = outer.contrast
+    strength = _strengths(wider)
+    clear = (strength[ring] > 2.5 * outer.residual) & (strength[ring] > 0.15 * np.median(strength[1:-1, 1:-1]))
+    good = np.zeros(start.shape[:2], dtype=bool)
+    good[ring] = outer.converged & clear & (outer.sigma_px < 1.0) & near
     sides = (good[0, 1:-1], good[-1, 1:-1], good[1:-1, 0], good[1:-1, -1])
     return max(float(side.mean()) for side in sides) > 0.6
 
