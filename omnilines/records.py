@@ -23,6 +23,12 @@ class Corners:
     """Standard deviation of each corner where the detector states one."""
     ids: Int[np.ndarray, " n"] | None = None
     """Position of each corner in its pattern where known."""
+    cameras: tuple[str, ...] | None = None
+    """Camera of each view; None where there is one camera."""
+    frames: tuple[str, ...] | None = None
+    """Instant of each view of a rig."""
+    boards: tuple[str, ...] | None = None
+    """Board of each view; None where there is one board."""
 
     def __len__(self) -> int:
         return len(self.view)
@@ -46,6 +52,8 @@ class ViewResult:
     """Share of the camera's parameters that this view decides: the shares of all views add up to 1."""
     remarks: tuple[str, ...] = ()
     """What a person should know of a view that is used all the same, one sentence each."""
+    frame: str | None = None
+    """Instant of a view of a rig."""
 
 
 @dataclass(frozen=True)

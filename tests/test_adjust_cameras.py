@@ -10,12 +10,12 @@ from rig_scene import RigScene, disturbed, moved_models
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
-from camera_models.pose import Pose
+from camera_models.pose import Pose, adjoint
 from omnilines.adjustment.accuracy import align_lines
 from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
-from omnilines.adjustment.state import LinesAndPoses, adjoint
+from omnilines.adjustment.state import LinesAndPoses
 from omnilines.costs import COSTS
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Outcome

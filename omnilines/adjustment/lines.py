@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError, InputError
-from camera_models.pose import Pose, hat
+from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
-from omnilines.adjustment.state import LinesAndPoses, Rig, adjoint
+from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Progress, Solution, solve

@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import InputError
+from camera_models.pose import adjoint
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.prior import PosePrior
-from omnilines.adjustment.state import LinesAndPoses, adjoint, moved_poses
+from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_function
 from omnilines.costs._cost import by_bearings, line_residual
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure

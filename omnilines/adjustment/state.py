@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
-from camera_models.pose import Pose, hat
+from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs
 from omnilines.geometry.line_chart import LineChart
 
@@ -50,13 +49,6 @@ class LinesAndPoses:
     def normals(self, arcs: Arcs) -> Float[Tensor, "n 3"]:
         """Projection-plane normal M of every observation, camera frame."""
         return self.chart[arcs.track].projection_normal(self.cam_from_world[arcs.image])[0]
-
-
-def adjoint(pose: Pose) -> Float[Tensor, "*batch 6 6"]:
-    """Ad with T exp(delta) = exp(Ad delta) T for delta = (rotation_rad, translation_m)."""
-    rotation = pose.rotation
-    lower = torch.cat([hat(pose.translation) @ rotation, rotation], -1)
-    return torch.cat([torch.cat([rotation, torch.zeros_like(rotation)], -1), lower], -2)
 
 
 def moved_poses(poses: Pose, free: Int[Tensor, " f"], delta: Float[Tensor, "f 6"]) -> Pose:

@@ -9,22 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from omnilines.calibration.refine import CameraAndBoards
+from camera_models import CameraModel
 from omnilines.calibration.uncertainty import bearing_jacobian
-from omnilines.least_squares import Solution
 
 CANCELS = 1e-4
 """Where the parts of a bearing's motion cancel to less than this share of their sum, nothing moves."""
 IN_PIXELS = ("fx", "fy", "cx", "cy", "skew")
 
 
-def redundant_parameter(
-    solution: Solution[CameraAndBoards], basis: Float[Tensor, "p q"], pixels: Float[Tensor, "n 2"]
-) -> int | None:
-    """Index of a parameter without unit that can be held because the open direction of the solution moves no bearing; None
-    where bearings do move along it, so that it is the data which leave the camera open."""
-    model = solution.state.model
-    direction = basis @ solution.weakest_direction[: basis.shape[1]]
+def redundant_parameter(model: CameraModel, direction: Float[Tensor, " p"], pixels: Float[Tensor, "n 2"]) -> int | None:
+    """Index of a parameter without unit that can be held because the direction of the parameters which a solution leaves open
+    moves no bearing; None where bearings do move along it, so that it is the data which leave the camera open."""
     _, seen, by_parameter, _ = bearing_jacobian(model, pixels)
     parts = by_parameter[seen] * direction
     if float(parts.sum(-1).norm()) > CANCELS * float(parts.norm(dim=1).sum()):

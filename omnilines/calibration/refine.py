@@ -53,9 +53,16 @@ class BoardProblem:
         kept = basis.shape[1] + self.free_terms.shape[1]
         groups = (KeptGroup(torch.zeros_like(points.view), 1, kept),) if kept else ()
         self.structure = Structure(points.view, points.views, 6, groups)
+        self._last: tuple[CameraAndBoards, Linearisation] | None = None
 
     def linearise(self, state: CameraAndBoards) -> Linearisation:
         """Reprojection error (px) times the weight of the corner; d X = omega x X + v for the left perturbation of a pose."""
+        # A solution begins where the one before ended.
+        if self._last is None or self._last[0] is not state:
+            self._last = state, self._linearised(state)
+        return self._last[1]
+
+    def _linearised(self, state: CameraAndBoards) -> Linearisation:
         seen = state.seen(self.points)
         pixels, _, by_point, by_parameter = state.model.project_with_jacobians(seen)
         by_point = by_point * self.weight[:, None, None]

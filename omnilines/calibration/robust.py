@@ -42,12 +42,15 @@ def settle(
     loss: str,
     weight: Float[Tensor, " n"] | None,
     callback: Callable[[Progress], None] | None = None,
+    basis: Float[Tensor, "p q"] | None = None,
+    least_passes: int = 3,
 ) -> Settled:
     """Refine with a loss bent at twice the scale of the residuals until the scale and the set of kept corners settle.
 
-    `clean` are the corners without gross error, from which views that do not fit are resected again.
+    `clean` are the corners without gross error, from which views that do not fit are resected again. With a `basis` of no columns
+    the camera is held. Two passes are enough where another fit of all corners follows.
     """
-    problem = BoardProblem(points, state.model.calibration_basis(), weight)
+    problem = BoardProblem(points, state.model.calibration_basis() if basis is None else basis, weight)
     settled = _judge(points, state, weight)
     for done in range(PASSES):
         bent = Loss(loss, 2 * settled.scale_px)
@@ -56,7 +59,11 @@ def settle(
         before, settled = settled, _judge(points, solution.state, weight)
         if done < 2:
             settled = _turned_over(points, clean, settled, weight)
-        elif bool((settled.kept == before.kept).all()) and settled.scale_px > (1 - SETTLED) * before.scale_px:
+        if (
+            done >= least_passes - 1
+            and bool((settled.kept == before.kept).all())
+            and settled.scale_px > (1 - SETTLED) * before.scale_px
+        ):
             break
     return settled
 

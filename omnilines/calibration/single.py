@@ -107,7 +107,7 @@ def calibrate_camera(
     rows = np.isin(corners.view, usable)
     points = board_points(corners, rows, usable)
     shape = BoardShape.to_refine(refine_board, points.board)
-    settled = _settled(points, CameraKind(image_size, model, mirror, options), loss, corner_weights(corners, rows), callback)
+    settled = robust_camera(points, CameraKind(image_size, model, mirror, options), loss, corner_weights(corners, rows), callback)
     refuse_parallel_boards(settled.state.cam_from_board)
     kept = settled.kept if loss != "none" else torch.ones_like(settled.kept)
     share = points.mean_by_view(kept.to(torch.float64)[:, None])[:, 0]
@@ -126,7 +126,10 @@ def calibrate_camera(
     solution, basis = _refine_with_rivals(final.points, start, final.weight, callback), start.model.calibration_basis()
     refuse_parallel_boards(solution.state.cam_from_board)
     notes: tuple[str, ...] = ()
-    held = redundant_parameter(solution, basis, final.points.pixels) if solution.outcome is Outcome.DEGENERATE else None
+    held = None
+    if solution.outcome is Outcome.DEGENERATE:
+        direction = basis @ solution.weakest_direction[: basis.shape[1]]
+        held = redundant_parameter(solution.state.model, direction, final.points.pixels)
     if held is not None:
         name, value = list(solution.state.model.named_parameters().items())[held]
         notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
@@ -135,20 +138,22 @@ def calibrate_camera(
     return _result(final, solution, basis, settled.limit_px if loss != "none" else None, notes)
 
 
-def _settled(
+def robust_camera(
     points: BoardPoints,
     kind: CameraKind,
     loss: str,
     weight: Float[Tensor, " n"] | None,
     callback: Callable[[Progress], None] | None,
+    least_passes: int = 3,
 ) -> Settled:
     """The robust fit from the best start and, as long as the fit is poor, from the next ones; the one with the least scale."""
+    # Plain least squares needs a robust fit too, to come near its minimum.
+    bent = "cauchy" if loss == "none" else loss
     smooth, in_order = smooth_corners(points)
     clean = points.chosen(smooth)
     found: list[Settled] = []
     for start in ranked_starts(clean, in_order, kind)[:MOST_STARTS]:
-        # Plain least squares needs a robust fit too, to come near its minimum.
-        found.append(settle(points, clean, start.state, "cauchy" if loss == "none" else loss, weight, callback))
+        found.append(settle(points, clean, start.state, bent, weight, callback, least_passes=least_passes))
         if found[-1].scale_px <= GOOD_FIT * max(kind.image_size):
             break
     return min(found, key=lambda settled: settled.scale_px)

@@ -66,6 +66,17 @@ def parse_size(text: str, option: str) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
+def parse_each(text: str, option: str) -> dict[str, str]:
+    """Values by camera of a text such as cam0=pinhole,cam1=scaramuzza; one without a name stands under "" for all others."""
+    found: dict[str, str] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, mark, value = item.rpartition("=")
+        if name.strip() in found or not value.strip() or (mark and not name.strip()):
+            raise InputError(f"{option} was expected as a value, or as CAMERA=VALUE with a comma between, found '{text}'.")
+        found[name.strip()] = value.strip()
+    return found
+
+
 @contextmanager
 def progress() -> "Iterator[ProgressCallback]":
     """A progress line on standard error."""

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from omnilines.least_squares.losses import Loss
 from omnilines.least_squares.schur import (
+    CellLinearisation,
     Linearisation,
     Reduced,
     back_substitute,
@@ -43,7 +44,7 @@ class Problem(Protocol[S]):
 
     structure: Structure
 
-    def linearise(self, state: S) -> Linearisation:
+    def linearise(self, state: S) -> Linearisation | CellLinearisation:
         """Residuals and Jacobians with respect to the retraction at zero."""
         ...
 
@@ -148,13 +149,17 @@ def solve(
     max_iterations: int = 100,
     tolerance: float = 1e-12,
     callback: Callable[[Progress], None] | None = None,
+    damping: float = 1e-4,
 ) -> Solution[S]:
-    """Minimise sum loss(|r|^2). Converged when the decrease that the linear model promises is below `tolerance` of the cost."""
+    """Minimise sum loss(|r|^2). Converged when the decrease that the linear model promises is below `tolerance` of the cost.
+
+    `damping` is Marquardt's at first: the smaller, the nearer the first step is to that of Gauss and Newton.
+    """
     loss = loss or Loss()
     at = problem.linearise(state)
     values, weight = loss((at.residual**2).sum(-1))
     cost = initial = float(values.sum()) + at.prior_cost
-    damping, growth = 1e-4, 2.0
+    growth = 2.0
     outcome = Outcome.OUT_OF_ITERATIONS
     equations = normal_equations(problem.structure, at, weight)
     iteration = 0

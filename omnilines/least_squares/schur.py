@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from omnilines.least_squares.structure import Structure
+from omnilines.least_squares.structure import Cells, Structure
 
 CHUNK = 8_000_000
 """Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB."""
@@ -44,6 +44,34 @@ class Linearisation:
 
 
 @dataclass(frozen=True)
+class CellPart:
+    """Cells of observations that touch the same kept groups. A cell has few local coordinates x (the pose of a board seen by a
+    camera, its intrinsics), and these follow from its blocks: d r = local dx, dx = by_block d block."""
+
+    cells: Cells
+    """Which of the part's cells each of its observations lies in."""
+    local: Float[Tensor, "n m l"]
+    by_eliminated: Float[Tensor, "cells l e"]
+    by_kept: tuple[tuple[int, Float[Tensor, "cells l _"]], ...]
+    """Each kept group that the cells touch, with the derivative by its block."""
+
+
+@dataclass(frozen=True)
+class CellLinearisation:
+    """As `Linearisation`, for observations in cells: there the index of the structure and of its groups goes by cell and not by
+    observation, and products are formed once for each cell. Cells and observations come in the order of the parts."""
+
+    residual: Float[Tensor, "n m"]
+    parts: tuple[CellPart, ...]
+    prior: KeptPrior | None = None
+
+    @property
+    def prior_cost(self) -> float:
+        """Sum of the squared residuals of the prior."""
+        return 0.0 if self.prior is None else float(self.prior.residual.square().sum())
+
+
+@dataclass(frozen=True)
 class NormalEquations:
     """Gauss-Newton blocks of 0.5 sum w |r|^2 and the negative gradient."""
 
@@ -62,9 +90,12 @@ class NormalEquations:
         return float(linear + damping * quadratic)
 
 
-def normal_equations(structure: Structure, at: Linearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
+def normal_equations(structure: Structure, at: Linearisation | CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
     """J' w J and -J' w r, block by block, the prior included."""
-    equations = _of_observations(structure, at, weight)
+    if isinstance(at, Linearisation):
+        equations = _of_observations(structure, at, weight)
+    else:
+        equations = _of_cells(structure, at, weight)
     if at.prior is None:
         return equations
     by_kept = at.prior.by_kept
@@ -109,6 +140,30 @@ def _shared_normal_equations(structure: Structure, at: Linearisation, root: Floa
     columns = zip(structure.offsets, structure.offsets[1:], strict=False)
     coupling = torch.cat([gram[seen, e + low : e + high, :e].flatten(0, 1) for low, high in columns])
     return NormalEquations(structure, whole[:k, :k], gram[:, :e, :e], coupling, whole[:k, k], gram[:, :e, e + k])
+
+
+def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
+    """M' (L' w L) M of every cell, with the local Jacobian L and the chain M to the blocks, then sums over cells."""
+    e, k = structure.dim, structure.kept_size
+    new = at.residual.new_zeros
+    eliminated, gradient = new(structure.count, e, e), new(structure.count, e)
+    coupling, kept, kept_gradient = new(structure.table_size, e), new(k * k), new(k)
+    row = cell = 0
+    for part in at.parts:
+        rows, cells = slice(row, row + len(part.local)), slice(cell, cell + part.cells.count)
+        row, cell = rows.stop, cells.stop
+        joint = torch.cat([part.local, -at.residual[rows, :, None]], -1) * weight[rows, None, None].sqrt()
+        gram = part.cells.gram(joint)
+        chain = torch.cat([part.by_eliminated, *(by for _, by in part.by_kept)], -1)
+        full, right = chain.mT @ gram[:, :-1, :-1] @ chain, (chain.mT @ gram[:, :-1, -1:])[..., 0]
+        owner = structure.index[cells]
+        eliminated.index_add_(0, owner, full[:, :e, :e])
+        gradient.index_add_(0, owner, right[:, :e])
+        columns, table = structure.places(cells, [group for group, _ in part.by_kept])
+        coupling.index_add_(0, table.flatten(), full[:, e:, :e].flatten(0, 1))
+        kept_gradient.index_add_(0, columns.flatten(), right[:, e:].flatten())
+        kept.index_add_(0, (columns[:, :, None] * k + columns[:, None, :]).flatten(), full[:, e:, e:].flatten())
+    return NormalEquations(structure, kept.view(k, k), eliminated, coupling, kept_gradient, gradient)
 
 
 def _add_kept_blocks(kept: Tensor, structure: Structure, a: int, b: int, jk: list[Tensor]) -> None:

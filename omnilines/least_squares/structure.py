@@ -1,5 +1,6 @@
 """Which blocks an observation touches: one eliminated block, and one block of each kept group."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -162,3 +163,13 @@ class Structure:
             rows = order[first[blocks][:, None] + torch.arange(size, device=owner.device)]
             classes.append(SizeClass(blocks, column[rows], rows))
         return tuple(classes)
+
+    def places(self, which: slice, groups: Sequence[int]) -> tuple[Int[Tensor, "n c"], Int[Tensor, "n c"]]:
+        """Kept columns of some observations in groups that they all touch, and where these lie in the coupling table."""
+        own = torch.arange(which.start, which.stop, device=self.index.device)
+        columns, table = [own[:, None][:, :0]], [own[:, None][:, :0]]
+        for g in groups:
+            within = torch.arange(self.groups[g].dim, device=own.device)
+            columns.append(self.offsets[g] + self.groups[g].index[own, None] * self.groups[g].dim + within)
+            table.append(self.row[g][torch.searchsorted(self.touching[g], own), None] + within)
+        return torch.cat(columns, 1), torch.cat(table, 1)

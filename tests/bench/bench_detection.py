@@ -1,4 +1,4 @@
-"""Seconds a photo beside OpenCV's classic detector with its refinement, on the photos of ../shared/data and on photos without a board.
+"""Seconds a photo beside OpenCV's classic detector with its refinement, on the photos of ../shared/data.
 
 Printed only: seconds depend on the machine.
 """

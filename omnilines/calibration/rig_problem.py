@@ -1,0 +1,182 @@
+"""Joint refinement of a rig: intrinsics of every camera, cameras in the rig, boards on the target, the target in every frame.
+
+    X_cam = cam_from_rig[c] rig_from_target[f] target_from_board[b] X
+
+The first camera is the rig frame and the first board that of the target (unless all boards are held in a frame of their own), so
+that nothing is left open. The target's poses are the eliminated blocks (one for each frame), all else is kept. Residuals are in
+standard deviations: pixels times the weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from camera_models import CameraModel
+from camera_models.pose import Pose, adjoint
+from omnilines.least_squares import CellLinearisation, CellPart, Cells, KeptGroup, Structure
+
+
+@dataclass(frozen=True)
+class RigPart:
+    """The views, and with them the rows, from a first one to an end, that one camera has of one kind of board."""
+
+    camera: int
+    other_board: bool
+    """Not the first board, which is the frame of the target."""
+    views: tuple[int, int]
+    rows: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class RigPoints:
+    """Corners of a rig as tensors, in the order of their cameras, of each camera those on the first board first; a view is one
+    board in one photo."""
+
+    view: Int[Tensor, " n"]
+    board_m: Float[Tensor, "n 3"]
+    pixels: Float[Tensor, "n 2"]
+    weight: Float[Tensor, " n"]
+    """Inverse standard deviation of each corner, 1 / px."""
+    camera: Int[Tensor, " v"]
+    """Camera of each view."""
+    frame: Int[Tensor, " v"]
+    board: Int[Tensor, " v"]
+
+    @cached_property
+    def parts(self) -> tuple[RigPart, ...]:
+        """The corners by camera, those on the first board apart from those on others."""
+        kind = 2 * self.camera + (self.board > 0).to(torch.long)
+        counts = torch.bincount(self.view, minlength=len(kind))
+        found, first, low = [], 0, 0
+        kinds, sizes = torch.unique_consecutive(kind, return_counts=True)
+        for number, size in zip(kinds.tolist(), sizes.tolist(), strict=True):
+            rows = int(counts[first : first + size].sum())
+            found.append(RigPart(number // 2, number % 2 > 0, (first, first + size), (low, low + rows)))
+            first, low = first + size, low + rows
+        return tuple(found)
+
+    @cached_property
+    def cells(self) -> tuple[Cells, ...]:
+        """The corners of every view, part by part."""
+        return tuple(Cells(self.view[slice(*p.rows)] - p.views[0], p.views[1] - p.views[0]) for p in self.parts)
+
+    def chosen(self, rows: Tensor) -> "RigPoints":
+        """Some of the corners; views and frames keep their numbers."""
+        return replace(self, view=self.view[rows], board_m=self.board_m[rows], pixels=self.pixels[rows], weight=self.weight[rows])
+
+
+@dataclass(frozen=True)
+class RigState:
+    """What is estimated of a rig."""
+
+    models: tuple[CameraModel, ...]
+    cam_from_rig: Pose
+    """Of every camera; the first is the identity."""
+    target_from_board: Pose
+    """Of every board; the first is the identity where boards are free."""
+    rig_from_target: Pose
+    """Of every frame."""
+
+    def cam_from_board(self, points: RigPoints) -> Pose:
+        """Of every view."""
+        return self.cam_from_rig[points.camera] @ self.rig_from_target[points.frame] @ self.target_from_board[points.board]
+
+    def residual_px(self, points: RigPoints) -> Float[Tensor, "n 2"]:
+        """Projected minus observed pixel."""
+        seen = _placed(self.cam_from_board(points), points)
+        parts = [self.models[part.camera].project(seen[slice(*part.rows)])[0] for part in points.parts]
+        return torch.cat(parts) - points.pixels
+
+
+def _placed(cam_from_board: Pose, points: RigPoints) -> Float[Tensor, "n 3"]:
+    """Corners in the frames of their cameras."""
+    rotation, translation = cam_from_board.rotation[points.view], cam_from_board.translation[points.view]
+    return (rotation @ points.board_m[..., None])[..., 0] + translation
+
+
+class RigProblem:
+    """Kept are, in this order: the intrinsics of each camera along the columns of its basis (none: held), the poses of the
+    cameras but the first, those of the boards that are free."""
+
+    def __init__(
+        self, points: RigPoints, bases: Sequence[Float[Tensor, "_ _"]], boards: int, free_boards: bool, frames: int
+    ) -> None:
+        self.points, self.bases = points, tuple(bases)
+        self.free_boards = boards - 1 if free_boards else 0
+        self.estimated = [c for c, basis in enumerate(self.bases) if basis.shape[1]]
+        groups = [KeptGroup(torch.where(points.camera == c, 0, -1), 1, self.bases[c].shape[1]) for c in self.estimated]
+        if len(self.bases) > 1:
+            groups.append(KeptGroup(points.camera - 1, len(self.bases) - 1, 6))
+        if self.free_boards:
+            groups.append(KeptGroup(points.board - 1, self.free_boards, 6))
+        self.structure = Structure(points.frame, frames, 6, tuple(groups))
+        self._last: tuple[RigState, CellLinearisation] | None = None
+
+    def linearise(self, state: RigState) -> CellLinearisation:
+        """Weighted reprojection error and its derivatives; see `_linearised`."""
+        # A solution begins where the one before ended.
+        if self._last is None or self._last[0] is not state:
+            self._last = state, self._linearised(state)
+        return self._last[1]
+
+    def _linearised(self, state: RigState) -> CellLinearisation:
+        """Weighted reprojection error by the pose of each view's board in its camera and by the intrinsics; how these follow.
+
+        A left perturbation of the target's pose is one of the board's by the adjoint of cam_from_rig, and one of the board on the
+        target by that of cam_from_rig rig_from_target.
+        """
+        points = self.points
+        cam_from_target = state.cam_from_rig[points.camera] @ state.rig_from_target[points.frame]
+        seen = _placed(cam_from_target @ state.target_from_board[points.board], points)
+        on_rig, on_target = adjoint(state.cam_from_rig), adjoint(cam_from_target)
+        residual, parts = [], []
+        for part, cells in zip(points.parts, points.cells, strict=True):
+            camera, (first, last), (low, high) = part.camera, part.views, part.rows
+            place, weight, basis = seen[low:high], points.weight[low:high, None, None], self.bases[camera]
+            pixels, _, by_point, by_parameter = state.models[camera].project_with_jacobians(place)
+            residual.append((pixels - points.pixels[low:high]) * weight[..., 0])
+            by_point = by_point * weight
+            # Row by row, -J [X]x is the cross product of X and J.
+            by_turn = torch.linalg.cross(place[:, None].expand_as(by_point), by_point)
+            local = torch.cat([by_turn, by_point, (by_parameter @ basis) * weight], -1)
+            count, q = last - first, basis.shape[1]
+            pose = torch.eye(6 + q, 6, dtype=torch.float64).expand(count, -1, -1)
+            kept = []
+            if q:
+                intrinsics = torch.eye(6 + q, dtype=torch.float64)[:, 6:].expand(count, -1, -1)
+                kept.append((self.estimated.index(camera), intrinsics))
+            if camera:
+                kept.append((len(self.estimated), pose))
+            if part.other_board and self.free_boards:
+                kept.append((len(self.structure.groups) - 1, pose @ on_target[first:last]))
+            parts.append(CellPart(cells, local, pose @ on_rig[camera], tuple(kept)))
+        return CellLinearisation(torch.cat(residual), tuple(parts))
+
+    def retract(self, state: RigState, kept: Tensor, eliminated: Tensor) -> RigState:
+        """Parameters move along their columns, poses by exp(delta) T."""
+        sizes = [self.bases[c].shape[1] for c in self.estimated]
+        *cameras, poses, boards = kept.split([*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards])
+        models = list(state.models)
+        for c, step in zip(self.estimated, cameras, strict=True):
+            models[c] = models[c].with_parameters(models[c].parameters + self.bases[c] @ step)
+        return RigState(
+            tuple(models),
+            _moved(state.cam_from_rig, poses),
+            _moved(state.target_from_board, boards),
+            Pose.exp(eliminated) @ state.rig_from_target,
+        )
+
+    def gauge(self, state: RigState) -> Float[Tensor, "k 0"]:
+        """None: the first camera and the first board fix the frames, the boards the scale."""
+        return torch.zeros(self.structure.kept_size, 0, dtype=torch.float64)
+
+
+def _moved(poses: Pose, step: Float[Tensor, " k"]) -> Pose:
+    """exp(delta) T of the last poses, as many as there are steps; those before are held."""
+    held = len(poses) - len(step) // 6
+    moved = Pose.exp(step.view(-1, 6)) @ poses[held:]
+    return Pose(torch.cat([poses.rotation[:held], moved.rotation]), torch.cat([poses.translation[:held], moved.translation]))

@@ -1,0 +1,369 @@
+"""Rigs: the errors of many noise seeds against the stated covariance and the Cramer-Rao bound, real data against OpenCV, and what
+users get wrong."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import scipy.stats
+import torch
+from rig_views import (
+    FISHEYE_220,
+    PINHOLE,
+    RigScene,
+    boards_at,
+    chain_rig,
+    looking_along,
+    mixed_rig,
+    outward_rig,
+    pair,
+    renumbered,
+    scene,
+    setups,
+    worst_pose_error,
+)
+
+from camera_models import GeometryError, InputError
+from camera_models.pose import Pose
+from omnilines.calibration.rig import calibrate_rig
+from omnilines.calibration.rig_alone import CameraSetup
+from omnilines.calibration.rig_joint import RigData
+from omnilines.calibration.rig_problem import RigState
+from omnilines.calibration.rig_result import RigCalibration
+from omnilines.calibration.rig_views import RigViews
+from omnilines.calibration.single import calibrate_camera
+from omnilines.least_squares import solve
+from omnilines.records import Corners
+
+NOISE_PX = 0.2
+NORMAL_95 = 1.959964
+
+
+def bound_of(rig: RigScene) -> torch.Tensor:
+    """The Cramer-Rao bound of everything that is estimated but the boards' poses, for corners with NOISE_PX, at the truth."""
+    views = RigViews.of(rig.corners, rig.names, "fixed")
+    count, bases = len(rig.names), tuple(model.calibration_basis() for model in rig.models)
+    relative = np.ones(len(rig.corners))
+    data = RigData(views, tuple(range(count)), (0,), bases, (NOISE_PX,) * count, relative, rig.corners.board_m)
+    points, _, _ = data.points(np.arange(len(views.camera)))
+    frames = torch.tensor([int(frame) for frame in views.frames])
+    truth = RigState(rig.models, rig.cam_from_rig, Pose.identity(1), rig.rig_from_board[frames])
+    return solve(data.problem(points), truth, max_iterations=1).kept_covariance()
+
+
+def errors_of(result: RigCalibration, rig: RigScene) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """Errors of the parameters along their bases and of the camera poses (left), their covariance, and how many of them are
+    parameters."""
+    bases = [model.calibration_basis() for model in rig.models]
+    off = []
+    for member, truth, basis in zip(result.members, rig.models, bases, strict=True):
+        off.append(torch.linalg.lstsq(basis, (member.model.parameters - truth.parameters)[:, None]).solution[:, 0])
+    parameters = sum(len(part) for part in off)
+    for c, member in enumerate(result.members[1:], 1):
+        off.append((member.cam_from_rig @ rig.cam_from_rig[c].inverse()).log())
+    spread = torch.block_diag(*bases, torch.eye(6 * len(bases) - 6, dtype=torch.float64))
+    inverse = torch.linalg.pinv(spread)
+    return torch.cat(off), inverse @ torch.as_tensor(result.covariance) @ inverse.mT, parameters
+
+
+RIGS = {"outward": lambda: outward_rig(60), "mixed": lambda: mixed_rig(60), "chain": lambda: chain_rig(8)}
+SEEDS = [pytest.param(name, 10, marks=pytest.mark.slow) for name in RIGS]
+SEEDS += [pytest.param(name, count, marks=pytest.mark.full) for name, count in (("outward", 50), ("mixed", 50), ("chain", 200))]
+
+
+@pytest.mark.parametrize(("name", "seeds"), SEEDS)
+def test_at_the_bound_and_honest_about_it(name, seeds):
+    """All parameters and poses within the truth jointly; poses of the cameras at the bound; 95 percent intervals cover."""
+    rig = RIGS[name]()
+    bound = bound_of(rig)
+    kinds = setups(rig)
+    squares, inside, outside, farthest = [], [], 0, 0.0
+    for seed in range(seeds):
+        result = calibrate_rig(rig.noisy(NOISE_PX, 200 + seed), kinds)
+        assert len(result.members) == len(rig.models) and all(view.used for view in result.views)
+        off, covariance, parameters = errors_of(result, rig)
+        z = off / covariance.diagonal().sqrt()
+        outside += float(off @ torch.linalg.solve(covariance, off)) > scipy.stats.chi2.ppf(0.999, len(off))
+        farthest = max(farthest, float(z.abs().max()))
+        inside.append((z.abs() <= NORMAL_95).numpy())
+        pose, of_poses = off[parameters:], bound[parameters:, parameters:]
+        squares.append(float(pose @ torch.linalg.solve(of_poses, pose)) / len(pose))
+    mean, error = np.mean(squares), np.std(squares, ddof=1) / math.sqrt(seeds)
+    ratio, ratio_error = math.sqrt(mean), 0.5 * error / math.sqrt(mean)
+    covered = np.mean(inside, 0)
+    print(f"{name}, {seeds} seeds: poses {ratio:.3f} +- {ratio_error:.3f} of the bound; {covered.mean():.3f} covered, items "
+          f"{covered.min():.2f} to {covered.max():.2f}")  # fmt: skip
+    # Of 200 seeds one or two may lie outside by chance.
+    assert outside <= (0 if seeds < 200 else 2) and farthest < (4.5 if seeds < 200 else 5.0)
+    assert ratio <= 1 + max(0.05, 2 * ratio_error)
+    assert 0.91 <= covered.mean() <= 0.985 if seeds < 50 else 0.93 <= covered.mean() <= 0.97
+    if seeds >= 200:
+        assert 0.90 <= covered.min() and covered.max() <= 0.99
+
+
+def test_uncertainty_grows_along_a_chain():
+    """The pose of each camera is less certain than that of the one before; neighbours are known equally well all along."""
+    result = calibrate_rig(chain_rig(12).noisy(NOISE_PX, 1), setups(chain_rig(12)))
+    turn = [math.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1]) for member in result.members]
+    assert all(a < b for a, b in itertools.pairwise(turn))
+    neighbours = [link.rotation_sigma_deg for link in result.links if link.second == link.first + 1]
+    assert len(neighbours) == 7 and max(neighbours) < 3 * min(neighbours)
+    assert math.degrees(turn[-1]) > 2 * np.median(neighbours)
+
+
+def omnidir_pair(folder) -> tuple[Corners, list, list, list]:
+    """The 39 stereo pairs of OpenCV's test data, board in metres."""
+    store = cv2.FileStorage(str(folder / "omni_stereocalib_data.xml"), cv2.FILE_STORAGE_READ)
+    root = store.root()
+    first, second, board = (
+        [root.getNode(key).at(i).mat().reshape(48, -1) for i in range(39)]
+        for key in ("imagePoints1", "imagePoints2", "objectPoints")
+    )
+    names = tuple(f"{camera}/{i:02d}" for camera in ("cam0", "cam1") for i in range(39))
+    corners = Corners(
+        np.repeat(np.arange(78), 48),
+        names,
+        names,
+        np.concatenate([*board, *board]) / 1000.0,
+        np.concatenate([*first, *second]),
+        cameras=("cam0",) * 39 + ("cam1",) * 39,
+        frames=tuple(f"{i:02d}" for i in range(39)) * 2,
+    )
+    return corners, first, second, board
+
+
+@pytest.mark.parametrize(("model", "loss"), [("scaramuzza", "none"), ("scaramuzza", "cauchy"), ("unified", "none")])
+def test_real_stereo_pair_is_nearly_as_good_together_as_alone(shared_data, model, loss):
+    corners, *_ = omnidir_pair(shared_data / "calibration/omnidir_corners")
+    kinds = {name: CameraSetup((704, 576), model) for name in ("cam0", "cam1")}
+    result = calibrate_rig(corners, kinds, loss=loss)
+    assert len(result.members) == 2 and all(view.used for view in result.views)
+    for member in result.members:
+        views = np.array([camera == member.name for camera in corners.cameras])
+        rows = views[corners.view]
+        table = Corners(
+            corners.view[rows] - int(np.flatnonzero(views)[0]),
+            tuple(np.array(corners.view_names)[views]),
+            tuple(np.array(corners.images)[views]),
+            corners.board_m[rows],
+            corners.pixels[rows],
+        )
+        alone = calibrate_camera(table, (704, 576), model, loss=loss)
+        assert alone.rms_px_per_point <= member.rms_px_per_point < 1.08 * alone.rms_px_per_point
+    link = result.weakest
+    assert link is not None and link.frames == 39
+    # Their own documentation's result for these data: 0.161 m.
+    assert abs(link.baseline_m - 0.161) < 1e-3 and 5e-5 < link.baseline_sigma_m < 5e-4
+
+
+@pytest.mark.slow
+def test_real_stereo_pair_is_no_worse_than_opencv(shared_data):
+    """cv2.omnidir.stereoCalibrate, same model (skew held), on the pairs that it keeps; its RMS is recomputed from its result."""
+    corners, first, second, board = omnidir_pair(shared_data / "calibration/omnidir_corners")
+    empty = [np.zeros((3, 3)), np.zeros((1, 1)), np.zeros((1, 4)), np.zeros((3, 3)), np.zeros((1, 1)), np.zeros((1, 4))]
+    given = [[part.reshape(1, 48, -1) for part in parts] for parts in (board, first, second)]
+    size = (704, 576)
+    rms, *_, found = cv2.omnidir.stereoCalibrate(
+        *given, size, size, *empty, cv2.omnidir.CALIB_FIX_SKEW, (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-8)
+    )
+    kept = found.ravel().tolist()
+    assert 30 <= len(kept) <= 39
+    views = [v for v, frame in enumerate(corners.frames) if int(frame) in kept]
+    rows = np.isin(corners.view, views)
+    place = np.full(78, -1)
+    place[views] = np.arange(len(views))
+    own = Corners(
+        place[corners.view[rows]],
+        tuple(corners.view_names[v] for v in views),
+        tuple(corners.images[v] for v in views),
+        corners.board_m[rows],
+        corners.pixels[rows],
+        cameras=tuple(corners.cameras[v] for v in views),
+        frames=tuple(corners.frames[v] for v in views),
+    )
+    result = calibrate_rig(own, {name: CameraSetup(size, "unified") for name in ("cam0", "cam1")}, loss="none")
+    print(f"omnidir pair, {len(kept)} frames: {result.rms_px_per_point:.4f} px, OpenCV {rms:.4f} px")
+    assert result.kept.all() and result.rms_px_per_point <= rms * (1 + 1e-6)
+
+
+def test_exact_corners_give_the_exact_rig():
+    rig = outward_rig(30)
+    result = calibrate_rig(rig.corners, setups(rig))
+    off, _, _ = errors_of(result, rig)
+    assert float(off.abs().max()) < 1e-4 and result.rms_px_per_axis < 1e-6
+    assert result.frames == tuple(dict.fromkeys(rig.corners.frames))
+    truth = rig.rig_from_board[[int(frame) for frame in result.frames]]
+    assert float((result.rig_from_target @ truth.inverse()).log().abs().max()) < 1e-6
+
+
+def test_a_camera_that_shares_no_view_is_reported_and_calibrated_alone():
+    rig = outward_rig(40)
+    frames = tuple(f"late {f}" if c == "cam2" else f for c, f in zip(rig.corners.cameras, rig.corners.frames, strict=True))
+    result = calibrate_rig(replace(rig.noisy(0.1, 1), frames=frames), setups(rig))
+    assert [member.name for member in result.members] == ["cam0", "cam1", "cam3"]
+    assert "in no frame in which another camera" in result.left_out["cam2"]
+    assert any("Camera cam2 is not of the rig" in note for note in result.notes)
+    assert abs(float(result.left_out_alone["cam2"].model.parameters[0]) - float(rig.models[2].parameters[0])) < 1
+    assert all(not view.used and "not of the rig" in view.reason for view in result.views if view.camera == "cam2")
+    assert result.member("cam1").sigma["fx"] > 0
+    turn, shift = worst_pose_error(result, rig)
+    assert turn < 0.1 and shift < 1e-3
+
+
+def test_cameras_that_never_meet_are_refused():
+    rig = pair(12)
+    frames = tuple(f"{camera} {frame}" for camera, frame in zip(rig.corners.cameras, rig.corners.frames, strict=True))
+    with pytest.raises(GeometryError, match="no two of cam0, cam1 that hang together"):
+        calibrate_rig(replace(rig.noisy(0.1, 1), frames=frames), setups(rig))
+
+
+def test_cameras_may_begin_from_calibrations_held_or_refined():
+    rig = pair(14)
+    noisy = rig.noisy(0.1, 1)
+    off = torch.tensor([8.0, 8.0, 4.0, -3.0, 0.0, 0, 0, 0], dtype=torch.float64)
+    kinds = {
+        "cam0": CameraSetup(PINHOLE.image_size, start=PINHOLE, hold=True),
+        "cam1": CameraSetup(FISHEYE_220.image_size, start=FISHEYE_220.with_parameters(FISHEYE_220.parameters + off)),
+    }
+    result = calibrate_rig(noisy, kinds)
+    held, refined = result.members
+    assert torch.equal(held.model.parameters, PINHOLE.parameters) and not held.covariance.any() and held.held
+    assert abs(refined.model.parameters[0] - FISHEYE_220.parameters[0]) < 4.5 * refined.sigma["fx"]
+    anew = calibrate_rig(noisy, setups(rig))
+    assert refined.sigma["fx"] < anew.member("cam1").sigma["fx"]
+    wrong = CameraSetup(FISHEYE_220.image_size, start=PINHOLE.with_parameters(PINHOLE.parameters * 0.5), hold=True)
+    with pytest.raises(GeometryError, match="found no two of"):
+        calibrate_rig(noisy, {**kinds, "cam1": wrong})
+
+
+def test_gross_errors_are_rejected_and_views_too_small_alone_are_used():
+    """A twentieth of the corners far off; views of three corners or of one row at the rim of the other camera's."""
+    rig = pair(20, seed=4)
+    corners = rig.noisy(0.1, 1)
+    rng = np.random.default_rng(2)
+    keep = np.ones(len(corners), dtype=bool)
+    small = []
+    for v, camera in enumerate(corners.cameras):
+        rows = np.flatnonzero(corners.view == v)
+        if camera == "cam1" and v % 4 == 0:
+            keep[rows[3:] if v % 8 == 0 else rows[np.abs(corners.board_m[rows, 1] - corners.board_m[rows[0], 1]) > 1e-9]] = False
+            small.append(v)
+    wrong = rng.random(len(corners)) < 0.05
+    wrong &= ~np.isin(corners.view, small)
+    pixels = corners.pixels + np.where(wrong[:, None], rng.uniform(-40, 40, corners.pixels.shape), 0.0)
+    corners = replace(corners, view=corners.view[keep], board_m=corners.board_m[keep], pixels=pixels[keep])
+    result = calibrate_rig(corners, setups(rig))
+    assert len(small) == 5 and all(result.views[v].used for v in small)
+    missed = result.kept & wrong[keep] & (np.linalg.norm(pixels[keep] - rig.corners.pixels[keep], axis=1) > 1.0)
+    assert not missed.any() and (result.kept | wrong[keep]).mean() > 0.995
+    turn, shift = worst_pose_error(result, rig)
+    assert turn < 0.1 and shift < 1e-3
+
+
+def two_boards(frames: int, seed: int = 0) -> tuple[RigScene, Corners, Pose]:
+    """Two boards at an angle, of which each camera sees one: they meet only where the middle camera sees both."""
+    rng = np.random.default_rng(seed)
+    axes = np.array([[-0.5, 0.0, 1.0], [0.0, 0.05, 1.0], [0.5, 0.0, 1.0]])
+    centres = np.array([[-0.2, 0.0, 0.0], [0.0, 0.02, 0.01], [0.2, 0.0, 0.0]])
+    models = (PINHOLE, FISHEYE_220, PINHOLE.with_parameters(PINHOLE.parameters * 1.01))
+    target = boards_at(
+        np.array([0.0, 0.0, 1.0]) + 0.12 * rng.standard_normal((frames, 3)), rng.uniform(0.8, 1.1, frames), rng, 25
+    )
+    second = Pose.exp(torch.tensor([0.1, 0.5, 0.05, 0.65, 0.03, -0.1], dtype=torch.float64))
+    parts = [scene(models, looking_along(axes, centres), boards) for boards in (target, target @ second)]
+    tables = [part.corners for part in parts]
+    keep = []
+    for b, table in enumerate(tables):
+        seen = np.array([camera == "cam1" or camera == ("cam0", "cam2")[b] for camera in table.cameras])
+        keep.append(np.flatnonzero(seen))
+    views = [(b, v) for b, own in enumerate(keep) for v in own]
+    rows = [tables[b].view == v for b, v in views]
+    corners = Corners(
+        np.repeat(np.arange(len(views)), [row.sum() for row in rows]),
+        tuple(f"{tables[b].view_names[v]} board {b}" for b, v in views),
+        tuple(tables[b].images[v] for b, v in views),
+        np.concatenate([tables[b].board_m[row] for (b, _), row in zip(views, rows, strict=True)]),
+        np.concatenate([tables[b].pixels[row] for (b, _), row in zip(views, rows, strict=True)])
+        + 0.1 * rng.standard_normal((sum(row.sum() for row in rows), 2)),
+        cameras=tuple(tables[b].cameras[v] for b, v in views),
+        frames=tuple(tables[b].frames[v] for b, v in views),
+        boards=tuple(f"board {b}" for b, _ in views),
+    )
+    return parts[0], corners, second
+
+
+def test_boards_in_unknown_relation_tie_cameras_together():
+    rig, corners, second = two_boards(24)
+    result = calibrate_rig(corners, setups(rig), relation="fixed")
+    assert len(result.members) == 3 and result.boards == ("board 0", "board 1")
+    off = (result.target_from_board[1] @ second.inverse()).log().numpy()
+    sigma = np.sqrt(np.diag(result.board_covariance[1]))
+    assert (np.abs(off) < 4.5 * sigma).all() and sigma[:3].max() < 1e-3
+    turn, shift = worst_pose_error(result, rig)
+    assert turn < 0.1 and shift < 1e-3
+    # Without the relation, views of different boards say nothing of one another; the middle camera still sees both.
+    moving = calibrate_rig(corners, setups(rig), relation="moving")
+    assert len(moving.members) == 3 and len(moving.boards) == 1 and len(moving.frames) > len(result.frames)
+    known = result.member("cam2").pose_covariance.trace()
+    assert known < moving.member("cam2").pose_covariance.trace()
+
+
+def test_boards_in_known_relation_need_not_be_seen_together():
+    """Coordinates of both boards in one frame: cameras that see one board each hang together without any that sees both."""
+    rig, corners, second = two_boards(24)
+    place = corners.board_m.copy()
+    rows = np.array([name == "board 1" for name in corners.boards])[corners.view]
+    place[rows] = second.transform(torch.as_tensor(place[rows])).numpy()
+    apart = [v for v, camera in enumerate(corners.cameras) if camera != "cam1"]
+    keep = np.isin(corners.view, apart)
+    number = np.full(len(corners.view_names), -1)
+    number[apart] = np.arange(len(apart))
+    table = Corners(
+        number[corners.view[keep]],
+        *(tuple(values[v] for v in apart) for values in (corners.view_names, corners.images)),
+        place[keep],
+        corners.pixels[keep],
+        cameras=tuple(corners.cameras[v] for v in apart),
+        frames=tuple(corners.frames[v] for v in apart),
+        boards=tuple(corners.boards[v] for v in apart),
+    )
+    kinds = {name: setup for name, setup in setups(rig).items() if name != "cam1"}
+    result = calibrate_rig(table, kinds, relation="known")
+    assert [member.name for member in result.members] == ["cam0", "cam2"]
+    truth = rig.cam_from_rig[2] @ rig.cam_from_rig[0].inverse()
+    off = (result.members[1].cam_from_rig @ truth.inverse()).log().numpy()
+    assert (np.abs(off) < 4.5 * np.sqrt(np.diag(result.members[1].pose_covariance))).all()
+    given, views = result.as_given()
+    np.testing.assert_allclose(given.board_m, place[keep], atol=1e-9)
+    used = [v for v, view in enumerate(views) if view.used]
+    assert len(used) > 30
+    for v in used:
+        own = given.view == v
+        model = result.member(views[v].camera).model
+        pixels, _ = model.project(views[v].cam_from_board.transform(torch.as_tensor(given.board_m[own])))
+        assert float((pixels - torch.as_tensor(given.pixels[own])).abs().max()) < 1.0
+    with pytest.raises(GeometryError, match="found no two of"):
+        calibrate_rig(table, kinds, relation="moving")
+
+
+def test_malformed_rigs_are_refused():
+    rig = pair(6)
+    with pytest.raises(InputError, match="Boards are fixed, known, moving, found 'glued'"):
+        calibrate_rig(rig.corners, setups(rig), relation="glued")
+    with pytest.raises(InputError, match="found views of 'cam1'"):
+        calibrate_rig(rig.corners, {"cam0": CameraSetup(PINHOLE.image_size, "pinhole")})
+    with pytest.raises(InputError, match=r"found cam0/000.png and cam0/001.png"):
+        calibrate_rig(replace(rig.corners, frames=("000", "000", *rig.corners.frames[2:])), setups(rig))
+    with pytest.raises(InputError, match="'board' lie on a line or out of a plane"):
+        bent = renumbered(rig.corners, [0], lambda board: board + [0, 0, 0.1] * (board[:, :1] > 0.1))
+        calibrate_rig(bent, setups(rig), relation="known")
+    few = rig.corners.view < 2
+    with pytest.raises(GeometryError, match="No camera of the rig can be calibrated"):
+        names = rig.corners.view_names[:2]
+        calibrate_rig(
+            Corners(rig.corners.view[few], names, names, rig.corners.board_m[few], rig.corners.pixels[few]),
+            {"cam0": CameraSetup(PINHOLE.image_size, "pinhole")},
+        )
