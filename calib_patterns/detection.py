@@ -21,6 +21,8 @@ SEARCH_SIDE_PX = 1400
 """Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
 MAX_SEARCH_PIXELS = 6e6
 """Enlargements beyond this are left out."""
+LEAST_SIDE_PX = 20
+"""No target is seen in a smaller photo, and OpenCV's detectors fail on some of them."""
 MIN_GOOD_SHARE = 0.8
 """Share of the corners that must be fitted well for a grid to count."""
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -200,6 +202,9 @@ VISIBLE_PART = "at least 3 x 3 corners with their squares have to be seen, some 
 
 def why_not(grey: Grey, name: str, needs: str = VISIBLE_PART) -> str:
     """One sentence: the likeliest reason why a target was not found; `needs` ends it where the photo itself is good."""
+    if min(grey.shape) < LEAST_SIDE_PX:
+        size = f"{grey.shape[1]}x{grey.shape[0]} px"
+        return f"The photo of {size} is too small to show a {name}: give one of {LEAST_SIDE_PX} px or more."
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
     if high < 0.12:
@@ -231,6 +236,8 @@ def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> 
     """The visible corners of an nx x ny board as `Checkerboard.detect` states, or none and why."""
     grey = grey_of(image)
     name = f"checkerboard of {nx}x{ny} inner corners"
+    if min(grey.shape) < LEAST_SIDE_PX:
+        return Detection.empty(), why_not(grey, name)
     found, misfit = _whole_board(grey, _classic, nx, ny, mirrored)
     flaw = None
     for growth in _GROWTHS:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from calib_patterns._cells import CellGrid
 from calib_patterns._pattern import Detection, Pattern, check_image
 from calib_patterns.corner_growth import MIN_CORNERS, CornerKind, grow_corners
-from calib_patterns.detection import grey_of, stretched, why_not
+from calib_patterns.detection import LEAST_SIDE_PX, grey_of, stretched, why_not
 from calib_patterns.local_map import KnownCorners
 from calib_patterns.tags import TagFamily, find_tags, tag_corners
 
@@ -54,6 +54,8 @@ class TagBoard(Pattern):
         """Every visible corner with its id; part of the board is enough, from one tag with its corners on."""
         check_image(image)
         grey = grey_of(image)
+        if min(grey.shape) < LEAST_SIDE_PX:
+            return Detection.empty(), self._why_not(grey, tags_found=False)
         if mirrored:
             grey = np.ascontiguousarray(grey[:, ::-1])
         tags = find_tags(stretched(grey), self.family, self.tag_corners_m)

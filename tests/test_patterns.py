@@ -185,6 +185,13 @@ def test_part_of_a_larger_board_is_not_a_hit(counts: str) -> None:
     assert len(detection) == 0 and reason is not None
 
 
+@pytest.mark.parametrize("pattern", ALL, ids=lambda p: p.specification)
+@pytest.mark.parametrize("shape", [(1, 1), (8, 8), (3, 200), (20, 23)])
+def test_tiny_photos_show_nothing(pattern: Pattern, shape: tuple[int, int]) -> None:
+    detection, reason = pattern.detect(np.random.default_rng(0).integers(0, 255, shape).astype(np.uint8))
+    assert len(detection) == 0 and reason is not None and ("too small" in reason) == (min(shape) < 20)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (5600, 4200)])
 def test_small_and_very_large_photos(size: tuple[int, int]) -> None:
