@@ -11,9 +11,9 @@ from camera_models.errors import OmnilinesError
 from omnilines.cli._shared import app
 
 # The order of the commands in the help is the order of these imports.
-from omnilines.cli import targets, cameras, lines, experiments  # isort: skip
+from omnilines.cli import targets, extraction, scenes, cameras, lines, experiments  # isort: skip
 
-__all__ = ["app", "cameras", "experiments", "lines", "main", "targets"]
+__all__ = ["app", "cameras", "experiments", "extraction", "lines", "main", "scenes", "targets"]
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -1,0 +1,24 @@
+"""The command on arcs: extract."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omnilines.cli._shared import Json, Out, app, run
+
+ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)]
+
+
+@app.command()
+def extract(
+    photos: ScenePhotos,
+    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    out: Out,
+    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Find arcs of straight lines in photos -> segments.csv and pictures."""
+    from omnilines.commands.extract import extract as command
+
+    run(lambda progress: command(photos, calibration, out, mask=mask, progress=progress), as_json)

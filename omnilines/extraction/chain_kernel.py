@@ -1,0 +1,211 @@
+"""Edge points linked into chains, and chains cut into great circles, compiled.
+
+`no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+REACH = 2
+"""Pixels to either side in which an edge point looks for its neighbours."""
+LEAST_COSINE = 0.8
+"""Between the directions of neighbours in a chain: 37 degrees."""
+LEAST_COSINE_ALONG = -0.5
+"""Of the angle that a piece of a circle spans: 120 degrees. Longer arcs are two."""
+NOISE_PX = 0.3
+"""Standard deviation of an edge point across the edge, for the covariance that a chain starts with."""
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: bool) -> np.ndarray:
+    """The neighbour of every edge point on either side along its edge, -1 for none.
+
+    `number` (h, w) holds the index of the edge point of each pixel or -1; `closed`: the last column is beside the first.
+    """
+    height, width = number.shape
+    count = len(cells)
+    best = np.full((count, 2), -1, dtype=np.int32)
+    for k in range(count):
+        costs = np.full(2, np.inf)
+        u, v, x, y = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
+        for i in range(max(cells[k, 0] - REACH, 0), min(cells[k, 0] + REACH + 1, height)):
+            for column in range(cells[k, 1] - REACH, cells[k, 1] + REACH + 1):
+                j = column
+                if closed:
+                    j = column % width
+                elif j < 0 or j >= width:
+                    continue
+                other = number[i, j]
+                if other < 0 or other == k:
+                    continue
+                if abs(x * points[other, 2] + y * points[other, 3]) < LEAST_COSINE:
+                    continue
+                du, dv = points[other, 0] - u + (column - j), points[other, 1] - v
+                along, across = x * dv - y * du, abs(x * du + y * dv)
+                if abs(along) < 0.3 or across > 0.75 * abs(along):
+                    continue
+                side = 1 if along > 0 else 0
+                cost = abs(along) + 2.0 * across
+                if cost < costs[side]:
+                    costs[side] = cost
+                    best[k, side] = other
+    mutual = np.full((count, 2), -1, dtype=np.int32)
+    for k in range(count):
+        for side in range(2):
+            other = best[k, side]
+            if other >= 0 and (best[other, 0] == k or best[other, 1] == k):
+                mutual[k, side] = other
+    return mutual
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def chains(link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edge points chain by chain, and where each chain begins (one more than chains)."""
+    count = len(link)
+    order, used = np.empty(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
+    starts = np.empty(count + 1, dtype=np.int64)
+    total, made = 0, 0
+    # Open ends first; what is left are closed curves.
+    for closed_ones in range(2):
+        for k in range(count):
+            if used[k] or (closed_ones == 0 and link[k, 0] >= 0 and link[k, 1] >= 0):
+                continue
+            starts[made] = total
+            made += 1
+            before, here = -1, k
+            while here >= 0 and not used[here]:
+                used[here] = True
+                order[total] = here
+                total += 1
+                ahead = link[here, 0] if link[here, 0] != before and link[here, 0] >= 0 else link[here, 1]
+                if ahead == before:
+                    break
+                before, here = here, ahead
+    starts[made] = total
+    return order, starts[: made + 1].copy()
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _distance_px(bearing: np.ndarray, across: np.ndarray, normal: np.ndarray) -> float:
+    """Of an edge point from a circle along its gradient: 0 = (bearing + distance across) . normal. Infinite where the gradient
+    nearly runs along the circle."""
+    by_px = across[0] * normal[0] + across[1] * normal[1] + across[2] * normal[2]
+    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    if abs(by_px) < 0.5 * length:
+        return np.inf
+    return (bearing[0] * normal[0] + bearing[1] * normal[1] + bearing[2] * normal[2]) / by_px
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _add(sums: np.ndarray, frame: np.ndarray, bearing: np.ndarray, across: np.ndarray) -> None:
+    """Of the least squares over a, b of (bearing . (n + a e1 + b e2) / pace)^2, with frame = (n, e1, e2)."""
+    pace2 = across[0] ** 2 + across[1] ** 2 + across[2] ** 2
+    r, x, y = frame[0] @ bearing, frame[1] @ bearing, frame[2] @ bearing
+    sums[0] += x * x / pace2
+    sums[1] += x * y / pace2
+    sums[2] += y * y / pace2
+    sums[3] += x * r / pace2
+    sums[4] += y * r / pace2
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _solved(sums: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    determinant = sums[0] * sums[2] - sums[1] * sums[1]
+    a = (-sums[3] * sums[2] + sums[4] * sums[1]) / determinant
+    b = (-sums[4] * sums[0] + sums[3] * sums[1]) / determinant
+    normal = frame[0] + a * frame[1] + b * frame[2]
+    return normal / math.sqrt(normal @ normal)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def circles(
+    order: np.ndarray,
+    starts: np.ndarray,
+    bearings: np.ndarray,
+    acrosses: np.ndarray,
+    least: int,
+    within_px: float,
+    most_missed: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals (m, 3) of great circles along pieces of chains, the first and last bearing of each (m, 2, 3), and the information
+    (m, 3, 3) on the normal, for edge points with NOISE_PX.
+
+    A piece begins with `least` edge points on one circle and grows, fitted anew with each, until more than `most_missed`
+    in a row are farther than `within_px` from it.
+    """
+    room = 1024
+    normals, ends, information = np.empty((room, 3)), np.empty((room, 2, 3)), np.empty((room, 3, 3))
+    count = 0
+    frame, sums = np.empty((3, 3)), np.empty(5)
+    for chain in range(len(starts) - 1):
+        begin, stop = starts[chain], starts[chain + 1]
+        while begin + least <= stop:
+            first, last = bearings[order[begin]], bearings[order[begin + least - 1]]
+            normal = _cross(first, last)
+            length = math.sqrt(normal @ normal)
+            if length < 1e-12:
+                begin += 1
+                continue
+            frame[0] = normal / length
+            frame[1] = first
+            frame[2] = _cross(frame[0], first)
+            sums[:] = 0.0
+            for k in range(begin, begin + least):
+                _add(sums, frame, bearings[order[k]], acrosses[order[k]])
+            normal = _solved(sums, frame)
+            worst = 0.0
+            for k in range(begin, begin + least):
+                worst = max(worst, abs(_distance_px(bearings[order[k]], acrosses[order[k]], normal)))
+            if worst > 0.8 * within_px:
+                begin += 1
+                continue
+            end, missed = begin + least - 1, 0
+            for k in range(begin + least, stop):
+                if bearings[order[k]] @ first < LEAST_COSINE_ALONG:
+                    break
+                if abs(_distance_px(bearings[order[k]], acrosses[order[k]], normal)) <= within_px:
+                    _add(sums, frame, bearings[order[k]], acrosses[order[k]])
+                    normal = _solved(sums, frame)
+                    end, missed = k, 0
+                else:
+                    missed += 1
+                    if missed > most_missed:
+                        break
+            if count == room:
+                room *= 2
+                normals, ends, information = _grown(normals, room), _grown(ends, room), _grown(information, room)
+            normals[count] = normal
+            ends[count, 0], ends[count, 1] = first, bearings[order[end]]
+            information[count] = 0.0
+            for k in range(begin, end + 1):
+                b, a = bearings[order[k]], acrosses[order[k]]
+                weight = 1.0 / ((a @ a) * NOISE_PX * NOISE_PX)
+                for p in range(3):
+                    for q in range(3):
+                        information[count, p, q] += weight * b[p] * b[q]
+            count += 1
+            begin = end + 1
+    return normals[:count].copy(), ends[:count].copy(), information[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _grown(array: np.ndarray, room: int) -> np.ndarray:
+    more = np.empty((room, *array.shape[1:]))
+    more[: len(array)] = array
+    return more

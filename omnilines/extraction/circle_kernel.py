@@ -1,0 +1,242 @@
+"""The great circle through the shifts measured along an arc, and how far the arc goes; compiled.
+
+`no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+LEAST_SCALE_PX = 0.05
+"""Of the robust weights: smaller residuals are not told apart."""
+ROUNDS = 4
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def fit_circles(
+    starts: np.ndarray,
+    angle: np.ndarray,
+    rate: np.ndarray,
+    shift: np.ndarray,
+    strength: np.ndarray,
+    usable: np.ndarray,
+    most_shift_px: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of each arc the change (a, b) of its normal, the inverse normal matrix (2, 2), the residuals' variance that it is to be
+    multiplied by, and the number of samples used; and the residuals of all samples (NaN where there is none).
+
+    A point at angle t moves by -rate (a cos t + b sin t) px across. Weights fall with the contrast, and by Tukey's function
+    with the residual; shifts of `most_shift_px` or more are another edge.
+    """
+    arcs = len(starts) - 1
+    change, inverse, variance = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2)), np.zeros(arcs)
+    used = np.zeros(arcs)
+    residual = np.full(len(angle), np.nan)
+    weight = np.zeros(len(angle))
+    for arc in range(arcs):
+        begin, end = starts[arc], starts[arc + 1]
+        chosen = np.empty(end - begin, dtype=np.int64)
+        count = 0
+        for n in range(begin, end):
+            if usable[n] and abs(shift[n]) < most_shift_px:
+                chosen[count] = n
+                count += 1
+        if count < 3:
+            continue
+        typical = np.median(strength[chosen[:count]])
+        a, b = 0.0, 0.0
+        scale = 1e9
+        m00, m01, m11 = 0.0, 0.0, 0.0
+        for _ in range(ROUNDS):
+            m00, m01, m11, r0, r1 = 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(count):
+                n = chosen[i]
+                x, y = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
+                r = shift[n] - a * x - b * y
+                ratio = r / (4.7 * scale)
+                w = 0.0
+                if abs(ratio) < 1.0:
+                    w = (1.0 - ratio * ratio) ** 2 * strength[n] / (strength[n] + typical)
+                weight[n] = w
+                m00 += w * x * x
+                m01 += w * x * y
+                m11 += w * y * y
+                r0 += w * x * shift[n]
+                r1 += w * y * shift[n]
+            determinant = m00 * m11 - m01 * m01
+            if determinant <= 1e-12 * m00 * m11:
+                break
+            a, b = (m11 * r0 - m01 * r1) / determinant, (m00 * r1 - m01 * r0) / determinant
+            distances = np.empty(count)
+            for i in range(count):
+                n = chosen[i]
+                distances[i] = abs(shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n])))
+            scale = max(1.4826 * np.median(distances), LEAST_SCALE_PX)
+        determinant = m00 * m11 - m01 * m01
+        if determinant <= 1e-12 * m00 * m11:
+            continue
+        change[arc, 0], change[arc, 1] = a, b
+        inverse[arc, 0, 0], inverse[arc, 1, 1] = m11 / determinant, m00 / determinant
+        inverse[arc, 0, 1] = inverse[arc, 1, 0] = -m01 / determinant
+        total, squares, kept = 0.0, 0.0, 0
+        for i in range(count):
+            n = chosen[i]
+            r = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
+            residual[n] = r
+            if weight[n] > 0.0:
+                total += weight[n]
+                squares += weight[n] * weight[n] * r * r
+                kept += 1
+        # Sum of w^2 r^2 over sum of w: the variance that the inverse of sum w x x' is to be multiplied by, for residuals
+        # whose variance is not 1 / w.
+        variance[arc] = squares / total * kept / max(kept - 2, 1)
+        used[arc] = kept
+    return change, inverse, variance, used, residual
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def reach(
+    starts: np.ndarray,
+    inside: np.ndarray,
+    support: np.ndarray,
+    difference: np.ndarray,
+    steady: np.ndarray,
+    most_gap: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First and last sample of each arc (n, 2), -1 where nothing is left; where it ends, as fractions of samples (n, 2); and the
+    share of supported samples between.
+
+    `inside` tells the samples of the arc as it was. From its middle supported sample it goes outwards over gaps of at most
+    `most_gap` samples, as long as three of five are supported at its end; then to where the difference between both sides
+    (m, c) falls to half of what it is (`steady`) inside the arc.
+    """
+    arcs = len(starts) - 1
+    found, place, share = np.full((arcs, 2), -1, dtype=np.int64), np.zeros((arcs, 2)), np.zeros(arcs)
+    for arc in range(arcs):
+        begin, end = starts[arc], starts[arc + 1]
+        total = 0
+        for n in range(begin, end):
+            if inside[n] and support[n]:
+                total += 1
+        if total == 0:
+            continue
+        seen, seed = 0, -1
+        for n in range(begin, end):
+            if inside[n] and support[n]:
+                seen += 1
+                if 2 * seen >= total:
+                    seed = n
+                    break
+        for side in range(2):
+            step = 1 if side == 1 else -1
+            last, gap, core = seed, 0, seed
+            n = seed + step
+            while begin <= n < end and gap <= most_gap:
+                if inside[n]:
+                    core = n
+                if support[n] and (inside[n] or _alike(steady, n, core - 4 * step, begin, end)):
+                    near = 0
+                    for m in range(5):
+                        if begin <= n - step * m < end and support[n - step * m]:
+                            near += 1
+                    # Inside the arc as it was, a single supported sample leads on; beyond it a run does.
+                    if near >= 3:
+                        last, gap = n, 0
+                    else:
+                        gap += 1
+                elif inside[n] and _goes_on(support, n, step, begin, end):
+                    gap = 0
+                else:
+                    gap += 1
+                n += step
+            place[arc, side] = _half_way(difference, steady, last, step, begin, end)
+        if place[arc, 1] <= place[arc, 0] + 1.0:
+            continue
+        # Samples whose middle lies in the arc.
+        found[arc, 0], found[arc, 1] = math.ceil(place[arc, 0]), math.floor(place[arc, 1])
+        total = 0
+        for n in range(found[arc, 0], found[arc, 1] + 1):
+            if support[n]:
+                total += 1
+        share[arc] = total / (found[arc, 1] - found[arc, 0] + 1)
+    return found, place, share
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _goes_on(support: np.ndarray, n: int, step: int, begin: int, end: int) -> bool:
+    """Whether most of the next ten samples are supported."""
+    count = 0
+    for m in range(1, 11):
+        if begin <= n + step * m < end and support[n + step * m]:
+            count += 1
+    return count >= 5
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _alike(steady: np.ndarray, n: int, inner: int, begin: int, end: int) -> bool:
+    """Whether the sides differ in the same way as inside the arc: beyond it another edge may go on."""
+    inner = min(max(inner, begin), end - 1)
+    product, square = 0.0, 0.0
+    for c in range(steady.shape[1]):
+        product += steady[n, c] * steady[inner, c]
+        square += steady[inner, c] ** 2
+    return product >= 0.4 * square
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _half_way(difference: np.ndarray, steady: np.ndarray, last: int, step: int, begin: int, end: int) -> float:
+    """Where, from six samples inside `last` to three beyond it, the contrast first falls to half of what it is inside: a place
+    between two samples."""
+    inner = min(max(last - 6 * step, begin), end - 1)
+    square = 1e-9
+    for c in range(difference.shape[1]):
+        square += steady[inner, c] ** 2
+    before = 1.0
+    n = inner + step
+    while begin <= n < end and (n - last) * step <= 3:
+        value = 0.0
+        # The mean of two samples is the contrast half a sample back.
+        for c in range(difference.shape[1]):
+            value += 0.5 * (difference[n, c] + difference[n - step, c]) * steady[inner, c]
+        value /= square
+        if value < 0.5:
+            share = (before - 0.5) / max(before - value, 1e-9)
+            return n - step * (1.5 - min(max(share, 0.0), 1.0))
+        before = value
+        n += step
+    return n - 0.5 * step
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, most_px: float) -> None:
+    """Move the first and last sample (n, 2) of each arc, and where it ends, inwards to where the edge lies on the circle.
+
+    There the mean residual of the next five samples that have one is at most `most_px`; it is more where the end of the arc
+    follows another edge nearby.
+    """
+    for arc in range(len(found)):
+        for side in range(2):
+            step = 1 if side == 0 else -1
+            n, stop = found[arc, side], found[arc, 1 - side]
+            if n < 0:
+                continue
+            while (stop - n) * step > 5:
+                total, count, m = 0.0, 0, n
+                while count < 5 and (stop - m) * step >= 0:
+                    if not math.isnan(residual[m]):
+                        total += residual[m]
+                        count += 1
+                    m += step
+                if count == 0 or abs(total) <= most_px * count:
+                    break
+                n += step
+            if n != found[arc, side]:
+                found[arc, side], place[arc, side] = n, n - 0.5 * step

@@ -1,0 +1,135 @@
+"""Photo and camera model -> arcs of straight lines.
+
+Edge points of the photo (`edgels`) are linked into chains and cut where they leave a great circle; pieces of one edge are
+joined (`merging`); each arc is fitted to profiles of colour across it in the photo itself and ends where its edge does (`refit`);
+what is texture is dropped (`clutter`), and what is two edges side by side is made two arcs (`double_edges`). No view is
+resampled: the camera model says which bearing a pixel has, so that a field of view past 180 degrees, a mirror or the seam of a
+panorama is nothing special.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+
+from camera_models import CameraModel, InputError
+from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
+from omnilines.extraction.chain_kernel import chains, circles, links
+from omnilines.extraction.clutter import stands_out
+from omnilines.extraction.double_edges import split_doubles
+from omnilines.extraction.edgels import find_edgels
+from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
+from omnilines.extraction.merging import duplicates, merged
+from omnilines.extraction.refit import Photo, Refitted, refit
+
+LEAST_PX = 25.0
+"""Shorter arcs are not given back."""
+LEAST_EDGELS = 9
+"""Edge points on one circle with which an arc begins."""
+WITHIN_PX = 0.8
+"""Edge points so near to a circle belong to it."""
+MOST_MISSED = 3
+"""Edge points in a row of a chain that may lie farther off."""
+LEAST_PIECE_PX, LEAST_PIECE_SUPPORT = 12.0, 0.5
+"""Shorter pieces, and those beside which there are fewer edge points, are dropped before they are joined."""
+ROUNDS = 2
+"""Refits after which pieces are joined."""
+LEAST_SUPPORT = 0.65
+LEAST_GREY = 6.5
+"""Contrast, in grey levels of 255 over all channels."""
+BEYOND_PX = 12.0
+"""An arc may grow by so much at either end in each of both refits."""
+LAST_BEYOND_PX = 4.0
+ALONG_PX = 1.0
+"""Standard deviation of an end point along its arc."""
+TYPICAL_BLUR_PX, LEAST_BLUR_PX = 0.7, 0.6
+"""Where no arc tells the blur of the photo; and what pixels and interpolation alone make of a step."""
+SHARP_CONTRAST = 20.0
+_SAME_PX = 0.6
+
+
+@dataclass(frozen=True)
+class ExtractedArcs:
+    """Arcs of one photo, the longest first."""
+
+    arcs: Arcs
+    endpoints_px: Float[np.ndarray, "n 2 2"]
+    """(row, end, (u, v)). The arc is the shorter way on the great circle between the bearings of both ends; where the image
+    closes it may cross the seam."""
+    covariance_px2: Float[np.ndarray, "n 2 2 2"]
+    """Of each end point: what the fit says across the arc, ALONG_PX along it."""
+    length_px: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.arcs)
+
+
+def extract_arcs(
+    image: UInt[np.ndarray, "h w *channels"],
+    model: CameraModel,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    least_angle_rad: float = 0.0,
+) -> ExtractedArcs:
+    """The arcs of a photo of 8 or 16 bits a channel, grey or in colour.
+
+    `mask` is true where arcs are wanted. From `least_angle_rad` off the bearing of the centre pixel on, the photo shows the
+    scene, not the mount of a mirror.
+
+    Raises InputError where photo or mask have not the size of the camera's images.
+    """
+    height, width = image.shape[:2]
+    for name, size in (("photo", (width, height)), ("mask", (width, height) if mask is None else mask.shape[::-1])):
+        if size != model.image_size:
+            raise InputError(
+                f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
+                f"{size[0]}x{size[1]} px; give the one that the calibration is of."
+            )
+    circle = image_circle(image, model)
+    edgels = find_edgels(image, model, usable_pixels((height, width), circle, mask))
+    if circle is not None:
+        edgels = edgels.keep(~follows_rim(image, circle, edgels.points.astype(np.float64)))
+    if least_angle_rad > 0.0:
+        axis = model.unproject(model.centre_px.detach().numpy())[0]
+        edgels = edgels.keep(edgels.bearings @ axis < np.cos(least_angle_rad))
+    photo = Photo(image.reshape(height, width, -1), model, edgels)
+    order, starts = chains(links(edgels.number, edgels.cells, edgels.points, model.PERIODIC))
+    pieces = circles(order, starts, edgels.bearings, edgels.acrosses, LEAST_EDGELS, WITHIN_PX, MOST_MISSED)
+    arcs = arcs_of_ends(*pieces)
+    arcs = merged(photo, arcs, lengths_px(model, arcs))
+    for _ in range(ROUNDS):
+        fitted = refit(photo, arcs, BEYOND_PX)
+        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
+        arcs = merged(photo, fitted.arcs.keep(good), fitted.length_px[good])
+    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX))
+
+
+def _finished(photo: Photo, fitted: Refitted) -> ExtractedArcs:
+    kept = (fitted.length_px >= LEAST_PX) & (fitted.support >= LEAST_SUPPORT) & stands_out(photo, fitted.arcs)
+    sharp = fitted.blur_px[kept & (fitted.contrast >= SHARP_CONTRAST)]
+    blur_px = max(float(np.median(sharp)), LEAST_BLUR_PX) if len(sharp) else TYPICAL_BLUR_PX
+    split = split_doubles(photo, fitted.arcs.keep(kept), blur_px)
+    arcs = split.arcs
+    length_px = fitted.length_px[kept][split.rows]
+    single = ~duplicates(photo, arcs, length_px, split.rows, _SAME_PX)
+    order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
+    arcs = arcs.keep(order)
+    ends, covariance = _end_points(photo.model, arcs)
+    return ExtractedArcs(arcs, ends, covariance, length_px[order])
+
+
+def _end_points(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2 2 2"]]:
+    """Pixels of the ends and their covariances: of the circle at angle t, (cos t, sin t) C (cos t, sin t)' rad^2 across."""
+    pixels, covariances = [], []
+    row = np.arange(len(arcs))
+    for angle in (arcs.low, arcs.high):
+        pixel, across, rate, _ = across_px(model, arcs, row, angle)
+        if model.PERIODIC:
+            pixel[:, 0] = np.mod(pixel[:, 0] + 0.5, model.image_size[0]) - 0.5
+        way = np.stack([np.cos(angle), np.sin(angle)], -1)
+        variance = np.einsum("ni,nij,nj->n", way, arcs.covariance, way) * rate**2
+        along = np.stack([across[:, 1], -across[:, 0]], -1)
+        covariances.append(
+            variance[:, None, None] * across[:, :, None] * across[:, None] + ALONG_PX**2 * along[:, :, None] * along[:, None]
+        )
+        pixels.append(pixel)
+    return np.stack(pixels, 1), np.stack(covariances, 1)

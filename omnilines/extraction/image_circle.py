@@ -1,0 +1,139 @@
+"""The image circle of a lens or mirror, found in the photo: beyond it all is dark."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+
+from camera_models import CameraModel
+from omnilines.extraction.edgels import grey_unit
+
+RAYS = 360
+DARK_GREY = 40.0
+"""Grey level of 255 that what lies outside does not exceed."""
+STEP_GREY = 6.0
+"""Above what lies outside: light."""
+SAME_SHARE = 0.01
+"""Of the radius, to which rays agree."""
+LEAST_RAYS = 0.15
+"""Share of all rays that must end in the dark."""
+LEAST_AGREEING = 0.5
+"""Share of them that must meet the first light on one circle."""
+MARGIN_SHARE, MARGIN_PX = 0.01, 4.0
+"""What is left out inside the rim."""
+MASK_MARGIN_PX = 3
+RIM_SHARE = 0.1
+"""Of the radius, within which the light may fall off towards the rim."""
+FULL_LIGHT = 0.8
+"""Of the light at the inner end of that: here the rim ends."""
+RIM_COSINE = 0.97
+"""Between the direction across an edge of the rim and the radius: 14 degrees."""
+_BESIDE_PX = 3.0
+_TRIPLES = 500
+
+
+def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -> tuple[float, float, float] | None:
+    """Centre (u, v) and radius (px) of the circle outside which a photo is dark, or None where there is none.
+
+    From the border inwards along rays to the camera's centre pixel, each finds its first light. Where most of those that begin
+    in the dark find it on one circle (the best of random triples), that is the rim; others met a dark part of the scene.
+    """
+    height, width = image.shape[:2]
+    bright = image if image.ndim == 2 else image.max(-1)
+    centre = model.centre_px.detach().numpy()
+    if model.PERIODIC or not (0 < centre[0] < width - 1 and 0 < centre[1] < height - 1):
+        return None
+    turn = 2.0 * np.pi * np.arange(RAYS) / RAYS
+    way = np.stack([np.cos(turn), np.sin(turn)], -1)
+    room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
+    border = room.min(-1) - 1.0
+    depth = np.arange(int(border.max()))
+    radius = border[:, None] - depth
+    places = centre + np.maximum(radius, 0.0)[..., None] * way[:, None]
+    place = places.astype(np.float32)
+    level = cv2.remap(bright, place[..., 0], place[..., 1], cv2.INTER_NEAREST) / grey_unit(image)
+    dark = np.percentile(level[:, :4], 2)
+    light = cv2.blur((level > dark + STEP_GREY).astype(np.float32), (4, 1)) > 0.7
+    begins_dark = ~light[:, :8].any(-1) & (dark < DARK_GREY) & light.any(-1)
+    if begins_dark.mean() < LEAST_RAYS:
+        return None
+    rim = centre + (border - light.argmax(-1))[begins_dark, None] * way[begins_dark]
+    return _common_circle(rim)
+
+
+def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, float] | None:
+    """The circle on which most of the points lie."""
+    rng = np.random.default_rng(0)
+    a, b, c = points[rng.integers(0, len(points), (3, _TRIPLES))]
+    # |p|^2 = 2 p . m + k, differences of it.
+    matrix = 2.0 * np.stack([b - a, c - a], -2)
+    right = np.stack([(b * b - a * a).sum(-1), (c * c - a * a).sum(-1)], -1)
+    proper = np.abs(np.linalg.det(matrix)) > 1.0
+    if not proper.any():
+        return None
+    middle = np.linalg.solve(matrix[proper], right[proper][..., None])[..., 0]
+    radius = np.linalg.norm(a[proper] - middle, axis=-1)
+    off = np.abs(np.linalg.norm(points - middle[:, None], axis=-1) - radius[:, None])
+    agreeing = off < SAME_SHARE * radius[:, None]
+    best = int(agreeing.sum(-1).argmax())
+    if agreeing[best].mean() < LEAST_AGREEING:
+        return None
+    chosen = points[agreeing[best]]
+    design = np.concatenate([2.0 * chosen, np.ones((len(chosen), 1))], -1)
+    u, v, k = np.linalg.lstsq(design, (chosen**2).sum(-1), rcond=None)[0]
+    return float(u), float(v), float(np.sqrt(k + u * u + v * v))
+
+
+def usable_pixels(
+    shape: tuple[int, int], circle: tuple[float, float, float] | None, mask: Bool[np.ndarray, "h w"] | None
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels at which an edge may be one of the scene: not near the rim of the image circle, nor near what `mask` leaves out."""
+    height, width = shape
+    allowed = np.ones((height, width), dtype=np.uint8)
+    if circle is not None:
+        u, v, radius = circle
+        inner = radius - max(MARGIN_PX, MARGIN_SHARE * radius)
+        allowed[:] = (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] <= inner**2
+    if mask is not None:
+        side = 2 * MASK_MARGIN_PX + 1
+        allowed *= cv2.erode(mask.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1).astype(np.uint8)
+    return allowed.astype(bool)
+
+
+def rim_width(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float]) -> float:
+    """Pixels from the first light inwards over which the light rises: the median of all directions at each depth."""
+    u, v, radius = circle
+    turn = 2.0 * np.pi * np.arange(RAYS) / RAYS
+    depth = np.arange(max(int(RIM_SHARE * radius), 2))
+    place = (radius - depth)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], -1) + np.array([u, v])
+    height, width = image.shape[:2]
+    inside = ((place >= 0) & (place <= np.array([width, height]) - 1.0)).all((0, 2))
+    if not inside.any():
+        return float(depth[-1])
+    column, row = np.moveaxis(np.rint(place[:, inside]).astype(np.int64), -1, 0)
+    bright = image if image.ndim == 2 else image.max(-1)
+    light = np.median(bright[row, column].astype(np.float64), axis=1)
+    full = light >= FULL_LIGHT * light[-1]
+    return float(full.argmax())
+
+
+def follows_rim(
+    image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], points: Float[np.ndarray, "n 4"]
+) -> Bool[np.ndarray, " n"]:
+    """Which edge points (u, v, direction across) belong to the rim: near it, along it, and darker outside.
+
+    The rim of many lenses is no step but a slope of many pixels, with edges of its own.
+    """
+    u, v, radius = circle
+    rim = radius - max(MARGIN_SHARE * radius, MARGIN_PX) - rim_width(image, circle)
+    outwards = points[:, :2] - np.array([u, v])
+    distance = np.maximum(np.linalg.norm(outwards, axis=-1), 1e-9)
+    outwards /= distance[:, None]
+    along = np.abs((outwards * points[:, 2:]).sum(-1)) > RIM_COSINE
+    rows = np.flatnonzero((distance > rim) & along)
+    bright = image if image.ndim == 2 else image.max(-1)
+    places = [np.rint(points[rows, :2] + side * _BESIDE_PX * outwards[rows]).astype(np.int64) for side in (-1, 1)]
+    height, width = bright.shape
+    inner, outer = (bright[p[:, 1].clip(0, height - 1), p[:, 0].clip(0, width - 1)] for p in places)
+    result = np.zeros(len(points), dtype=bool)
+    result[rows] = outer < inner
+    return result
