@@ -110,6 +110,7 @@ class AprilGrid(TagBoard):
 
     @cached_property
     def cells(self) -> CellGrid:
+        """The black cells of all tags, and the squares at the crossings of the gaps."""
         black = []
         for tag, (left, top) in enumerate(self._tag_top_left_m):
             bits = self.family.bits(tag)[::-1, ::-1]

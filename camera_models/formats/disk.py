@@ -29,7 +29,7 @@ def write_atomically(path: str | Path, data: str | bytes) -> None:
                 os.fsync(file.fileno())
             os.chmod(temporary, _permissions(target))
             os.replace(temporary, target)
-        except BaseException:
+        except BaseException:  # an interrupt too must leave no partial file; it is raised again
             os.unlink(temporary)
             raise
     except OSError as error:

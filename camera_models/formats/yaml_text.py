@@ -28,6 +28,7 @@ class _Loader(_SafeLoader):
     }
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node; raises ConstructorError for a key given twice."""
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = key_node.value

@@ -40,6 +40,10 @@ Size = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Mirror = Annotated[bool, typer.Option("--mirror", help="The camera looks into a mirror (a0 < 0).")]
 LossName = Annotated[str, typer.Option("--loss", help="none, huber or cauchy.")]
+FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view of the camera, degrees.")]
+Views = Annotated[int, typer.Option("--views", help="Number of photos.")]
+NoiseGrey = Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")]
+BlurPx = Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 

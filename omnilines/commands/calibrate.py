@@ -262,21 +262,24 @@ def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[
         rms_px_per_point=result.rms_px_per_point,
         sign_source=("mirror" if mirror else "assumed") if result.model.NAME == "scaramuzza" else None,
     )
-    views = tuple(
-        ViewRecord(
-            view.image,
-            view.camera,
-            view.used,
-            view.reason,
-            view.corners_used,
-            view.corners_rejected,
-            view.rms_px_per_point,
-            view.cam_from_board,
-            view=view.name if view.name != view.image else None,
-        )
-        for view in result.views
-    )
+    views = tuple(view_record(view) for view in result.views)
     if result.board_terms:
         # The poses of the views are those of this board.
         inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}
     return Calibration({"cam0": result.model}, {"cam0": estimate}, views=views, provenance=provenance(inputs))
+
+
+def view_record(view: ViewResult) -> ViewRecord:
+    """What `calibration.yaml` holds of a view."""
+    return ViewRecord(
+        view.image,
+        view.camera,
+        view.used,
+        view.reason,
+        view.corners_used,
+        view.corners_rejected,
+        view.rms_px_per_point,
+        view.cam_from_board,
+        view.frame,
+        view.name if view.name != view.image else None,
+    )

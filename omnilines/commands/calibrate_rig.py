@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError, load, model_class, save
-from camera_models.formats.calibration_data import RigCamera, ViewRecord
+from camera_models.formats.calibration_data import RigCamera
 from omnilines.calibration.rig import calibrate_rig
 from omnilines.calibration.rig_alone import AUTO, CameraSetup
 from omnilines.calibration.rig_result import RigCalibration
@@ -16,7 +16,7 @@ from omnilines.commands._common import CommandResult, ProgressCallback, output_f
 from omnilines.commands._rig_report import rig_data, rig_sections, rig_summaries
 from omnilines.commands._rig_search import searched_with_rig
 from omnilines.commands._rig_sources import RigSource, is_rig, rig_from_photos, rig_from_table
-from omnilines.commands.calibrate import calibration_record
+from omnilines.commands.calibrate import calibration_record, view_record
 from omnilines.files import write_corners
 from omnilines.least_squares import Loss, Progress
 from omnilines.report import write_report
@@ -180,21 +180,6 @@ def rig_record(result: RigCalibration, inputs: Mapping[str, str | Path]) -> Cali
         member.name: RigCamera(member.cam_from_rig, np.sqrt(np.diag(member.pose_covariance)), member.pose_covariance)
         for member in result.members
     }
-    views = tuple(
-        ViewRecord(
-            view.image,
-            view.camera,
-            view.used,
-            view.reason,
-            view.corners_used,
-            view.corners_rejected,
-            view.rms_px_per_point,
-            view.cam_from_board,
-            view.frame,
-            view.name if view.name != view.image else None,
-        )
-        for view in result.as_given()[1]
-        if view.camera in rig
-    )
+    views = tuple(view_record(view) for view in result.as_given()[1] if view.camera in rig)
     models = {member.name: member.model for member in result.members}
     return Calibration(models, estimates, rig if len(rig) > 1 else {}, views, provenance(inputs))

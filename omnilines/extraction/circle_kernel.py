@@ -16,6 +16,30 @@ ROUNDS = 4
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _chosen(begin: int, end: int, shift: np.ndarray, usable: np.ndarray, most_shift_px: float) -> np.ndarray:
+    """Samples of an arc that are usable and not of another edge."""
+    chosen = np.empty(end - begin, dtype=np.int64)
+    count = 0
+    for n in range(begin, end):
+        if usable[n] and abs(shift[n]) < most_shift_px:
+            chosen[count] = n
+            count += 1
+    return chosen[:count]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _leftover(chosen: np.ndarray, angle: np.ndarray, rate: np.ndarray, shift: np.ndarray, a: float, b: float) -> np.ndarray:
+    """Residuals of the chosen samples about the circle changed by (a, b)."""
+    left = np.empty(len(chosen))
+    for i in range(len(chosen)):
+        n = chosen[i]
+        left[i] = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
+    return left
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def fit_circles(
     starts: np.ndarray,
     angle: np.ndarray,
@@ -38,15 +62,11 @@ def fit_circles(
     weight = np.zeros(len(angle))
     for arc in range(arcs):
         begin, end = starts[arc], starts[arc + 1]
-        chosen = np.empty(end - begin, dtype=np.int64)
-        count = 0
-        for n in range(begin, end):
-            if usable[n] and abs(shift[n]) < most_shift_px:
-                chosen[count] = n
-                count += 1
+        chosen = _chosen(begin, end, shift, usable, most_shift_px)
+        count = len(chosen)
         if count < 3:
             continue
-        typical = np.median(strength[chosen[:count]])
+        typical = np.median(strength[chosen])
         a, b = 0.0, 0.0
         scale = 1e9
         m00, m01, m11 = 0.0, 0.0, 0.0
@@ -70,10 +90,7 @@ def fit_circles(
             if determinant <= 1e-12 * m00 * m11:
                 break
             a, b = (m11 * r0 - m01 * r1) / determinant, (m00 * r1 - m01 * r0) / determinant
-            distances = np.empty(count)
-            for i in range(count):
-                n = chosen[i]
-                distances[i] = abs(shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n])))
+            distances = np.abs(_leftover(chosen, angle, rate, shift, a, b))
             scale = max(1.4826 * np.median(distances), LEAST_SCALE_PX)
         determinant = m00 * m11 - m01 * m01
         if determinant <= 1e-12 * m00 * m11:
@@ -81,10 +98,10 @@ def fit_circles(
         change[arc, 0], change[arc, 1] = a, b
         inverse[arc, 0, 0], inverse[arc, 1, 1] = m11 / determinant, m00 / determinant
         inverse[arc, 0, 1] = inverse[arc, 1, 0] = -m01 / determinant
+        left = _leftover(chosen, angle, rate, shift, a, b)
         total, squares, kept = 0.0, 0.0, 0
         for i in range(count):
-            n = chosen[i]
-            r = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
+            n, r = chosen[i], left[i]
             residual[n] = r
             if weight[n] > 0.0:
                 total += weight[n]

@@ -41,6 +41,50 @@ def _linear(design: np.ndarray, columns: int, profile: np.ndarray) -> tuple[np.n
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _settled(
+    scaled: np.ndarray, offsets: np.ndarray, weight: np.ndarray, pair: np.ndarray, blur: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Places of both steps of one weighted profile (k, c), moved from `pair` by Gauss and Newton; the linear coefficients (3, c)
+    and the sum of squared residuals there."""
+    size, channels = scaled.shape
+    design = np.empty((size, 5))
+    x1, x2 = pair[0], pair[1]
+    cost = np.inf
+    kept1, kept2 = x1, x2
+    kept = np.zeros((3, channels))
+    for _ in range(STEPS):
+        _design(offsets, weight, x1, x2, blur, design)
+        found, misfit = _linear(design, 3, scaled)
+        if misfit >= cost:
+            x1, x2 = 0.5 * (x1 + kept1), 0.5 * (x2 + kept2)
+            continue
+        cost, kept1, kept2, kept = misfit, x1, x2, found
+        rest = scaled - np.ascontiguousarray(design[:, :3]) @ found
+        # Gauss and Newton: both places, with the linear part projected out.
+        a00, a01, a11, r0, r1 = 1e-9, 0.0, 1e-9, 0.0, 0.0
+        basis = np.ascontiguousarray(design[:, :3])
+        inner = basis.T @ basis + 1e-9 * np.eye(3)
+        slopes = np.ascontiguousarray(design[:, 3:])
+        slopes = slopes - basis @ np.linalg.solve(inner, basis.T @ slopes)
+        for c in range(channels):
+            for k in range(size):
+                j1, j2 = slopes[k, 0] * found[1, c], slopes[k, 1] * found[2, c]
+                a00 += j1 * j1
+                a01 += j1 * j2
+                a11 += j2 * j2
+                r0 += j1 * rest[k, c]
+                r1 += j2 * rest[k, c]
+        a00, a11 = a00 * 1.01, a11 * 1.01
+        determinant = a00 * a11 - a01 * a01
+        x1 += min(max((a11 * r0 - a01 * r1) / determinant, -0.5), 0.5)
+        x2 += min(max((a00 * r1 - a01 * r0) / determinant, -0.5), 0.5)
+        x1 = min(max(x1, pair[0] - MOST_MOVE_PX), pair[0] + MOST_MOVE_PX)
+        x2 = min(max(x2, pair[1] - MOST_MOVE_PX), pair[1] + MOST_MOVE_PX)
+    return np.array([kept1, kept2]), kept, cost
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def two_steps(
     profile: np.ndarray, offsets: np.ndarray, weight: np.ndarray, starts: np.ndarray, pairs: np.ndarray, blur: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -88,39 +132,8 @@ def two_steps(
             if misfit < least:
                 best, least = p, misfit
         for n in range(begin, end):
-            x1, x2 = pairs[best, 0], pairs[best, 1]
-            cost = np.inf
-            kept1, kept2 = x1, x2
-            kept = np.zeros((3, channels))
-            for _ in range(STEPS):
-                _design(offsets, weight, x1, x2, blur, design)
-                found, misfit = _linear(design, 3, scaled[n - begin])
-                if misfit >= cost:
-                    x1, x2 = 0.5 * (x1 + kept1), 0.5 * (x2 + kept2)
-                    continue
-                cost, kept1, kept2, kept = misfit, x1, x2, found
-                rest = scaled[n - begin] - np.ascontiguousarray(design[:, :3]) @ found
-                # Gauss and Newton: both places, with the linear part projected out.
-                a00, a01, a11, r0, r1 = 1e-9, 0.0, 1e-9, 0.0, 0.0
-                basis = np.ascontiguousarray(design[:, :3])
-                inner = basis.T @ basis + 1e-9 * np.eye(3)
-                slopes = np.ascontiguousarray(design[:, 3:])
-                slopes = slopes - basis @ np.linalg.solve(inner, basis.T @ slopes)
-                for c in range(channels):
-                    for k in range(size):
-                        j1, j2 = slopes[k, 0] * found[1, c], slopes[k, 1] * found[2, c]
-                        a00 += j1 * j1
-                        a01 += j1 * j2
-                        a11 += j2 * j2
-                        r0 += j1 * rest[k, c]
-                        r1 += j2 * rest[k, c]
-                a00, a11 = a00 * 1.01, a11 * 1.01
-                determinant = a00 * a11 - a01 * a01
-                x1 += min(max((a11 * r0 - a01 * r1) / determinant, -0.5), 0.5)
-                x2 += min(max((a00 * r1 - a01 * r0) / determinant, -0.5), 0.5)
-                x1 = min(max(x1, pairs[best, 0] - MOST_MOVE_PX), pairs[best, 0] + MOST_MOVE_PX)
-                x2 = min(max(x2, pairs[best, 1] - MOST_MOVE_PX), pairs[best, 1] + MOST_MOVE_PX)
-            place[n, 0], place[n, 1] = kept1, kept2
+            places, kept, cost = _settled(scaled[n - begin], offsets, weight, pairs[best], blur)
+            place[n] = places
             colour[n, 0], colour[n, 1] = kept[1], kept[2]
             double[arc] += cost
     return place, colour, single, double
