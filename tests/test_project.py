@@ -191,7 +191,7 @@ def test_constraints_are_complete() -> None:
     assert installed.items() <= pins.items(), dict(installed.items() - pins.items())
 
 
-HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2", "matplotlib")
+HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2", "matplotlib", "numba", "pycolmap", "pyarrow", "rerun")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["validate", "--help"]])

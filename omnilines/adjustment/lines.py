@@ -11,12 +11,17 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled
+from omnilines.adjustment.engine_layout import Layout, layout
+from omnilines.adjustment.memory import engine_bytes, require_for_general, require_memory
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.least_squares import Loss, Outcome, Progress, Solution, solve
+from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, minimise, solve
+from omnilines.least_squares.band import band_width
+from omnilines.least_squares.devices import moved_to, usable_device
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class Adjusted:
     """Of the left perturbation of the pose of every photo, in the gauge of the adjustment; zero for held poses."""
     noise_factor: float
     """Square root of the variance factor: residuals over what the stated (or 1 px) noise of the end points predicts."""
-    whitened: Solution[LinesAndPoses]
+    whitened: Solution[LinesAndPoses] | LineSolution
     """The whitened normal equations at the solution, which all covariances come from."""
     camera_covariance: tuple[Float[Tensor, "_ _"], ...] = ()
     """Of the parameters of each camera that was refined, in the order of `state.models`."""
@@ -62,6 +67,7 @@ def adjust_lines(
     loss: Loss | None = None,
     max_iterations: int = 100,
     callback: Callable[[Progress], None] | None = None,
+    device: str = "cpu",
 ) -> Adjusted:
     """Refine lines (world frame, one per track, all of them finite) and, if asked, poses, cameras and a rig from their arcs.
 
@@ -70,7 +76,10 @@ def adjust_lines(
     its order; the arcs must know their pixels. The covariance is that of the whitened residuals at the solution, scaled by their
     variance factor, so that it is right for any noise of the end points.
 
-    Raises InputError where nothing that was asked for can move.
+    With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
+    on the processor, which also works out the covariances. Cameras are refined on the processor only.
+
+    Raises InputError where nothing that was asked for can move, and where the problem does not fit into memory (`memory.py`).
     """
     state = LinesAndPoses(cam_from_world, _no_chart(lines), rig, models)
     frame = arcs.image if rig is None else rig.frame[arcs.image]
@@ -83,10 +92,49 @@ def adjust_lines(
     state = replace(state, chart=LineChart.about_cameras(lines, centres, arcs.track))
     freedom = Freedom(fixed, held_lines, bool(models), refine_rig)
     problem = LineProblem(arcs, cost, freedom, state, prior)
+    place = usable_device(device)
+    if place.type != "cpu":
+        if models:
+            raise InputError("Cameras are refined on the processor, found the device cuda; use the device cpu.")
+        found = _on_device(place, problem, state, loss, max_iterations, callback)
+        if is_compiled(problem, found.state):
+            return _with_sparse_uncertainty(problem, found, _layout_that_fits(problem))
+        return _with_uncertainty(arcs, freedom, prior, found)
+    if is_compiled(problem, state):
+        engine = LineEngine(problem, loss or Loss(), _layout_that_fits(problem))
+        found = engine.finish(minimise(engine, state, max_iterations, callback=callback)).end
+        return _with_sparse_uncertainty(problem, found, engine.layout)
+    require_for_general(arcs, problem.structure.kept_size)
     solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback)
     if solution.state.models:
         arcs = arcs.seen_by(solution.state.models)
     return _with_uncertainty(arcs, freedom, prior, solution)
+
+
+def _on_device(
+    device: torch.device,
+    problem: LineProblem,
+    state: LinesAndPoses,
+    loss: Loss | None,
+    max_iterations: int,
+    callback: Callable[[Progress], None] | None,
+) -> Minimum[LinesAndPoses]:
+    """The iterations of a problem on another device. Raises InputError where it does not fit there."""
+    arcs, freedom, prior = moved_to(problem.arcs, device), moved_to(problem.freedom, device), moved_to(problem.prior, device)
+    require_for_general(arcs, problem.structure.kept_size)
+    own = moved_to(state, device)
+    found = solve(LineProblem(arcs, problem.cost_name, freedom, own, prior), own, loss, max_iterations, callback=callback)
+    end = moved_to(found.state, torch.device("cpu"))
+    return Minimum(end, found.outcome, found.cost, found.initial_cost, found.iterations)
+
+
+def _layout_that_fits(problem: LineProblem) -> Layout:
+    """The engine's layout, which is small. Raises InputError where what follows it does not fit into memory."""
+    found, arcs = layout(problem), problem.arcs
+    pattern, threads = found.pattern, len(found.shares) - 1
+    needed = engine_bytes(len(arcs), arcs.tracks, pattern.kept, len(pattern.row), band_width(pattern, 6), threads)
+    require_memory(needed, len(arcs), arcs.tracks, arcs.images)
+    return found
 
 
 def _no_chart(lines: PlueckerLines) -> LineChart:
@@ -95,20 +143,16 @@ def _no_chart(lines: PlueckerLines) -> LineChart:
     return LineChart.from_lines(lines, zero, torch.ones_like(zero[:, 0]))
 
 
-def _with_uncertainty(arcs: Arcs, freedom: Freedom, prior: PosePrior | None, solution: Solution[LinesAndPoses]) -> Adjusted:
+def _with_uncertainty(
+    arcs: Arcs, freedom: Freedom, prior: PosePrior | None, solution: Solution[LinesAndPoses] | Minimum[LinesAndPoses]
+) -> Adjusted:
     """Covariances from the whitened equations at the solution."""
     state = solution.state
     problem = LineProblem(arcs, "whitened", freedom, state, prior)
     whitened = solve(problem, state, max_iterations=0)
-    observed = torch.bincount(arcs.track, minlength=arcs.tracks) > 0
-    moving = observed if freedom.held_lines is None else observed & ~freedom.held_lines
-    known = 0 if prior is None else 6 * len(problem.free)
-    degrees = 2 * len(arcs) + known - 4 * int(moving.sum()) - problem.structure.kept_size + whitened.gauge.shape[1]
-    variance = whitened.cost / degrees if degrees > 0 else math.nan
+    variance = _variance(problem, whitened)
     kept = whitened.kept_covariance() * variance
-    line_covariance = whitened.eliminated_covariance() * variance
-    if freedom.held_lines is not None:
-        line_covariance = torch.where(freedom.held_lines[:, None, None], 0.0, line_covariance)
+    line_covariance = _zero_where_held(freedom, whitened.eliminated_covariance() * variance)
     low = 6 * len(problem.free)
     rig_covariance = None
     if state.rig is not None and len(problem.rig_cameras):
@@ -132,6 +176,42 @@ def _with_uncertainty(arcs: Arcs, freedom: Freedom, prior: PosePrior | None, sol
         whitened,
         tuple(cameras),
         rig_covariance,
+    )
+
+
+def _variance(problem: LineProblem, whitened: Solution[LinesAndPoses] | LineSolution) -> float:
+    """Variance factor of the whitened residuals; NaN where nothing is left over."""
+    arcs, freedom = problem.arcs, problem.freedom
+    observed = torch.bincount(arcs.track, minlength=arcs.tracks) > 0
+    moving = observed if freedom.held_lines is None else observed & ~freedom.held_lines
+    known = 0 if problem.prior is None else 6 * len(problem.free)
+    degrees = 2 * len(arcs) + known - 4 * int(moving.sum()) - problem.structure.kept_size + whitened.gauge.shape[1]
+    return whitened.cost / degrees if degrees > 0 else math.nan
+
+
+def _zero_where_held(freedom: Freedom, covariance: Float[Tensor, "t 4 4"]) -> Float[Tensor, "t 4 4"]:
+    return covariance if freedom.held_lines is None else torch.where(freedom.held_lines[:, None, None], 0.0, covariance)
+
+
+def _with_sparse_uncertainty(problem: LineProblem, found: Minimum[LinesAndPoses], laid_out: Layout) -> Adjusted:
+    """The same by the compiled engine: only the blocks that are needed of the covariance of all poses are formed."""
+    freedom, state = problem.freedom, found.state
+    engine = LineEngine(LineProblem(problem.arcs, "whitened", freedom, state, problem.prior), Loss(), laid_out)
+    whitened = engine.finish(minimise(engine, state, max_iterations=0))
+    variance = _variance(engine.problem, whitened)
+    of_frames, of_lines = whitened.covariances()
+    pose_covariance = torch.zeros(len(freedom.held_frames), 6, 6, dtype=torch.float64)
+    pose_covariance[problem.free] = of_frames * variance
+    return Adjusted(
+        state,
+        found.outcome,
+        found.initial_cost,
+        found.cost,
+        found.iterations,
+        _zero_where_held(freedom, of_lines * variance),
+        pose_covariance,
+        math.sqrt(variance),
+        whitened,
     )
 
 

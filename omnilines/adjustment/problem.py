@@ -1,6 +1,7 @@
 """Lines, poses, cameras and a rig as a least-squares problem: lines are the eliminated blocks, everything else is kept."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,7 +13,7 @@ from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_function
-from omnilines.costs._cost import by_bearings, line_residual
+from omnilines.costs._cost import CostFunction, by_bearings, line_residual
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure
 
 
@@ -38,15 +39,14 @@ class LineProblem:
 
     def __init__(self, arcs: Arcs, cost: str, freedom: Freedom, state: LinesAndPoses, prior: PosePrior | None = None) -> None:
         self.arcs, self.cost_name, self.freedom, self.prior = arcs, cost, freedom, prior
-        self.cost = cost_function(cost, arcs)
         rig = state.rig
         frame = arcs.image if rig is None else rig.frame[arcs.image]
         self.free = torch.nonzero(~freedom.held_frames).flatten()
         self.observing = torch.bincount(frame, minlength=len(freedom.held_frames)) > 0
         groups = [KeptGroup(_place(freedom.held_frames)[frame], len(self.free), 6)] if len(self.free) else []
-        self.rig_cameras = torch.zeros(0, dtype=torch.long)
+        self.rig_cameras = self.free[:0]
         if freedom.rig and rig is not None:
-            held = torch.ones(len(rig.cam_from_rig), dtype=torch.bool)
+            held = torch.ones(len(rig.cam_from_rig), dtype=torch.bool, device=rig.camera.device)
             held[torch.unique(rig.camera[arcs.image])] = False
             held[0] = True
             self.rig_cameras = torch.nonzero(~held).flatten()
@@ -63,6 +63,11 @@ class LineProblem:
                 mine = arcs.observed.camera == index
                 groups.append(KeptGroup(torch.where(mine, 0, -1), 1, basis.shape[1]))
         self.structure = Structure(arcs.track, arcs.tracks, 4, tuple(groups))
+
+    @cached_property
+    def cost(self) -> CostFunction:
+        """Of the arcs as they are."""
+        return cost_function(self.cost_name, self.arcs)
 
     def linearise(self, state: LinesAndPoses) -> Linearisation:
         """Residuals of the cost and their analytic Jacobians; those by the cameras by the chain rule through the bearings."""
@@ -110,7 +115,7 @@ class LineProblem:
             return None
         residual, by_pose = self.prior.residual(state.rig_from_world)
         rows = residual.new_zeros(len(self.free), 6, self.structure.kept_size)
-        place = torch.arange(6 * len(self.free)).view(-1, 1, 6).expand(-1, 6, 6)
+        place = torch.arange(6 * len(self.free), device=residual.device).view(-1, 1, 6).expand(-1, 6, 6)
         rows.scatter_(2, place, by_pose[self.free])
         return KeptPrior(residual[self.free].flatten(), rows.flatten(0, 1))
 

@@ -15,6 +15,7 @@ from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, ArcTable, arcs_from_segments
 from omnilines.adjustment.line_table import line_table
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
+from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.state import LinesAndPoses
@@ -22,8 +23,9 @@ from omnilines.adjustment.suspects import Suspect, suspects
 from omnilines.costs import cost_function
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
+from omnilines.least_squares.devices import usable_device
 from omnilines.records import ImagePoses, Lines, Segments
-from omnilines.triangulation import triangulate
+from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import noise_level, robust_triangulate
@@ -77,21 +79,25 @@ def reconstruct_lines(
     robust: bool = False,
     loss: str = "none",
     callback: Callable[[Progress], None] | None = None,
+    device: str = "cpu",
 ) -> LineScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig. One row of `lines` per track, with
     its status.
 
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
-    makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out.
+    makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out. `device` is
+    where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
 
-    Raises InputError where files do not fit together and GeometryError when no track determines a line.
+    Raises InputError where files do not fit together or the problem into memory, and GeometryError when no track determines a
+    line.
     """
+    require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras)
     arcs = table.arcs
     mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
     models = tuple(cameras.values()) if refine_cameras else ()
     state = LinesAndPoses(frames, _no_chart(), mounted, models)
-    state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0)
+    state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0, device)
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
     start = first.lines[tracks]
     centres = state.cam_from_world.centre[inner.image]
@@ -108,6 +114,7 @@ def reconstruct_lines(
         prior=_prior(frames, pose_sigma),
         loss=_loss(loss, cost, inner, state),
         callback=callback,
+        device=device,
     )
     final = inner.seen_by(adjusted.state.models) if models else inner
     names = segments.tracks
@@ -147,15 +154,15 @@ def _no_chart() -> LineChart:
 
 
 def _started(
-    arcs: Arcs, state: LinesAndPoses, method: str, robust: bool, rounds: int
+    arcs: Arcs, state: LinesAndPoses, method: str, robust: bool, rounds: int, device: str
 ) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
     """Poses mended up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
-    first, member = _triangulated(arcs, state.cam_from_world, method, robust)
+    first, member = _triangulated(arcs, state.cam_from_world, method, robust, device)
     for _ in range(rounds):
         if bool(first.known.all()):
             break
         better = _mended(arcs.rows(member), first, state)
-        again, member_again = _triangulated(arcs, better.cam_from_world, method, robust)
+        again, member_again = _triangulated(arcs, better.cam_from_world, method, robust, device)
         if int(again.known.sum()) <= int(first.known.sum()):
             break
         state, first, member = better, again, member_again
@@ -172,13 +179,15 @@ def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndP
     return replace(state, rig_from_world=adjusted.state.rig_from_world)
 
 
-def _triangulated(arcs: Arcs, cam_from_world: Pose, method: str, robust: bool) -> tuple[Triangulation, Bool[Tensor, " n"]]:
+def _triangulated(
+    arcs: Arcs, cam_from_world: Pose, method: str, robust: bool, device: str
+) -> tuple[Triangulation, Bool[Tensor, " n"]]:
     """Lines of all tracks and which arcs they rest on."""
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     poses = cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, covariance)
     if not robust:
-        return triangulate(method, planes), torch.ones(len(arcs), dtype=torch.bool)
+        return triangulate_on(usable_device(device), method, planes), torch.ones(len(arcs), dtype=torch.bool)
     # Poses that are off enlarge residuals beyond the stated noise.
     level = noise_level(planes)
     if arcs.sigma_known and math.isfinite(level):

@@ -17,6 +17,8 @@ from jaxtyping import Bool, Float, Int
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text, write_atomically
 
+PARQUET_SUFFIXES = (".parquet", ".pq")
+
 
 @dataclass(frozen=True)
 class Table:
@@ -108,8 +110,15 @@ def _is(kind: Callable[[str], Any], cell: str) -> bool:
 
 
 def read_table(path: str | Path, required: Sequence[str], optional: Sequence[str] = (), may_be_empty: bool = False) -> Table:
-    """The named columns of a CSV file; raises InputError on what is no table, lacks a column or (unless allowed) has no rows."""
+    """The named columns of a CSV file, or of a Parquet file (by its suffix) of the same columns.
+
+    Raises InputError on what is no table, lacks a column or (unless allowed) has no rows.
+    """
     file = Path(path)
+    if file.suffix in PARQUET_SUFFIXES:
+        from omnilines.files.parquet import read_parquet_table
+
+        return read_parquet_table(file, required, optional, may_be_empty)
     rows: list[list[str]] = []
     lines: list[int] = []
     reader = csv.reader(io.StringIO(read_text(file), newline=""), strict=True)

@@ -17,6 +17,7 @@ from omnilines.least_squares.losses import Loss
 from omnilines.least_squares.schur import (
     CellLinearisation,
     Linearisation,
+    NormalEquations,
     Reduced,
     back_substitute,
     eliminated_covariance,
@@ -27,6 +28,9 @@ from omnilines.least_squares.schur import (
 from omnilines.least_squares.structure import Structure
 
 S = TypeVar("S")
+
+LEAST_EIGENVALUE = 1e-13
+"""Of the scaled reduced system; below it the observations do not determine everything."""
 
 
 class Outcome(Enum):
@@ -142,6 +146,131 @@ def constrained_inverse(matrix: Float[Tensor, "k k"], gauge: Float[Tensor, "k g"
     return basis @ torch.cholesky_inverse(factor) @ basis.mT
 
 
+@dataclass(frozen=True)
+class Step(Generic[S]):
+    """Where a damped step leads."""
+
+    state: S
+    cost: float
+    promised: float
+    """Decrease of the cost that the linear model promises."""
+
+
+@runtime_checkable
+class Engine(Protocol[S]):
+    """Whoever evaluates a problem and solves its damped normal equations; the loss is its own affair."""
+
+    residuals: int
+    """Number of residuals."""
+
+    def cost(self, state: S) -> float:
+        """Sum of the loss, and of the prior."""
+        ...
+
+    def step(self, state: S, damping: float) -> Step[S] | None:
+        """The step from a state; None where the equations are singular."""
+        ...
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[S]):
+    """Where the iterations ended."""
+
+    state: S
+    outcome: Outcome
+    cost: float
+    initial_cost: float
+    iterations: int
+
+
+class DenseEngine(Generic[S]):
+    """Any problem: batched products in torch and a dense reduced system."""
+
+    def __init__(self, problem: Problem[S], state: S, loss: Loss) -> None:
+        self.problem, self.loss = problem, loss
+        self._trial: tuple[S, Linearisation | CellLinearisation, Tensor] | None = None
+        self._at: tuple[S, NormalEquations] | None = None
+        self.residuals = 0
+        self.residuals = self._linearised(state)[0].residual.numel()
+
+    def _linearised(self, state: S) -> tuple[Linearisation | CellLinearisation, Tensor]:
+        """Nearly every step is accepted, so the derivatives are taken along with the residuals and kept for the next one."""
+        if self._trial is None or self._trial[0] is not state:
+            at = self.problem.linearise(state)
+            self._trial = (state, at, self.loss((at.residual**2).sum(-1))[1])
+        return self._trial[1:]
+
+    def cost(self, state: S) -> float:
+        """Sum of the loss, and of the prior."""
+        at, _ = self._linearised(state)
+        return float(self.loss((at.residual**2).sum(-1))[0].sum()) + at.prior_cost
+
+    def equations(self, state: S) -> NormalEquations:
+        """The normal equations of a state; those of the last one are kept."""
+        if self._at is None or self._at[0] is not state:
+            self._at = (state, normal_equations(self.problem.structure, *self._linearised(state)))
+        return self._at[1]
+
+    def step(self, state: S, damping: float) -> Step[S] | None:
+        """The step from a state; None where the equations are singular."""
+        equations = self.equations(state)
+        reduced = reduce(equations, damping)
+        kept = constrained_solve(reduced.matrix, self.problem.gauge(state), reduced.right_side) if reduced.sound else None
+        if kept is None:
+            return None
+        eliminated = back_substitute(reduced, kept)
+        trial = self.problem.retract(state, kept, eliminated)
+        return Step(trial, self.cost(trial), equations.promised_decrease(kept, eliminated, damping))
+
+
+def minimise(
+    engine: Engine[S],
+    state: S,
+    max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    callback: Callable[[Progress], None] | None = None,
+    damping: float = 1e-4,
+) -> Minimum[S]:
+    """Iterate. Converged when the decrease that the linear model promises is below `tolerance` of the cost.
+
+    `damping` is Marquardt's at first: the smaller, the nearer the first step is to that of Gauss and Newton.
+    """
+    cost = initial = engine.cost(state)
+    growth = 2.0
+    outcome = Outcome.OUT_OF_ITERATIONS
+    iteration = 0
+    # Residuals at rounding level are an exact fit: nothing is left to decrease.
+    floor = 1e-30 * max(1, engine.residuals)
+    while iteration < max_iterations:
+        iteration += 1
+        step = engine.step(state, damping)
+        if step is None:
+            damping, growth = max(damping, 1e-12) * growth, growth * 2
+            if damping > 1e12:
+                outcome = Outcome.DEGENERATE
+                break
+            continue
+        if step.promised <= tolerance * cost + floor:
+            outcome = Outcome.CONVERGED
+            if not step.promised > 0:
+                break
+        accepted = step.cost < cost
+        if callback is not None:
+            callback(Progress(iteration, min(cost, step.cost), damping, accepted))
+        if accepted:
+            ratio = (cost - step.cost) / step.promised
+            damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-15), 2.0
+            state, cost = step.state, step.cost
+        else:
+            damping, growth = damping * growth, growth * 2
+        if outcome is Outcome.CONVERGED:
+            break
+        if damping > 1e16:
+            outcome = Outcome.STALLED
+            break
+    return Minimum(state, outcome, cost, initial, iteration)
+
+
 def solve(
     problem: Problem[S],
     state: S,
@@ -151,70 +280,21 @@ def solve(
     callback: Callable[[Progress], None] | None = None,
     damping: float = 1e-4,
 ) -> Solution[S]:
-    """Minimise sum loss(|r|^2). Converged when the decrease that the linear model promises is below `tolerance` of the cost.
-
-    `damping` is Marquardt's at first: the smaller, the nearer the first step is to that of Gauss and Newton.
-    """
-    loss = loss or Loss()
-    at = problem.linearise(state)
-    values, weight = loss((at.residual**2).sum(-1))
-    cost = initial = float(values.sum()) + at.prior_cost
-    growth = 2.0
-    outcome = Outcome.OUT_OF_ITERATIONS
-    equations = normal_equations(problem.structure, at, weight)
-    iteration = 0
-    # Residuals at rounding level are an exact fit: nothing is left to decrease.
-    floor = 1e-30 * max(1, at.residual.numel())
-    while iteration < max_iterations:
-        iteration += 1
-        reduced = reduce(equations, damping)
-        kept = constrained_solve(reduced.matrix, problem.gauge(state), reduced.right_side) if reduced.sound else None
-        if kept is None:
-            damping, growth = max(damping, 1e-12) * growth, growth * 2
-            if damping > 1e12:
-                outcome = Outcome.DEGENERATE
-                break
-            continue
-        eliminated = back_substitute(reduced, kept)
-        promised = equations.promised_decrease(kept, eliminated, damping)
-        if promised <= tolerance * cost + floor:
-            outcome = Outcome.CONVERGED
-            if not promised > 0:
-                break
-        trial = problem.retract(state, kept, eliminated)
-        # Nearly every step is accepted, so the derivatives are taken along with the residuals.
-        at = problem.linearise(trial)
-        values, weight = loss((at.residual**2).sum(-1))
-        trial_cost = float(values.sum()) + at.prior_cost
-        accepted = trial_cost < cost
-        if callback is not None:
-            callback(Progress(iteration, min(cost, trial_cost), damping, accepted))
-        if accepted:
-            ratio = (cost - trial_cost) / promised
-            damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-15), 2.0
-            state, cost = trial, trial_cost
-            equations = normal_equations(problem.structure, at, weight)
-        else:
-            damping, growth = damping * growth, growth * 2
-        if outcome is Outcome.CONVERGED:
-            break
-        if damping > 1e16:
-            outcome = Outcome.STALLED
-            break
-    return _finish(problem, state, outcome, cost, initial, iteration, reduce(equations, 0.0))
+    """Minimise sum loss(|r|^2) of any problem; the options are those of `minimise`."""
+    engine = DenseEngine(problem, state, loss or Loss())
+    found = minimise(engine, state, max_iterations, tolerance, callback, damping)
+    return _finish(problem, found, reduce(engine.equations(found.state), 0.0))
 
 
-def _finish(
-    problem: Problem[S], state: S, outcome: Outcome, cost: float, initial: float, iterations: int, reduced: Reduced
-) -> Solution[S]:
-    gauge = problem.gauge(state)
-    if not reduced.sound:
-        zero = reduced.right_side.new_zeros(problem.structure.kept_size)
-        return Solution(state, Outcome.DEGENERATE, cost, initial, iterations, reduced, gauge, 0.0, zero)
-    inner, basis = _complement(reduced.matrix, gauge)
-    values, vectors = torch.linalg.eigh(inner)
-    smallest = float(values[0]) if len(values) else 1.0
-    direction = basis @ vectors[:, 0] if len(values) else reduced.right_side
-    if smallest < 1e-13:
+def _finish(problem: Problem[S], found: Minimum[S], reduced: Reduced) -> Solution[S]:
+    gauge = problem.gauge(found.state)
+    smallest, outcome = 0.0, found.outcome
+    direction = reduced.right_side.new_zeros(problem.structure.kept_size)
+    if reduced.sound:
+        inner, basis = _complement(reduced.matrix, gauge)
+        values, vectors = torch.linalg.eigh(inner)
+        smallest = float(values[0]) if len(values) else 1.0
+        direction = basis @ vectors[:, 0] if len(values) else reduced.right_side
+    if smallest < LEAST_EIGENVALUE:
         outcome = Outcome.DEGENERATE
-    return Solution(state, outcome, cost, initial, iterations, reduced, gauge, smallest, direction)
+    return Solution(found.state, outcome, found.cost, found.initial_cost, found.iterations, reduced, gauge, smallest, direction)

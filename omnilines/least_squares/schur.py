@@ -13,10 +13,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from omnilines.least_squares.devices import free_bytes
 from omnilines.least_squares.structure import Cells, Structure
 
 CHUNK = 8_000_000
-"""Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB."""
+"""Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB, or a sixteenth of what a GPU has free."""
+
+
+def _chunk(device: torch.device) -> int:
+    free = free_bytes(device)
+    return CHUNK if free is None else max(CHUNK, free // 128)
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,7 @@ def reduce(equations: NormalEquations, damping: float) -> Reduced:
         return Reduced(equations, matrix.view(k, k), right, factor, False)
     for part in equations.structure.size_classes:
         size = part.columns.shape[1]
-        step = max(1, CHUNK // size**2)
+        step = max(1, _chunk(equations.coupling.device) // size**2)
         for low in range(0, len(part.blocks), step):
             blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
             lower = factor[blocks]
@@ -241,11 +247,13 @@ def back_substitute(reduced: Reduced, kept_step: Float[Tensor, " k"]) -> Float[T
 def eliminated_covariance(reduced: Reduced, kept_covariance: Float[Tensor, "k k"]) -> Float[Tensor, "count e e"]:
     """E^-1 + E^-1 W' Cov_k W E^-1 of every eliminated block (unit variance); NaN where a block is not observed."""
     equations = reduced.equations
+    if not reduced.sound:
+        return torch.full_like(equations.eliminated, torch.nan)
     seen = (torch.diagonal(equations.eliminated, dim1=-2, dim2=-1) > 0).any(-1)
     result = torch.where(seen[:, None, None], torch.cholesky_inverse(reduced.factor), float("nan"))
     for part in equations.structure.size_classes:
         size = part.columns.shape[1]
-        step = max(1, CHUNK // size**2)
+        step = max(1, _chunk(equations.coupling.device) // size**2)
         for low in range(0, len(part.blocks), step):
             blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
             gain = torch.cholesky_solve(equations.coupling[part.rows[low : low + step]].mT, reduced.factor[blocks])

@@ -13,14 +13,16 @@ import math
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import LINE_STATUSES
+from omnilines.triangulation.compiled import camera_sums, on_processor, status_sums
 from omnilines.triangulation.frames import TrackFrames
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
+from omnilines.triangulation.sums_kernel import ACROSS, AWAY, CHORD, CLEAR, NOISE, RESIDUAL, SPREAD, TOUCHED
 
 ARC_SIGMA_RAD = 5e-4
 """Noise of a bearing that is assumed for two views, which cannot show it, about half a pixel of an ordinary camera; and the
@@ -35,42 +37,71 @@ ON_LINE = 1e-6
 WEAK_ANGLE_RAD = math.radians(0.1)
 
 
-def residual_deviation(observations: PlaneObservations, lines: PlueckerLines) -> Float[Tensor, " t"]:
-    """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise.
+def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 8"]:
+    """What a status is decided from, in the columns of `sums_kernel`, but CLEAR and TOUCHED.
 
-    r is the distance of both end bearings from the projection plane of the line or, without arcs, the two components of the angle
-    between that plane and the observed one.
+    The residual is the distance of both end bearings from the projection plane of the line or, without arcs, the two components
+    of the angle between that plane and the observed one.
     """
+    if on_processor(observations.normal):
+        return status_sums(observations.by_track, observations.noise, lines, frames.mean_normal)
     normal = lines[observations.track].moment_about(observations.centre)
     normal = normal / normal.norm(dim=-1, keepdim=True)
+    mean = observations.sum_by_track(observations.centre) / observations.views().clamp_min(1)[:, None]
+    from_mean = observations.centre - mean[observations.track]
+    height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
+    rows = normal.new_zeros(len(normal), 8)
+    rows[:, SPREAD], rows[:, ACROSS] = from_mean.square().sum(-1), height.square()
     if observations.arcs is None:
-        squares = torch.linalg.cross(normal, observations.normal).square().sum(-1)
+        rows[:, RESIDUAL] = torch.linalg.cross(normal, observations.normal).square().sum(-1)
     else:
-        squares = (observations.arcs * normal[:, None]).sum(-1).square().sum(-1)
-    freedom = 2 * observations.views() - 4
-    variance = observations.sum_by_track(squares) / freedom.clamp_min(1)
+        rows[:, RESIDUAL] = (observations.arcs * normal[:, None]).sum(-1).square().sum(-1)
+        rows[:, CHORD] = (observations.arcs[:, 1] - observations.arcs[:, 0]).norm(dim=-1)
+        rows[:, AWAY] = faces_away(observations, lines).to(rows.dtype)
+    if observations.noise is not None:
+        rows[:, NOISE] = (observations.noise.mT @ observations.normal[:, None, :, None]).square().flatten(1).sum(-1)
+    return observations.sum_by_track(rows)
+
+
+def _residual_deviation(sums: Float[Tensor, "t 8"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
+    """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise."""
+    freedom = 2 * views - 4
+    variance = sums[:, RESIDUAL] / freedom.clamp_min(1)
     return torch.where(freedom > 0, variance.sqrt(), torch.full_like(variance, torch.nan))
 
 
-def _bearing_noise(observations: PlaneObservations, residual: Tensor, sigma_rad: float | None) -> Float[Tensor, " t"]:
-    """Standard deviation (rad) of the end bearings of each track across its planes: given, stated, or shown by residuals."""
+def _normal_noise(
+    observations: PlaneObservations, sums: Float[Tensor, "t 8"], residual: Tensor, sigma_rad: float | None
+) -> Float[Tensor, " t"]:
+    """Standard deviation (rad) of the plane normals of each track: that of a bearing, sqrt(2) of it over the chord of the arc.
+
+    The noise of the end bearings across the planes is given, stated, or shown by the residuals.
+    """
+    views = observations.views()
     if sigma_rad is not None:
-        return torch.full_like(residual, sigma_rad)
-    if observations.noise is None or not observations.noise_stated:
-        return torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
-    across = observations.noise.mT @ observations.normal[:, None, :, None]
-    total = observations.sum_by_track(across.square().flatten(1).sum(-1))
-    return (total / (2 * observations.views()).clamp_min(1)).sqrt()
-
-
-def _normal_noise(observations: PlaneObservations, residual: Tensor, sigma_rad: float | None) -> Float[Tensor, " t"]:
-    """Standard deviation (rad) of the plane normals of each track: that of a bearing, sqrt(2) of it over the chord of the arc."""
-    sigma = _bearing_noise(observations, residual, sigma_rad)
+        sigma = torch.full_like(residual, sigma_rad)
+    elif observations.noise is None or not observations.noise_stated:
+        sigma = torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
+    else:
+        sigma = (sums[:, NOISE] / (2 * views).clamp_min(1)).sqrt()
     if observations.arcs is None:
         return sigma
-    chord = (observations.arcs[:, 1] - observations.arcs[:, 0]).norm(dim=-1)
-    mean_chord = observations.sum_by_track(chord) / observations.views().clamp_min(1)
-    return sigma * 2**0.5 / mean_chord.clamp_min(1e-9)
+    return sigma * 2**0.5 / (sums[:, CHORD] / views.clamp_min(1)).clamp_min(1e-9)
+
+
+def _count_cameras(
+    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 8"]
+) -> None:
+    """Fill CLEAR and TOUCHED: a camera on the line sees a point of it; without such cameras two others still determine it,
+    unless one is exactly on it."""
+    if on_processor(observations.normal):
+        camera_sums(observations.by_track, lines, UNDETERMINED * noise, ON_LINE, sums)
+        return
+    track = observations.track
+    distance = lines[track].distance_to(observations.centre)
+    farthest = torch.zeros_like(noise).scatter_reduce(0, track, distance, "amax")[track]
+    sums[:, CLEAR] = observations.sum_by_track((distance > UNDETERMINED * noise[track] * farthest).to(noise.dtype))
+    sums[:, TOUCHED] = observations.sum_by_track((distance <= ON_LINE * farthest).to(noise.dtype))
 
 
 def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " n"]:
@@ -82,22 +113,13 @@ def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Te
     return (observations.arcs.sum(1) * towards).sum(-1) <= 0
 
 
-def _behind(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " t"]:
-    """Tracks of which at least half of the arcs face away."""
-    if observations.arcs is None:
-        return torch.zeros(observations.tracks, dtype=torch.bool, device=observations.normal.device)
-    wrong = faces_away(observations, lines).to(lines.direction.dtype)
-    return 2 * observations.sum_by_track(wrong) >= observations.views()
-
-
-def _undetermined(observations: PlaneObservations, frames: TrackFrames, noise: Tensor) -> dict[str, Bool[Tensor, " t"]]:
+def _undetermined(
+    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 8"], noise: Tensor
+) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
     views = observations.views().clamp_min(1)
     mean = observations.sum_by_track(observations.centre) / views[:, None]
-    from_mean = observations.centre - mean[observations.track]
-    height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
-    spread = (observations.sum_by_track(from_mean.square().sum(-1)) / views).sqrt()
-    across = (observations.sum_by_track(height.square()) / views).sqrt()
+    spread, across = (sums[:, SPREAD] / views).sqrt(), (sums[:, ACROSS] / views).sqrt()
     limit = UNDETERMINED * noise
     parallel = frames.plane_angle_rad < limit.clamp_min(1e-12)
     one_centre = spread <= 1e-12 * (1 + mean.norm(dim=-1))
@@ -119,29 +141,27 @@ def assess(
     stated noise of the end points or, where none is stated, estimated from the residuals of each track, at most 5e-4, which is
     also what is assumed for two views.
     """
-    residual = residual_deviation(observations, lines)
-    noise = _normal_noise(observations, residual, sigma_rad)
-    distance = lines[observations.track].distance_to(observations.centre)
-    farthest = torch.zeros_like(noise).scatter_reduce(0, observations.track, distance, "amax")[observations.track]
-    # A camera on the line sees a point of it; without such cameras two others still determine it, unless one is exactly on it.
-    clear = distance > UNDETERMINED * noise[observations.track] * farthest
-    clear_views = observations.sum_by_track(clear.to(noise.dtype))
-    touched = observations.sum_by_track((distance <= ON_LINE * farthest).to(noise.dtype))
+    sums, views = _sums(observations, frames, lines), observations.views()
+    residual = _residual_deviation(sums, views)
+    noise = _normal_noise(observations, sums, residual, sigma_rad)
+    _count_cameras(observations, lines, noise, sums)
+    clear_views = sums[:, CLEAR]
+    behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= views
     angle = frames.plane_angle_rad
     # Later names win over earlier ones.
     names = {
         "weak": (clear_views <= 2) | (angle < (WEAK * noise).clamp_min(WEAK_ANGLE_RAD)),
-        "behind": _behind(observations, lines),
-        "through_centre": (clear_views < 2) | (touched > 0),
+        "behind": behind,
+        "through_centre": (clear_views < 2) | (sums[:, TOUCHED] > 0),
         "unsupported": torch.zeros_like(clear_views, dtype=torch.bool) if unsolved is None else unsolved,
-        **_undetermined(observations, frames, noise),
+        **_undetermined(observations, frames, sums, noise),
         "inconsistent": residual > INCONSISTENT_RAD,
-        "too_few_views": observations.views() < 2,
+        "too_few_views": views < 2,
     }
-    status = torch.full_like(observations.views(), LINE_STATUSES.index("ok"))
+    status = torch.full_like(views, LINE_STATUSES.index("ok"))
     for name, chosen in names.items():
         status[chosen] = LINE_STATUSES.index(name)
-    return hidden(Triangulation(lines, status, observations.views(), angle, residual, observations))
+    return hidden(Triangulation(lines, status, views, angle, residual, observations))
 
 
 def hidden(result: Triangulation) -> Triangulation:

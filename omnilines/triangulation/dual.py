@@ -15,8 +15,16 @@ from torch import Tensor
 from camera_models.errors import InputError
 from camera_models.pose import hat
 from omnilines.geometry.line import PlueckerLines
+from omnilines.triangulation.compiled import on_processor, solved
 from omnilines.triangulation.degeneracy import assess, gather
-from omnilines.triangulation.frames import TrackFrames, TrackGroup, solvable_groups, track_frames
+from omnilines.triangulation.frames import (
+    SHORTEST_SEGMENT,
+    SMALLEST_ANGLE_RAD,
+    TrackFrames,
+    TrackGroup,
+    solvable_groups,
+    track_frames,
+)
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 
@@ -46,9 +54,25 @@ def triangulate(
             "Dual-space triangulation expects weights unit or published, origin shifted or file and iterations >= 0, found "
             f"{weights!r}, {origin!r} and {iterations}; correct the option."
         )
-    frames = track_frames(observations)
-    lines, unsolved = dual_lines(observations, frames, iterations if weights == "published" else 0, origin == "file")
+    reweightings = iterations if weights == "published" else 0
+    if reweightings or origin == "file":
+        frames = track_frames(observations)
+        lines, unsolved = dual_lines(observations, frames, reweightings, origin == "file")
+    else:
+        frames, lines, unsolved = frames_and_lines(observations)
     return assess(observations, frames, lines, sigma_rad, unsolved)
+
+
+def frames_and_lines(observations: PlaneObservations) -> tuple[TrackFrames, PlueckerLines, Bool[Tensor, " t"]]:
+    """The frames of all tracks with their lines as by `dual_lines`, compiled where the observations lie on the processor."""
+    if not on_processor(observations.normal):
+        frames = track_frames(observations)
+        return frames, *dual_lines(observations, frames)
+    found = solved(observations.by_track, SMALLEST_ANGLE_RAD, SHORTEST_SEGMENT, NULL_SPACE)
+    direction, point, angle, focus, unit, away, mean_normal, d, m = (torch.from_numpy(values) for values in found[:-1])
+    preliminary = PlueckerLines(direction, torch.linalg.cross(point, direction))
+    frames = TrackFrames(preliminary, angle, focus, unit, away, mean_normal)
+    return frames, PlueckerLines(d, m), torch.from_numpy(found.unsolved)
 
 
 def dual_lines(
@@ -56,7 +80,7 @@ def dual_lines(
 ) -> tuple[PlueckerLines, Bool[Tensor, " t"]]:
     """The lines of all tracks, NaN where a track is not solvable; and the tracks whose null space has more than one dimension."""
     unsolved = torch.zeros(observations.tracks, dtype=torch.bool, device=observations.normal.device)
-    solved = []
+    parts = []
     for group in solvable_groups(observations, frames):
         place, unit = group.origin, group.unit
         if in_file_frame:
@@ -64,8 +88,8 @@ def dual_lines(
         s = group.offsets(place) / unit[:, None]
         local, unsolved[group.tracks] = _solve(group, s, reweightings)
         metric = PlueckerLines(local.direction, local.moment * unit[:, None])
-        solved.append((group.tracks, metric.shifted(-place)))
-    return gather(solved, frames), unsolved
+        parts.append((group.tracks, metric.shifted(-place)))
+    return gather(parts, frames), unsolved
 
 
 def _solve(group: TrackGroup, s: Float[Tensor, "g k"], reweightings: int) -> tuple[PlueckerLines, Bool[Tensor, " g"]]:

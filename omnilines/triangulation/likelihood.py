@@ -13,8 +13,7 @@ from camera_models.errors import InputError
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.triangulation.degeneracy import assess
-from omnilines.triangulation.dual import dual_lines
-from omnilines.triangulation.frames import track_frames
+from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import NormalEquations, chart_of, normal_equations
 from omnilines.triangulation.result import Triangulation
@@ -29,8 +28,7 @@ def triangulate(observations: PlaneObservations, *, iterations: int = 50, sigma_
     """The lines of all tracks. `iterations` bounds the steps of each; `sigma_rad` as in `degeneracy.assess`."""
     if iterations < 0:
         raise InputError(f"Maximum likelihood expects iterations of at least 0, found {iterations}; correct the option.")
-    frames = track_frames(observations)
-    start, unsolved = dual_lines(observations, frames)
+    frames, start, unsolved = frames_and_lines(observations)
     return assess(observations, frames, refine(observations, start, iterations), sigma_rad, unsolved)
 
 

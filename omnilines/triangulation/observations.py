@@ -1,6 +1,7 @@
 """What a triangulation is given: one interpretation plane per observation, in a flat table with the track of each."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,6 +10,8 @@ from torch import Tensor
 from camera_models.errors import InputError
 from camera_models.pose import Pose
 from omnilines.geometry.sphere import arc_normal
+from omnilines.triangulation.compiled import on_processor, planes, track_rows
+from omnilines.triangulation.track_kernel import TrackRows
 
 
 @dataclass(frozen=True)
@@ -59,19 +62,25 @@ class PlaneObservations:
         `by_pixel` is J = d bearing / d pixel of both ends. `covariance_px2` is Sigma of both end points; without it the noise of
         pixels is taken to be isotropic and of unknown size. Raises InputError where Sigma is not positive definite.
         """
+        if by_pixel is None and covariance_px2 is not None:
+            raise InputError(
+                "The pixel covariance of end points was expected together with the derivative of bearings by pixels, found none; "
+                "give by_pixel too."
+            )
+        stated = covariance_px2 is not None
+        if on_processor(bearings):
+            normal, world, noise, wrong = planes(bearings, cam_from_world, by_pixel, covariance_px2)
+            if wrong:
+                raise _not_definite(wrong, 2 * len(bearings))
+            return PlaneObservations(normal, cam_from_world.centre, track, tracks, world, noise, stated)
         world = bearings @ cam_from_world.rotation
         noise = None
         if by_pixel is not None:
             noise = cam_from_world.rotation.mT[:, None] @ by_pixel
             if covariance_px2 is not None:
                 noise = noise @ _square_root(covariance_px2)
-        elif covariance_px2 is not None:
-            raise InputError(
-                "The pixel covariance of end points was expected together with the derivative of bearings by pixels, found none; "
-                "give by_pixel too."
-            )
         normal = arc_normal(world[:, 0], world[:, 1])
-        return PlaneObservations(normal, cam_from_world.centre, track, tracks, world, noise, covariance_px2 is not None)
+        return PlaneObservations(normal, cam_from_world.centre, track, tracks, world, noise, stated)
 
     def take(self, rows: Int[Tensor, " m"], track: Int[Tensor, " m"], tracks: int) -> "PlaneObservations":
         """Some of the rows, any of them more than once, with other track numbers."""
@@ -91,6 +100,11 @@ class PlaneObservations:
         own = place[self.track]
         kept = torch.nonzero(own >= 0).squeeze(-1)
         return self.take(kept, own[kept], len(tracks)), kept
+
+    @cached_property
+    def by_track(self) -> TrackRows:
+        """For the compiled passes."""
+        return track_rows(self.track, self.tracks, self.normal, self.centre, self.arcs)
 
     def views(self) -> Int[Tensor, " t"]:
         """Number of observations of each track."""
@@ -118,8 +132,12 @@ def _square_root(covariance_px2: Float[Tensor, "n 2 2 2"]) -> Float[Tensor, "n 2
     factor, info = torch.linalg.cholesky_ex(covariance_px2)
     wrong = (info != 0) | ~torch.isfinite(factor).flatten(-2).all(-1)
     if bool(wrong.any()):
-        raise InputError(
-            f"The covariance of every end point has to be positive definite, found {int(wrong.sum())} of {wrong.numel()} that "
-            "are not; state a standard deviation above 0 px for every end point."
-        )
+        raise _not_definite(int(wrong.sum()), wrong.numel())
     return factor
+
+
+def _not_definite(wrong: int, all_ends: int) -> InputError:
+    return InputError(
+        f"The covariance of every end point has to be positive definite, found {wrong} of {all_ends} that "
+        "are not; state a standard deviation above 0 px for every end point."
+    )

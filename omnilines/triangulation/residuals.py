@@ -17,6 +17,7 @@ from torch import Tensor
 
 from omnilines.geometry.line import PlueckerLines, weighted_median_by_group
 from omnilines.geometry.line_chart import LineChart
+from omnilines.triangulation.compiled import chart_about_cameras, information, on_processor
 from omnilines.triangulation.observations import PlaneObservations
 
 EXTREME_999 = 3.0902
@@ -92,10 +93,13 @@ class NormalEquations:
 
 def normal_equations(observations: PlaneObservations, chart: LineChart) -> NormalEquations:
     """The normal equations of every track at its line."""
-    at = linearise(observations, chart)
-    rows = torch.cat([at.jacobian, at.residual[..., None]], -1)
-    total = observations.sum_by_track(rows.mT @ rows)
-    return NormalEquations(total[:, 4, 4], total[:, 4, :4], total[:, :4, :4], observations.sum_by_track(at.rounding))
+    if observations.arcs is not None and on_processor(observations.normal):
+        total, rounding = information(observations.by_track, observations.noise, chart)
+    else:
+        at = linearise(observations, chart)
+        rows = torch.cat([at.jacobian, at.residual[..., None]], -1)
+        total, rounding = observations.sum_by_track(rows.mT @ rows), observations.sum_by_track(at.rounding)
+    return NormalEquations(total[:, 4, 4], total[:, 4, :4], total[:, :4, :4], rounding)
 
 
 def inverse(matrix: Float[Tensor, "t 4 4"]) -> Float[Tensor, "t 4 4"]:
@@ -146,4 +150,6 @@ def line_covariance(observations: PlaneObservations, chart: LineChart) -> tuple[
 
 def chart_of(observations: PlaneObservations, lines: PlueckerLines) -> LineChart:
     """The chart of every line about its cameras; NaN for a track without a line."""
+    if on_processor(observations.normal):
+        return chart_about_cameras(observations.by_track, lines)
     return LineChart.about_cameras(lines, observations.centre, observations.track)

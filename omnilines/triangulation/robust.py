@@ -18,8 +18,7 @@ from omnilines.records import LINE_STATUSES
 from omnilines.triangulation import triangulate
 from omnilines.triangulation.consensus import ROW_LIMIT, find_consensus, judge, least_majority_square
 from omnilines.triangulation.degeneracy import ROUNDING_RAD, faces_away, hidden
-from omnilines.triangulation.dual import dual_lines
-from omnilines.triangulation.frames import track_frames
+from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import chi_square_limit, end_distances, freedom
@@ -127,7 +126,7 @@ def _rounding_level(observations: PlaneObservations) -> float:
 
 def _suspects(observations: PlaneObservations, variance: float) -> Bool[Tensor, " t"]:
     """Tracks of more than two views whose members do not all agree with the most likely line of all of them."""
-    start, _ = dual_lines(observations, track_frames(observations))
+    _, start, _ = frames_and_lines(observations)
     lines = refine(observations, start)
     everyone = torch.ones(len(observations.track), dtype=torch.bool, device=observations.track.device)
     square = judge(observations, lines, everyone, variance)

@@ -1,0 +1,256 @@
+"""The compiled engine of the common adjustment: lines, and poses where asked, from costs of two residuals each.
+
+Frames are renumbered so that the band of the reduced system is narrow, lines are sorted along them so that neighbours in time are
+neighbours in memory, and observations are sorted by line. See `schur_kernel.py` for the arithmetic.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from omnilines.adjustment import covariance_kernel, schur_kernel, step_kernel
+from omnilines.adjustment.engine_layout import Layout, layout
+from omnilines.adjustment.line_kernel import FrameSums, LineBlocks, LineStates, Views
+from omnilines.adjustment.problem import LineProblem
+from omnilines.adjustment.state import LinesAndPoses, moved_poses
+from omnilines.geometry.line_chart import LineChart
+from omnilines.least_squares import Loss, Minimum, Outcome, Step
+from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
+from omnilines.least_squares.reduced_system import ReducedSystem
+from omnilines.least_squares.threads import in_shares
+
+COMPILED_COSTS = ("sector", "whitened", "bartoli-sturm")
+LOSS_KINDS = {"none": 0, "huber": 1, "cauchy": 2}
+
+
+def is_compiled(problem: LineProblem, state: LinesAndPoses) -> bool:
+    """Whether the compiled engine takes a problem: the costs above, on the processor, without a rig and with fixed cameras."""
+    alone = state.rig is None and not problem.freedom.cameras
+    return alone and problem.cost_name in COMPILED_COSTS and problem.arcs.bearings.device.type == "cpu"
+
+
+@dataclass(frozen=True)
+class _Reduction:
+    """What one pass over the lines gives: their blocks, the reduced system of the frames and its right side."""
+
+    solved: LineBlocks
+    system: ReducedSystem | None
+    right: Float[np.ndarray, " k"]
+    gradient: Float[np.ndarray, " k"]
+    """Of the frames themselves, before the reduction."""
+    diagonal: Float[np.ndarray, " k"]
+    """Of the frames' own blocks."""
+
+
+class LineEngine:
+    """An `Engine` for one problem from one start; the start decides the layout only."""
+
+    def __init__(self, problem: LineProblem, loss: Loss, laid_out: Layout | None = None) -> None:
+        self.problem = problem
+        self.layout = laid_out or layout(problem)
+        self.views: Views = self.layout.views(problem.cost_name, problem.arcs, LOSS_KINDS[loss.name], loss.scale)
+        self.residuals = 2 * len(problem.arcs)
+        held = problem.freedom.held_lines
+        self._held = np.zeros(problem.arcs.tracks, dtype=np.bool_) if held is None else held.numpy()
+        self._sums: list[FrameSums] = []
+
+    def cost(self, state: LinesAndPoses) -> float:
+        """Sum of the loss, and of the prior."""
+        pose, lines = self._poses(state), self._lines(state.chart)
+        parts = in_shares(lambda _, low, high: step_kernel.cost_of_lines(low, high, self.views, pose, lines), self.layout.shares)
+        return float(sum(parts)) + self._prior_cost(state)
+
+    def step(self, state: LinesAndPoses, damping: float) -> Step[LinesAndPoses] | None:
+        """The step from a state; None where the equations are singular."""
+        if not len(self.problem.free):
+            return self._step_of_lines(state, damping)
+        reduction = self._reduce(state, damping)
+        if reduction is None or reduction.system is None:
+            return None
+        kept = reduction.system.solve(reduction.right[:, None])[:, 0]
+        if not np.isfinite(kept).all():
+            return None
+        promised = float(kept @ reduction.gradient + damping * (kept**2 @ reduction.diagonal))
+        delta = np.zeros((len(self.layout.frames), 6))
+        delta[: len(self.problem.free)] = kept.reshape(-1, 6)
+        free = self.layout.frames[: len(self.problem.free)]
+        moved = moved_poses(state.rig_from_world, free, torch.from_numpy(delta[: len(free)]))
+        trial = replace(state, rig_from_world=moved, chart=self._empty_chart(state.chart))
+        pose, moved_pose, lines, into = self._poses(state), self._poses(trial), self._lines(state.chart), self._lines(trial.chart)
+        parts = in_shares(
+            lambda _, low, high: step_kernel.follow_frames(
+                low, high, self.views, pose, moved_pose, delta, lines, damping, reduction.solved, into
+            ),
+            self.layout.shares,
+        )
+        cost = sum(part[0] for part in parts) + self._prior_cost(trial)
+        return Step(trial, float(cost), promised + float(sum(part[1] for part in parts)))
+
+    def _step_of_lines(self, state: LinesAndPoses, damping: float) -> Step[LinesAndPoses] | None:
+        trial = replace(state, chart=self._empty_chart(state.chart))
+        pose, lines, into = self._poses(state), self._lines(state.chart), self._lines(trial.chart)
+        parts = in_shares(
+            lambda _, low, high: step_kernel.step_lines(low, high, self.views, pose, lines, damping, into), self.layout.shares
+        )
+        cost, promised, singular = (sum(values) for values in zip(*parts, strict=True))
+        return None if singular else Step(trial, float(cost), float(promised))
+
+    def _reduce(self, state: LinesAndPoses, damping: float) -> _Reduction | None:
+        """One pass over the lines; None where a line's block is singular."""
+        pose, lines, tracks = self._poses(state), self._lines(state.chart), self.problem.arcs.tracks
+        solved = LineBlocks(np.empty((tracks, 10)), np.empty((tracks, 4)), np.empty((tracks, 4)))
+        if not self._sums:
+            blocks, free = len(self.layout.pattern.row), self.layout.pattern.kept
+            self._sums = [
+                FrameSums(np.empty((blocks, 6, 6)), np.empty((free, 12)), np.empty((free, 6))) for _ in self.layout.shares[1:]
+            ]
+
+        def share(k: int, low: int, high: int) -> int:
+            for array in self._sums[k]:
+                array.fill(0.0)
+            return schur_kernel.reduce_lines(
+                low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved
+            )
+
+        if sum(in_shares(share, self.layout.shares)):
+            return None
+        total = self._sums[0]
+        for other in self._sums[1:]:
+            for array, more in zip(total, other, strict=True):
+                array += more
+        self._add_prior(state, total)
+        within = np.arange(6)
+        total.blocks[self.layout.pattern.diagonal[:, None], within, within] += damping * total.diagonal
+        system = None
+        if len(self.problem.free):
+            system = ReducedSystem.of(self.layout.pattern, total.blocks, self._gauge(state), damping)
+        right, own = total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel()
+        return _Reduction(solved, system, right, own, total.diagonal.ravel())
+
+    def finish(self, found: Minimum[LinesAndPoses]) -> "LineSolution":
+        """What the undamped equations say at the end."""
+        reduction = self._reduce(found.state, 0.0)
+        smallest, direction = 0.0, np.zeros(6 * len(self.problem.free))
+        if reduction is not None and not len(direction):
+            smallest = 1.0
+        elif reduction is not None and reduction.system is not None:
+            smallest, direction = reduction.system.weakest()
+        outcome = Outcome.DEGENERATE if smallest < LEAST_EIGENVALUE else found.outcome
+        gauge = self.problem.gauge(found.state)
+        weakest = torch.from_numpy(self.layout.back(direction.reshape(-1, 6)).flatten())
+        end = replace(found, outcome=outcome)
+        return LineSolution(end, gauge, smallest, weakest, self, reduction)
+
+    def _gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
+        """B in the order of the engine's frames."""
+        gauge = self.problem.gauge(state).numpy()
+        return gauge.reshape(len(self.problem.free), 6, gauge.shape[1])[self.layout.rank].reshape(gauge.shape)
+
+    def _poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
+        poses = state.rig_from_world[self.layout.frames]
+        return torch.cat([poses.rotation.flatten(1), poses.centre], 1).numpy()
+
+    def _lines(self, chart: LineChart) -> LineStates:
+        centre, rho, turn, phi = (
+            np.ascontiguousarray(array.numpy()) for array in (chart.centre, chart.scale, chart.S, chart.phi)
+        )
+        return LineStates(centre, rho, turn, phi, self._held)
+
+    def _empty_chart(self, like: LineChart) -> LineChart:
+        return LineChart(torch.empty(len(like), 3).double(), like.scale, torch.empty(len(like), 3, 3).double(), like.phi.clone())
+
+    def _prior_cost(self, state: LinesAndPoses) -> float:
+        if self.problem.prior is None or not len(self.problem.free):
+            return 0.0
+        return float(self.problem.prior.residual(state.rig_from_world)[0][self.problem.free].square().sum())
+
+    def _add_prior(self, state: LinesAndPoses, total: FrameSums) -> None:
+        if self.problem.prior is None:
+            return
+        residual, by_pose = self.problem.prior.residual(state.rig_from_world)
+        free = self.layout.frames[: len(self.problem.free)]
+        r, j = residual[free].numpy(), by_pose[free].numpy()
+        own = j.transpose(0, 2, 1) @ j
+        total.blocks[self.layout.pattern.diagonal] += own
+        gradient = (j.transpose(0, 2, 1) @ r[:, :, None])[:, :, 0]
+        total.gradient[:, :6] -= gradient
+        total.gradient[:, 6:] -= gradient
+        total.diagonal[:] += own.diagonal(axis1=1, axis2=2)
+
+
+@dataclass(frozen=True)
+class LineSolution:
+    """As `least_squares.Solution`, block-sparse; covariances are for residuals of unit variance, in the gauge of the problem."""
+
+    end: Minimum[LinesAndPoses]
+    gauge: Float[Tensor, "k g"]
+    smallest_eigenvalue: float
+    weakest_direction: Float[Tensor, " k"]
+    engine: LineEngine
+    reduction: _Reduction | None
+
+    @property
+    def state(self) -> LinesAndPoses:
+        """With the least cost found."""
+        return self.end.state
+
+    @property
+    def cost(self) -> float:
+        """Sum of the loss, and of the prior."""
+        return self.end.cost
+
+    def covariances(self) -> tuple[Float[Tensor, "frames 6 6"], Float[Tensor, "t 4 4"]]:
+        """Of every free frame, in the order of the problem, and of every line; NaN where not determined, and for held lines."""
+        engine, layout_ = self.engine, self.engine.layout
+        tracks, free = engine.problem.arcs.tracks, len(engine.problem.free)
+        lines, frames = np.full((tracks, 4, 4), np.nan), np.full((free, 6, 6), np.nan)
+        if self.reduction is None or (free and self.reduction.system is None):
+            return torch.from_numpy(frames), torch.from_numpy(lines)
+        blocks = np.zeros((0, 6, 6))
+        if self.reduction.system is not None:
+            blocks = self.reduction.system.covariance_blocks()
+            frames = layout_.back(blocks[layout_.pattern.diagonal])
+        pose, chart, solved = engine._poses(self.state), engine._lines(self.state.chart), self.reduction.solved
+        in_shares(
+            lambda _, low, high: covariance_kernel.line_covariances(
+                low, high, engine.views, pose, chart, layout_.pairs, blocks, solved, lines
+            ),
+            layout_.shares,
+        )
+        return torch.from_numpy(frames), torch.from_numpy(lines)
+
+    def eliminated_covariance(self) -> Float[Tensor, "t 4 4"]:
+        """Of every line."""
+        return self.covariances()[1]
+
+    def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "b4 b4"]:
+        """Of some lines together, dense: only for as many as such a matrix can hold. NaN where not determined."""
+        engine, size = self.engine, 4 * len(blocks)
+        if self.reduction is None or (len(engine.problem.free) and self.reduction.system is None):
+            return torch.full((size, size), torch.nan, dtype=torch.float64)
+        solved = self.reduction.solved
+        factors, told = solved.factors[blocks.numpy()], (solved.diagonal[blocks.numpy()] > 0).any(1)
+        own = torch.zeros(len(blocks), 4, 4, dtype=torch.float64)
+        rows, columns = torch.tril_indices(4, 4)
+        own[:, rows, columns] = torch.from_numpy(factors)
+        inverse = torch.where(torch.from_numpy(told)[:, None, None], torch.cholesky_inverse(own), torch.nan)
+        joint = torch.block_diag(*inverse)
+        if self.reduction.system is not None:
+            gains = np.zeros((len(blocks), 4, 6 * len(engine.problem.free)))
+            covariance_kernel.line_gains(
+                engine.layout.place_of_line[blocks.numpy()],
+                engine.views,
+                engine._poses(self.state),
+                engine._lines(self.state.chart),
+                len(engine.problem.free),
+                solved,
+                gains,
+            )
+            flat = gains.reshape(size, -1)
+            joint += torch.from_numpy(flat @ self.reduction.system.solve(np.ascontiguousarray(flat.T)))
+        untold = torch.from_numpy(np.repeat(~told, 4))
+        joint[untold], joint[:, untold] = torch.nan, torch.nan
+        return joint

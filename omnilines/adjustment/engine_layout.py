@@ -1,0 +1,115 @@
+"""How the compiled engine lays out a problem: the order of frames, lines and observations, and which frames go together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.line_kernel import Pairs, Views
+from omnilines.adjustment.problem import LineProblem
+from omnilines.geometry.sphere import sector_moment_factor
+from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern
+from omnilines.least_squares.threads import threads_for
+
+ROWS_AT_ONCE = 1 << 16
+"""Observations whose rows are prepared at once."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The order of everything in the compiled engine."""
+
+    frames: Int[Tensor, " frames"]
+    """The frame at each place: free ones first."""
+    rank: Int[np.ndarray, " free"]
+    """Number, among the free frames of the problem, of the frame at each place."""
+    pattern: PairPattern
+    lines: Int[np.ndarray, " t"]
+    """The line at each place."""
+    start: Int[np.ndarray, " t1"]
+    """First observation of the line at each place."""
+    observations: Int[Tensor, " n"]
+    """Row of the arcs at each place."""
+    frame: Int[np.ndarray, " n"]
+    """Place of each observation's frame."""
+    shares: list[int]
+    """Bounds of the places of lines that one thread each works on."""
+
+    @property
+    def pairs(self) -> Pairs:
+        """For the kernels."""
+        return Pairs(self.pattern.kept, self.pattern.window, self.pattern.block_of)
+
+    @property
+    def place_of_line(self) -> Int[np.ndarray, " t"]:
+        """Where each line is."""
+        return np.argsort(self.lines, kind="stable")
+
+    def back(self, values: Float[np.ndarray, "free *rest"]) -> Float[np.ndarray, "free *rest"]:
+        """Values of the free frames in the order of the problem."""
+        result = np.empty_like(values)
+        result[self.rank] = values
+        return result
+
+    def views(self, cost: str, arcs: Arcs, kind: int, scale: float) -> Views:
+        """The observations for a cost, in order, and a loss."""
+        n = len(self.observations)
+        rows = np.empty((n, 2, 3))
+        spread = np.empty((0 if cost == "sector" else n, 2, 6))
+        upper = torch.triu_indices(3, 3)
+        for low in range(0, n, ROWS_AT_ONCE):
+            own = self.observations[low : low + ROWS_AT_ONCE]
+            bearings, here = arcs.bearings[own], slice(low, low + len(own))
+            if cost == "sector":
+                rows[here] = sector_moment_factor(bearings[:, 0], bearings[:, 1]).numpy()
+                continue
+            rows[here] = bearings.numpy()
+            by_pixel = arcs.by_pixel[own]
+            noise = by_pixel @ arcs.covariance_px2[own] @ by_pixel.mT if cost == "whitened" else by_pixel @ by_pixel.mT
+            spread[here] = noise[:, :, upper[0], upper[1]].numpy()
+        return Views(self.lines, self.start, self.frame, rows, spread, kind, scale)
+
+
+def layout(problem: LineProblem) -> Layout:
+    """The order for a problem without a rig."""
+    arcs, free = problem.arcs, len(problem.free)
+    order = torch.cat([problem.free, torch.nonzero(problem.freedom.held_frames).flatten()])
+    found = _sorted(arcs, order, free)
+    # Held frames take no part in the reduced system, whatever their order.
+    better = narrower_order(found[3]) if free else None
+    if better is not None:
+        order = torch.cat([order[:free][torch.from_numpy(better)], order[free:]])
+        found = _sorted(arcs, order, free)
+    lines, start, observations, pattern, frame = found
+    rank = np.searchsorted(problem.free.numpy(), order[:free].numpy())
+    return Layout(order, rank, pattern, lines, start, torch.from_numpy(observations), frame, _shares(start))
+
+
+def _sorted(
+    arcs: Arcs, order: Int[Tensor, " frames"], free: int
+) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t1"], Int[np.ndarray, " n"], PairPattern, Int[np.ndarray, " n"]]:
+    """Lines by their first frame, the start of each, its observations by frame, the pairs and the frames' places."""
+    place = np.empty(len(order), dtype=np.int64)
+    place[order.numpy()] = np.arange(len(order))
+    track, frame = arcs.track.numpy(), place[arcs.image.numpy()]
+    first = np.full(arcs.tracks, len(order))
+    np.minimum.at(first, track, frame)
+    lines = np.argsort(first, kind="stable")
+    place_of_line = np.empty(arcs.tracks, dtype=np.int64)
+    place_of_line[lines] = np.arange(arcs.tracks)
+    observations = np.argsort(place_of_line[track] * len(order) + frame, kind="stable")
+    start = np.zeros(arcs.tracks + 1, dtype=np.int64)
+    np.cumsum(np.bincount(track, minlength=arcs.tracks)[lines], out=start[1:])
+    frame = frame[observations].astype(np.int32)
+    return lines, start, observations, pair_pattern(start, frame, free), frame
+
+
+def _shares(start: Int[np.ndarray, " t1"]) -> list[int]:
+    """Places of lines with about equal work: pairs of observations beside the observations themselves."""
+    views = np.diff(start)
+    work = np.concatenate([[0], np.cumsum(views * (views + 8))])
+    threads = threads_for(len(views))
+    return np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()

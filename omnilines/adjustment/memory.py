@@ -1,0 +1,80 @@
+"""How much memory an adjustment takes, so that one that does not fit is refused before it is built.
+
+For n observations of t lines, F free frames, p pairs of frames with a common line and a band of w sub-diagonals, on q threads,
+
+    400 MB + n (224 + 230) + t 900 + p 288 (q + 2) + 16 (6 F) (w + 1)   bytes
+
+with the compiled engine: the interpreter with its libraries; arcs, and the engine's copies of them for the cost and for the
+whitened equations; charts, factors and covariances of lines; blocks of pairs; the band and its inverse. Arcs that know their
+pixels and their images take 208 bytes more. The general path takes its Jacobians and a dense system of k columns,
+
+    400 MB + n (224 + 1700) + t 900 + 48 k^2.
+"""
+
+import os
+from pathlib import Path
+
+from camera_models import InputError
+from omnilines.adjustment.arcs import Arcs
+from omnilines.least_squares.devices import free_bytes
+
+BASE = 400_000_000
+ARC, ARC_WITH_PIXELS = 224, 432
+ENGINE_ROW, GENERAL_ROW, LINE, PAIR = 230, 1700, 900, 288
+MOST_SHARE = 0.9
+"""Of the available memory that a problem may take."""
+
+
+def arcs_bytes(observations: int, with_pixels: bool) -> int:
+    """Of arcs alone."""
+    return observations * (ARC_WITH_PIXELS if with_pixels else ARC)
+
+
+def engine_bytes(observations: int, lines: int, free: int, pairs: int, width: int, threads: int) -> int:
+    """What the compiled engine adds to the interpreter and the arcs."""
+    return observations * ENGINE_ROW + lines * LINE + pairs * PAIR * (threads + 2) + 16 * 6 * free * (width + 1)
+
+
+def general_bytes(observations: int, lines: int, kept: int) -> int:
+    """What the general path adds to the interpreter and the arcs."""
+    return observations * GENERAL_ROW + lines * LINE + 48 * kept**2
+
+
+def available_bytes() -> int | None:
+    """Memory that can still be taken: of the machine and of the control group the process runs in; None where nobody says."""
+    found = []
+    meminfo = Path("/proc/meminfo")
+    if meminfo.is_file():
+        rows = dict(line.split(":", 1) for line in meminfo.read_text().splitlines() if ":" in line)
+        if "MemAvailable" in rows:
+            found.append(1024 * int(rows["MemAvailable"].split()[0]))
+    elif hasattr(os, "sysconf") and {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(os.sysconf_names):
+        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    limit, used = (Path("/sys/fs/cgroup") / name for name in ("memory.max", "memory.current"))
+    if limit.is_file() and used.is_file() and limit.read_text().strip().isdigit():
+        found.append(int(limit.read_text()) - int(used.read_text()))
+    return min(found) if found else None
+
+
+def require_memory(needed: int, observations: int, lines: int, photos: int, available: int | None = None) -> None:
+    """Raise InputError where a problem that still takes `needed` bytes does not fit into what is available, by default here."""
+    available = available_bytes() if available is None else available
+    if available is None or needed <= MOST_SHARE * available:
+        return
+    raise InputError(
+        f"Memory for {observations:,} observations of {lines:,} lines in {photos:,} photos was expected, about "
+        f"{needed / 1e9:.1f} GB, found {available / 1e9:.1f} GB available; adjust parts of the scene one after another or use a "
+        "machine with more memory."
+    )
+
+
+def require_for_arcs(observations: int, lines: int, photos: int) -> None:
+    """Raise InputError where not even arcs and lines would fit, whatever the photos see together."""
+    needed = arcs_bytes(observations, with_pixels=True) + engine_bytes(observations, lines, photos, photos, 5, 1)
+    require_memory(needed, observations, lines, photos)
+
+
+def require_for_general(arcs: Arcs, kept: int) -> None:
+    """Raise InputError where the general path would not fit."""
+    needed, free = general_bytes(len(arcs), arcs.tracks, kept), free_bytes(arcs.bearings.device)
+    require_memory(needed, len(arcs), arcs.tracks, arcs.images, free)

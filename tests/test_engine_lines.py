@@ -1,0 +1,130 @@
+"""The compiled line engine against the general path in torch, which the other tests compare with autograd and Monte Carlo."""
+
+import dataclasses
+
+import pytest
+import torch
+from engine_scenes import Row, row
+
+from omnilines.adjustment import lines as adjustment
+from omnilines.adjustment.engine import COMPILED_COSTS, LineEngine, LineSolution
+from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.prior import PosePrior
+from omnilines.adjustment.problem import Freedom, LineProblem
+from omnilines.adjustment.state import LinesAndPoses
+from omnilines.geometry.line_chart import LineChart
+from omnilines.least_squares import Loss, Outcome, Solution
+
+
+def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tuple[Adjusted, Adjusted]:
+    """Compiled, and by torch."""
+    compiled = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)  # type: ignore[arg-type]
+    assert isinstance(compiled.whitened, LineSolution)
+    with monkeypatch.context() as patch:
+        patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
+        general = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)  # type: ignore[arg-type]
+    assert isinstance(general.whitened, Solution)
+    return compiled, general
+
+
+def assert_same(compiled: Adjusted, general: Adjusted) -> None:
+    """Cost to 1e-10, estimates to 1e-3 standard deviations, covariances to 1e-6."""
+    assert compiled.outcome is general.outcome is Outcome.CONVERGED
+    assert compiled.iterations == general.iterations
+    assert abs(compiled.initial_cost / general.initial_cost - 1) < 1e-10
+    assert abs(compiled.cost / general.cost - 1) < 1e-10
+    assert abs(compiled.noise_factor / general.noise_factor - 1) < 1e-8
+    sigma = general.line_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt()
+    steps = torch.stack([compiled.state.chart.phi - general.state.chart.phi, sigma[:, 3]])
+    assert bool((steps[0].abs() <= 1e-3 * steps[1]).all())
+    turned = (compiled.state.chart.S - general.state.chart.S).flatten(1).norm(dim=1)
+    assert bool((turned <= 1e-3 * sigma[:, :3].norm(dim=1)).all())
+    moved = (compiled.state.rig_from_world @ general.state.rig_from_world.inverse()).log()
+    own = general.pose_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt()
+    assert bool((moved.abs() <= 1e-3 * own + 1e-12).all())
+    for found, expected in (
+        (compiled.line_covariance, general.line_covariance),
+        (compiled.pose_covariance, general.pose_covariance),
+        (compiled.joint_line_covariance(torch.arange(6)), general.joint_line_covariance(torch.arange(6))),
+    ):
+        scale = float(expected.abs().max())
+        torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-7 * scale)
+
+
+@pytest.mark.parametrize("cost", COMPILED_COSTS)
+@pytest.mark.parametrize("loss", [None, Loss("huber", 0.02), Loss("cauchy", 0.02)])
+def test_lines_and_poses_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: str, loss: Loss | None) -> None:
+    if loss is not None and cost != "sector":
+        loss = Loss(loss.name, 1.0)
+    assert_same(*both(monkeypatch, row(), cost=cost, loss=loss))
+
+
+@pytest.mark.parametrize("cost", ["sector", "whitened"])
+def test_lines_alone_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: str) -> None:
+    assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False))
+
+
+@pytest.mark.parametrize("held", [(0,), (2, 7), (4,)])
+def test_held_poses_give_what_torch_gives(monkeypatch: pytest.MonkeyPatch, held: tuple[int, ...]) -> None:
+    mask = torch.zeros(10, dtype=torch.bool)
+    mask[list(held)] = True
+    compiled, general = both(monkeypatch, row(seed=2), held=mask)
+    assert_same(compiled, general)
+    assert bool((compiled.pose_covariance[mask] == 0).all())
+
+
+def test_held_lines_and_a_prior_give_what_torch_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = row(seed=3)
+    held = torch.zeros(60, dtype=torch.bool)
+    held[5:9] = True
+    prior = PosePrior(scene.poses, torch.full((10,), 0.003).double(), torch.full((10,), 0.02).double())
+    compiled, general = both(monkeypatch, scene, cost="whitened", prior=prior)
+    assert_same(compiled, general)
+    compiled, general = both(monkeypatch, scene, cost="whitened", held_lines=held, prior=prior)
+    assert abs(compiled.cost / general.cost - 1) < 1e-10
+    assert bool((compiled.line_covariance[held] == 0).all())
+    torch.testing.assert_close(compiled.pose_covariance, general.pose_covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_the_order_of_photos_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shuffled photos make a wide band, which the engine orders anew."""
+    scene = row(cameras=30, lines=150, seed=4)
+    shuffle = torch.randperm(30, generator=torch.Generator().manual_seed(0))
+    place = torch.argsort(shuffle)
+    arcs = dataclasses.replace(scene.arcs, image=place[scene.arcs.image])
+    shuffled = dataclasses.replace(scene, arcs=arcs, poses=scene.poses[shuffle])
+    state = LinesAndPoses(scene.poses, LineChart.about_cameras(scene.lines, scene.poses.centre[scene.arcs.image], arcs.track))
+    freedom = Freedom(torch.zeros(30, dtype=torch.bool))
+    engine = LineEngine(LineProblem(arcs, "sector", freedom, state), Loss())
+    assert engine.layout.pattern.reach < 12
+    compiled, general = both(monkeypatch, shuffled)
+    assert_same(compiled, general)
+    straight = adjust_lines(scene.arcs, scene.lines, scene.poses)
+    assert abs(straight.cost / compiled.cost - 1) < 1e-10
+    torch.testing.assert_close(straight.pose_covariance[shuffle], compiled.pose_covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_what_observations_do_not_determine_is_named_by_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = row(seed=5)
+    kept = (scene.arcs.track != 7) | (torch.arange(len(scene.arcs)) == torch.nonzero(scene.arcs.track == 7).flatten()[0])
+    one_view = dataclasses.replace(scene, arcs=scene.arcs.rows(kept))
+    compiled = adjust_lines(one_view.arcs, one_view.lines, one_view.poses, max_iterations=60)
+    monkeypatch.setattr(adjustment, "is_compiled", lambda problem, state: False)
+    general = adjust_lines(one_view.arcs, one_view.lines, one_view.poses, max_iterations=60)
+    assert compiled.outcome is general.outcome
+
+
+def test_threads_change_nothing_but_rounding() -> None:
+    scene = row(cameras=40, lines=900, seed=6)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        one = adjust_lines(scene.arcs, scene.lines, scene.poses)
+        torch.set_num_threads(3)
+        three = adjust_lines(scene.arcs, scene.lines, scene.poses)
+    finally:
+        torch.set_num_threads(threads)
+    assert abs(one.cost / three.cost - 1) < 1e-12
+    # The chart's centre is one of two cameras that are equally far from a line: coordinates depend on it, poses do not.
+    scale = float(one.pose_covariance.abs().max())
+    torch.testing.assert_close(one.pose_covariance, three.pose_covariance, rtol=1e-5, atol=1e-6 * scale)

@@ -1,0 +1,71 @@
+"""Segments in Parquet: the same as from CSV, row group by row group; a missing pyarrow and malformed tables are named."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camera_models import InputError
+from omnilines.files import read_segments, write_segments
+from omnilines.records import Segments
+
+ABSENT = "pyarrow, an optional extra, is not installed"
+
+
+def segments() -> Segments:
+    rng = np.random.default_rng(0)
+    ends = rng.uniform(0, 900, (40, 2, 2))
+    track = rng.integers(-1, 8, 40)
+    track[:9] = np.arange(-1, 8)
+    order = np.unique(track[track >= 0], return_index=True)[1]
+    assert len(order) == 8
+    image = np.arange(40) % 5
+    return Segments(
+        image, tuple(f"photo {k}.png" for k in range(5)), track, tuple(f"t{k}" for k in range(8)), ends, rng.uniform(0.2, 1, 40)
+    )
+
+
+def test_without_pyarrow_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pyarrow, which was not found; install it with pip install 'omnilines\[parquet\]'"):
+        read_segments(tmp_path / "segments.parquet")
+
+
+def test_parquet_gives_what_csv_gives(tmp_path: Path) -> None:
+    pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow", "pyarrow.parquet"))
+    given = segments()
+    write_segments(tmp_path / "segments.csv", given)
+    names = [given.images[k] for k in given.image]
+    tracks = [given.tracks[k] if k >= 0 else None for k in given.track]
+    ends = given.endpoints_px.reshape(-1, 4).T
+    table = pyarrow.table(
+        {
+            "image": names,
+            "track": tracks,
+            "u1_px": ends[0],
+            "v1_px": ends[1],
+            "u2_px": ends[2],
+            "v2_px": ends[3],
+            "sigma_px": given.sigma_px,
+        }
+    )
+    parquet.write_table(table, tmp_path / "segments.parquet", row_group_size=7)
+    from_csv, from_parquet = read_segments(tmp_path / "segments.csv"), read_segments(tmp_path / "segments.parquet")
+    assert from_csv.images == from_parquet.images and from_csv.tracks == from_parquet.tracks
+    for name in ("image", "track", "endpoints_px", "sigma_px"):
+        np.testing.assert_array_equal(getattr(from_csv, name), getattr(from_parquet, name))
+
+
+def test_a_malformed_cell_is_named_by_row(tmp_path: Path) -> None:
+    pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow", "pyarrow.parquet"))
+    columns = {"image": ["a", "b"], "track": ["t", "t"], "u1_px": [1.0, None], "v1_px": [2.0, 2.0], "u2_px": [3.0, 3.0]}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "s.parquet")
+    with pytest.raises(InputError, match="the column v2_px is missing"):
+        read_segments(tmp_path / "s.parquet")
+    parquet.write_table(pyarrow.table(columns | {"v2_px": [4, 4]}), tmp_path / "s.parquet")
+    with pytest.raises(InputError, match="row 2, column u1_px: expected a finite number"):
+        read_segments(tmp_path / "s.parquet")
+    (tmp_path / "no.parquet").write_text("image,track\n")
+    with pytest.raises(InputError, match="Parquet file"):
+        read_segments(tmp_path / "no.parquet")
