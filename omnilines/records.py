@@ -167,3 +167,13 @@ class Summary:
     title: str
     rows: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class StageCount:
+    """What a stage of a pipeline kept and dropped."""
+
+    stage: str
+    kept: int
+    dropped: tuple[tuple[str, int], ...] = ()
+    """(reason, number)."""

@@ -14,7 +14,6 @@ import torch
 import camera_models
 from camera_models import GeometryError, InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
-from omnilines import structure
 from omnilines.adjustment.accuracy import align_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
@@ -24,6 +23,7 @@ from omnilines.commands.experiment import experiment_board, perturbed_poses, run
 from omnilines.files import read_corners, read_lines, read_poses, read_segments, write_corners
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import Corners
+from omnilines.structure import regularity
 
 FISHEYE1 = "calibration/fisheye1"
 CHECKED = [key for key, _, _ in FIGURES if key not in UNCHECKED]
@@ -62,28 +62,28 @@ def test_structure_of_a_perfect_grid_and_of_known_departures() -> None:
     columns = np.array([[[0.25 * k, 0, 0], [0.25 * k, 0.6, 0]] for k in range(5)], dtype=np.float64)
     turn = rotation_from_vector(torch.tensor([0.3, -1.2, 0.7], dtype=torch.float64)).numpy()
     ends = np.concatenate([rows, columns]) @ turn.T + np.array([3.0, 1.0, -2.0])
-    off, angle = structure.coplanarity(ends)
+    off, angle = regularity.coplanarity(ends)
     assert isinstance(off, np.ndarray) and float(off) < 1e-14 and float(angle) < 1e-14
-    np.testing.assert_allclose(structure.spacing(ends[:4]), 0.2, rtol=1e-12)
-    np.testing.assert_allclose(structure.spacing(torch.as_tensor(ends[4:])).numpy(), 0.25, rtol=1e-12)
+    np.testing.assert_allclose(regularity.spacing(ends[:4]), 0.2, rtol=1e-12)
+    np.testing.assert_allclose(regularity.spacing(torch.as_tensor(ends[4:])).numpy(), 0.25, rtol=1e-12)
     a, b = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (ends[:4, 1] - ends[:4, 0], ends[4:, 1] - ends[4:, 0]))
     # Of either sign.
     a = a * np.array([[1], [-1], [1], [-1]])
-    np.testing.assert_allclose(structure.parallelism(a), 0, atol=1e-7)
-    means, pairs = structure.orthogonality(a, b)
+    np.testing.assert_allclose(regularity.parallelism(a), 0, atol=1e-7)
+    means, pairs = regularity.orthogonality(a, b)
     assert pairs.shape == (4, 5) and float(means) < 1e-12 and pairs.max() < 1e-12
     skew = rotation_from_vector(torch.tensor([0, 0, 0.01], dtype=torch.float64)).numpy()
     flat_b = np.tile([[0.0, 1.0, 0.0]], (5, 1)) @ skew.T
-    means, pairs = structure.orthogonality(np.tile([[1.0, 0.0, 0.0]], (4, 1)), flat_b)
+    means, pairs = regularity.orthogonality(np.tile([[1.0, 0.0, 0.0]], (4, 1)), flat_b)
     assert float(means) == pytest.approx(0.01, rel=1e-9) and pairs.min() == pytest.approx(0.01, rel=1e-9)
     fan = np.array([[math.cos(t), math.sin(t), 0] for t in (-0.02, 0.0, 0.02)])
-    np.testing.assert_allclose(structure.parallelism(fan), [0.02, 0, 0.02], atol=1e-9)
+    np.testing.assert_allclose(regularity.parallelism(fan), [0.02, 0, 0.02], atol=1e-9)
     lifted = rows.copy()
     lifted[:, 1, 2] = 0.01 * np.array([1, -1, -1, 1])
-    off, angle = structure.coplanarity(lifted)
+    off, angle = regularity.coplanarity(lifted)
     assert float(off) == pytest.approx(0.01 / math.sqrt(2), rel=0.01) and float(angle) == pytest.approx(0.01, rel=0.01)
     with pytest.raises(GeometryError, match="at least 2 lines"):
-        structure.coplanarity(rows[:1])
+        regularity.coplanarity(rows[:1])
 
 
 def test_alignment_finds_the_similarity_from_lines_alone() -> None:

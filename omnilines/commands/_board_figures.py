@@ -11,7 +11,6 @@ from torch import Tensor
 
 from camera_models._arrays import Array, as_tensor
 from camera_models.pose import Pose
-from omnilines import structure
 from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_lines, jackknife_error, predict_error
 from omnilines.adjustment.arcs import Arcs, poses_of
 from omnilines.adjustment.lines import Adjusted
@@ -22,6 +21,7 @@ from omnilines.geometry.line import PlueckerLines, segment_ends
 from omnilines.geometry.sphere import distance_to_great_circle
 from omnilines.least_squares import Outcome
 from omnilines.records import Corners, ImagePoses
+from omnilines.structure import regularity
 
 # (key in JSON, name for people, unit): the smaller the better.
 FIGURES: tuple[tuple[str, str, str], ...] = (
@@ -171,16 +171,16 @@ def _ends_in_observed_order(
 
 def _structure(aligned: AlignedLines, board_ends_m: Tensor, column: Tensor) -> dict[str, float]:
     points, direction = aligned.points_m, aligned.lines.direction
-    off_plane, to_plane = structure.coplanarity(points)
-    means, pairs = structure.orthogonality(direction[~column], direction[column])
-    found = torch.cat([as_tensor(structure.spacing(points[family])) for family in (~column, column)])
-    true = torch.cat([as_tensor(structure.spacing(board_ends_m[family])) for family in (~column, column)])
+    off_plane, to_plane = regularity.coplanarity(points)
+    means, pairs = regularity.orthogonality(direction[~column], direction[column])
+    found = torch.cat([as_tensor(regularity.spacing(points[family])) for family in (~column, column)])
+    true = torch.cat([as_tensor(regularity.spacing(board_ends_m[family])) for family in (~column, column)])
     relative = found / true
     return {
         "coplanarity_rms_mm": 1e3 * float(off_plane),
         "coplanarity_rms_deg": math.degrees(float(to_plane)),
-        "parallelism_rows_rms_deg": math.degrees(_rms(structure.parallelism(direction[~column]))),
-        "parallelism_columns_rms_deg": math.degrees(_rms(structure.parallelism(direction[column]))),
+        "parallelism_rows_rms_deg": math.degrees(_rms(regularity.parallelism(direction[~column]))),
+        "parallelism_columns_rms_deg": math.degrees(_rms(regularity.parallelism(direction[column]))),
         "right_angle_means_deg": math.degrees(float(means)),
         "right_angle_pairs_rms_deg": math.degrees(_rms(pairs)),
         "spacing_spread_percent": 100 * float(relative.std() / relative.mean()),

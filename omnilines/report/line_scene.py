@@ -1,0 +1,225 @@
+"""Sections of a line scene: what every stage kept, families of parallel lines, the lines themselves, and the photos with both."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from markupsafe import Markup
+from torch import Tensor
+
+from camera_models import CameraModel
+from camera_models.errors import InputError
+from omnilines.geometry.sphere import points_on_arc
+from omnilines.records import ImagePoses, Lines, Polyline, Segments, StageCount
+from omnilines.report.page import Section
+from omnilines.report.photos import photos_section
+
+SHOWN_LINES = 300
+"""Rows of the table of lines; more are in the file."""
+CURVE_POINTS, ARC_POINTS = 25, 9
+"""Bearings along the image of a line, and along an observed arc."""
+
+
+@runtime_checkable
+class FamiliesLike(Protocol):
+    """What the report shows of `omnilines.structure.families.Families`, a module beside this one that it does not import."""
+
+    @property
+    def direction(self) -> Float[np.ndarray, "k 3"]: ...
+    @property
+    def sigma_rad(self) -> Float[np.ndarray, " k"]: ...
+    @property
+    def members(self) -> Int[np.ndarray, " k"]: ...
+    @property
+    def spread_rad(self) -> Float[np.ndarray, " k"]: ...
+    @property
+    def chi_square(self) -> Float[np.ndarray, " k"]: ...
+    @property
+    def probability(self) -> Float[np.ndarray, " k"]: ...
+    @property
+    def right_angles(self) -> Int[np.ndarray, "m 2"]: ...
+    @property
+    def angle_rad(self) -> Float[np.ndarray, " m"]: ...
+    @property
+    def angle_sigma_rad(self) -> Float[np.ndarray, " m"]: ...
+    @property
+    def tolerance_rad(self) -> float: ...
+    @property
+    def considered(self) -> int: ...
+
+
+def stage_section(stages: Sequence[StageCount], title: str = "Stages") -> Section:
+    """What every stage kept and dropped, and why; a stage that kept nothing, the first of them, is named above the table."""
+    rows = []
+    for s in stages:
+        reasons = "; ".join(f"{count:,} {reason}" for reason, count in s.dropped if count)
+        rows.append((s.stage, f"{s.kept:,}", f"{sum(count for _, count in s.dropped):,}", reasons or "–"))
+    empty = next((s for s in stages if not s.kept), None)
+    said = Markup("")
+    if empty is not None:
+        most = max(empty.dropped, key=lambda item: item[1], default=("nothing came to it", 0))[0]
+        said = Markup("<p>Nothing is left after the stage <strong>{}</strong>: {}.</p>\n").format(empty.stage, most)
+    return Section(title, said + _table(("Stage", "#Kept", "#Dropped", "Why"), rows))
+
+
+def families_section(families: FamiliesLike, title: str = "Parallel lines") -> Section:
+    """The families of parallel lines with the uncertainty of their directions, and those at right angles."""
+    degrees = np.degrees
+    known = int(families.members.sum())
+    intro = Markup(
+        "<p>{} of {} lines whose direction is known well enough belong to {} families of parallel lines. Lines may stray from "
+        "their family by a tolerance of {:.3g} degrees (one standard deviation) beyond their noise; chi-square and its "
+        "probability compare them without it: a probability near 0 says that they are parallel only within the tolerance.</p>\n"
+    ).format(known, families.considered, len(families.members), float(degrees(families.tolerance_rad)))
+    if not len(families.members):
+        return Section(title, intro)
+    numbers = zip(
+        families.direction.tolist(),
+        degrees(families.sigma_rad).tolist(),
+        families.members.tolist(),
+        degrees(families.spread_rad).tolist(),
+        families.chi_square.tolist(),
+        families.probability.tolist(),
+        strict=True,
+    )
+    rows = [
+        (
+            str(k),
+            f"{members:,}",
+            " ".join(f"{c + 0.0:.4f}" for c in direction),
+            f"{sigma:.3g}",
+            f"{spread:.3g}",
+            f"{chi:.1f} of {2 * (members - 1)}",
+            f"{p:.2g}",
+        )
+        for k, (direction, sigma, members, spread, chi, p) in enumerate(numbers)
+    ]
+    head = ("Family", "#Lines", "Direction", "#Its sigma (°)", "#RMS angle of the lines (°)", "#Chi-square", "#Probability")
+    pairs = zip(families.right_angles.tolist(), degrees(families.angle_rad), degrees(families.angle_sigma_rad), strict=True)
+    right = [(f"{a} and {b}", f"{angle:.3f}", f"{sigma:.2g}") for (a, b), angle, sigma in pairs]
+    below = (
+        Markup("<h3>At right angles</h3>\n") + _table(("Families", "#Angle (°)", "#Its sigma (°)"), right)
+        if right
+        else Markup("")
+    )
+    none = Markup("") if right else Markup("<p>No two families are at a right angle within their uncertainty.</p>\n")
+    return Section(title, intro + _table(head, rows) + below + none)
+
+
+def line_table_section(lines: Lines, covariance_file: str | None = "covariance.npz", title: str = "Lines") -> Section:
+    """The lines, the least certain first, with their uncertainty in short; the whole covariances are in `covariance_file`."""
+    known = np.flatnonzero(lines.known)
+    order = known[np.argsort(-np.nan_to_num(lines.sigma_m[known], nan=np.inf), kind="stable")]
+    sigma_deg = np.degrees(_direction_sigma_rad(lines))
+    length = np.linalg.norm(lines.ends_m[:, 1] - lines.ends_m[:, 0], axis=-1)
+    rows = [
+        (
+            lines.tracks[k],
+            lines.status[k],
+            f"{lines.views[k]:,}",
+            f"{length[k]:.3f}",
+            _figure(1e3 * lines.sigma_m[k]),
+            _figure(sigma_deg[k]),
+            _figure(lines.rms_px[k]),
+        )
+        for k in order[:SHOWN_LINES].tolist()
+    ]
+    text = Markup("<p>{:,} of {:,} tracks have a line, the least certain first").format(len(known), len(lines))
+    text += Markup("; {:,} are shown, all are in lines.csv").format(len(rows)) if len(rows) < len(known) else Markup("")
+    text += Markup(". Sigma is the largest standard deviation, across the line at its worse end and of its direction")
+    if covariance_file is not None and lines.covariance is not None:
+        text += Markup('; the whole covariances are in <a href="{0}">{0}</a>').format(covariance_file)
+    head = ("Track", "Status", "#Views", "#Length (m)", "#Sigma across (mm)", "#Sigma of direction (°)", "#RMS (px)")
+    return Section(title, text + Markup(".</p>\n") + _table(head, rows))
+
+
+def line_photos_section(
+    photo_folder: str | os.PathLike[str],
+    lines: Lines,
+    segments: Segments,
+    poses: ImagePoses,
+    cameras: Mapping[str, CameraModel],
+    *,
+    images: Sequence[str] | None = None,
+    title: str = "Lines over the photos",
+) -> Section:
+    """The photos with the observed arcs as points and the images of the lines as curves (`line_curves`), as `photos_section`."""
+    return photos_section(photo_folder, line_curves(lines, segments, poses, cameras), images=images, title=title)
+
+
+def line_curves(lines: Lines, segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> list[Polyline]:
+    """Of each photo with a pose: every matched arc (`observed`), and each line with an arc in it as it is imaged (`model`).
+
+    Both are images of great arcs. Curves break where the camera does not see, and where the image closes around the sphere.
+    Raises InputError where a photo has no camera.
+    """
+    row = {name: k for k, name in enumerate(poses.images)}
+    track = {name: k for k, name in enumerate(lines.tracks)}
+    line_of = np.array([track.get(name, -1) for name in segments.tracks] + [-1])[segments.track]
+    known = np.append(lines.known, False)
+    curves = []
+    for k, image in enumerate(segments.images):
+        if image not in row:
+            continue
+        name = next(iter(cameras)) if poses.cameras is None else poses.cameras[row[image]]
+        if name not in cameras:
+            raise InputError(f"The camera of {image} was expected to be one of {', '.join(cameras)}, found '{name}'; correct it.")
+        model, own = cameras[name], np.flatnonzero((segments.image == k) & (segments.track >= 0))
+        with torch.no_grad():
+            ends, valid = model.unproject(torch.from_numpy(segments.endpoints_px[own]))
+            arcs = _imaged(model, torch.where(valid[..., None], ends, torch.nan), ARC_POINTS)
+            shown = np.unique(line_of[own][known[line_of[own]]])
+            seen = poses.cam_from_world[row[image]].transform(torch.from_numpy(lines.ends_m[shown]))
+            images = _imaged(model, torch.nn.functional.normalize(seen, dim=-1), CURVE_POINTS)
+        labels = [segments.tracks[t] for t in segments.track[own]]
+        curves += [Polyline(image, arc, label, "observed") for arc, label in zip(arcs, labels, strict=True)]
+        curves += [Polyline(image, curve, lines.tracks[t], "model") for curve, t in zip(images, shown.tolist(), strict=True)]
+    return curves
+
+
+def _imaged(model: CameraModel, ends: Float[Tensor, "n 2 3"], count: int) -> Float[np.ndarray, "n k 2"]:
+    """The images of great arcs between bearings, NaN where they are not seen and between two sides of a closed image."""
+    fractions = torch.linspace(0, 1, count, dtype=torch.float64)
+    pixels, valid = model.project(points_on_arc(ends[:, 0], ends[:, 1], fractions))
+    pixels = torch.where(valid[..., None], pixels, torch.nan)
+    if model.PERIODIC:
+        across = (pixels[:, 1:, :1] - pixels[:, :-1, :1]).abs() > 0.5 * model.image_size[0]
+        between = torch.where(across, torch.nan, 0.5 * (pixels[:, 1:] + pixels[:, :-1]))
+        # With the middle between every two points the pen has where to be lifted.
+        every = torch.stack([pixels[:, :-1], between], 2).flatten(1, 2)
+        pixels = torch.cat([every, pixels[:, -1:]], 1)
+    return pixels.numpy()
+
+
+def _direction_sigma_rad(lines: Lines) -> Float[np.ndarray, " n"]:
+    """Largest standard deviation of each direction, which the chart turns by its second and third coordinate; NaN if unknown."""
+    if lines.covariance is None:
+        return np.full(len(lines), np.nan)
+    part = lines.covariance[:, 1:3, 1:3]
+    finite = np.isfinite(part).all((1, 2))
+    largest = np.linalg.eigvalsh(np.where(finite[:, None, None], part, 0.0))[:, -1]
+    return np.where(finite, np.sqrt(largest.clip(0)), np.nan)
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "not known"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:
+    """A table whose first column names the row; columns with # before their title hold numbers."""
+    number = [title.startswith("#") for title in head]
+    kind = [Markup(' class="number"') if n else Markup("") for n in number]
+    titles = Markup("").join(
+        Markup('<th scope="col"{}>{}</th>').format(k, title.removeprefix("#")) for k, title in zip(kind, head, strict=True)
+    )
+    body = Markup("")
+    for first, *others in rows:
+        cells = Markup("").join(Markup("<td{}>{}</td>").format(k, cell) for k, cell in zip(kind[1:], others, strict=True))
+        body += Markup('<tr><th scope="row">{}</th>{}</tr>\n').format(first, cells)
+    return Markup('<div class="scroll">\n<table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</div>\n').format(
+        titles, body
+    )

@@ -1,0 +1,48 @@
+"""Lines clipped to the stretches that photos show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from omnilines.geometry.line import PlueckerLines
+from omnilines.structure.clip_kernel import clipped
+
+LEAST_AT_ONCE = 2
+"""Photos that have to show every place of a stretch."""
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Supported stretches of lines, in the order of the lines and along each of them."""
+
+    line: Int[np.ndarray, " k"]
+    positions_m: Float[np.ndarray, "k 2"]
+    """Along the line, as `PlueckerLines.point_at` measures them."""
+    ends_m: Float[np.ndarray, "k 2 3"]
+    views: Int[np.ndarray, " k"]
+    """Photos that show some of it."""
+
+
+def supported_stretches(
+    lines: PlueckerLines,
+    line: Int[np.ndarray, " n"],
+    positions_m: Float[np.ndarray, "n 2"],
+    sigma_m: Float[np.ndarray, "n 2"],
+    image: Int[np.ndarray, " n"],
+    least_views: int,
+) -> Stretches:
+    """Where n arcs, each with its line, photo and the positions of its ends along the line (the lower first), support the lines.
+
+    Every place of a stretch is shown by LEAST_AT_ONCE photos, the whole by `least_views`. An end is where the ends of several
+    photos agree within `sigma_m`, not the farthest of them, and drawn in by two standard deviations of it. A line may have none,
+    or several with gaps between them.
+    """
+    order = np.argsort(line, kind="stable")
+    starts = np.searchsorted(line[order], np.arange(len(lines) + 1))
+    low, high = np.ascontiguousarray(positions_m[order].T)
+    positions, owner, views = clipped(starts, low, high, sigma_m[order], image[order], LEAST_AT_ONCE, least_views)
+    own = lines[torch.as_tensor(owner)]
+    ends = torch.stack([own.point_at(torch.as_tensor(np.ascontiguousarray(place))) for place in positions.T], 1)
+    return Stretches(owner, positions, ends.numpy(), views)
