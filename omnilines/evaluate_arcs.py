@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from camera_models import CameraModel, InputError
@@ -25,6 +27,7 @@ PARALLEL_DEG = 10.0
 """Arcs that cross an edge do not lie on it."""
 ON_EDGE = 0.9
 """Share of an arc's length that has to lie on one edge."""
+SAME_LINE_M = 1e-3
 LEAST_PX, LEAST_CONTRAST = 40.0, 10.0
 """Stretches that an extraction is expected to find."""
 GAP_PX = 1.0
@@ -53,14 +56,23 @@ class ArcScores:
     direction_rad: Float[np.ndarray, " m"]
     """Angle between the great circles of an arc and of its edge; NaN off any edge."""
 
+    on_line: Bool[np.ndarray, " m"]
+    """Which arcs lie on true edges of one straight line over ON_EDGE of their length. An arc that goes on from one sill to the
+    next, or past what hides a part of an edge, is on a line, but on no single edge."""
+
     @property
     def on_edge_share(self) -> float:
         """Of all arcs."""
         return float(self.on_edge.mean()) if self.arcs else math.nan
 
+    @property
+    def on_line_share(self) -> float:
+        """Of all arcs."""
+        return float(self.on_line.mean()) if self.arcs else math.nan
+
     def direction_deg(self, percentile: float | int) -> float:
-        """Percentile of the direction error of the arcs on an edge, degrees."""
-        error = self.direction_rad[self.on_edge]
+        """Percentile of the direction error of the arcs on a line, degrees."""
+        error = self.direction_rad[self.on_line]
         return math.degrees(float(np.percentile(error, percentile))) if len(error) else math.nan
 
 
@@ -87,13 +99,28 @@ def arc_scores(
     of_segment = np.array([known[name] for name in segments.images], dtype=np.int64)[segments.image]
     of_stretch = np.array([known[name] for name in stretches.images], dtype=np.int64)[stretches.image]
     contrast = stretches.contrast_rgb if colour else stretches.contrast_grey
-    parts = []
+    line, parts = lines_of_edges(edges), []
     for k in range(len(poses)):
         rows, own = np.flatnonzero(of_segment == k), of_stretch == k
         seen = unbroken(stretches.keep(own), contrast[own] >= least_contrast, least_px)
-        photo = _score_photo(camera, poses.cam_from_world[k], edges, seen, segments.endpoints_px[rows])
+        photo = _score_photo(camera, poses.cam_from_world[k], edges, line, seen, segments.endpoints_px[rows])
         parts.append((rows, photo))
     return _together(len(segments), parts)
+
+
+def lines_of_edges(edges: TrueEdges) -> Int[np.ndarray, " e"]:
+    """Number of the straight line that each edge lies on: edges whose directions, and feet of the perpendicular from the middle
+    of the scene, agree to SAME_LINE_M are parts of one."""
+    if not len(edges):
+        return np.zeros(0, dtype=np.int64)
+    first, second = edges.ends_m[:, 0] - edges.ends_m.mean((0, 1)), edges.ends_m[:, 1] - edges.ends_m.mean((0, 1))
+    direction = _unit(second - first)
+    foot = first - (first * direction).sum(-1, keepdims=True) * direction
+    # A direction has no sign: each line stands for both.
+    keys = np.concatenate([np.concatenate([sign * direction, foot], -1) for sign in (1.0, -1.0)])
+    pairs = cKDTree(keys).query_pairs(SAME_LINE_M, output_type="ndarray") % len(edges)
+    links = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(edges), len(edges)))
+    return connected_components(links, directed=False)[1].astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -143,10 +170,16 @@ class _PhotoScore:
     on_edge: Bool[np.ndarray, " m"]
     edge: Int[np.ndarray, " m"]
     direction_rad: Float[np.ndarray, " m"]
+    on_line: Bool[np.ndarray, " m"]
 
 
 def _score_photo(
-    camera: CameraModel, pose: Pose, edges: TrueEdges, seen: Unbroken, ends_px: Float[np.ndarray, "m 2 2"]
+    camera: CameraModel,
+    pose: Pose,
+    edges: TrueEdges,
+    line: Int[np.ndarray, " e"],
+    seen: Unbroken,
+    ends_px: Float[np.ndarray, "m 2 2"],
 ) -> _PhotoScore:
     table = seen.table
     ends = edges.ends_m[table.edge]
@@ -161,6 +194,7 @@ def _score_photo(
     covered = np.zeros(len(true.owner), dtype=bool)
     covered[i] = True
     edge, share = _best_edge(table.edge[true.owner[i]], j, arcs, len(ends_px))
+    _, line_share = _best_edge(line[table.edge[true.owner[i]]], j, arcs, len(ends_px))
     length = float(true.length[counts].sum())
     covered_px = float(true.length[counts & covered].sum())
     incidences, found = _incidences(seen, true, arcs, i, j)
@@ -172,7 +206,8 @@ def _score_photo(
     )
     direction[rows] = np.minimum(angle, math.pi - angle)
     total = float(arcs.length.sum())
-    return _PhotoScore(length, covered_px, seen.count, incidences, found, total, share >= ON_EDGE, edge, direction)
+    on_edge, on_line = share >= ON_EDGE, line_share >= ON_EDGE
+    return _PhotoScore(length, covered_px, seen.count, incidences, found, total, on_edge, edge, direction, on_line)
 
 
 def _numpy(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
@@ -241,7 +276,7 @@ def _on_each_other(camera: CameraModel, a: _Curves, b: _Curves) -> tuple[Int[np.
 def _best_edge(
     edge: Int[np.ndarray, " k"], j: Int[np.ndarray, " k"], arcs: _Curves, count: int
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """For each arc the edge that the largest share of its length lies on, and that share."""
+    """For each arc the edge (or line, where `edge` numbers lines) that the largest share of it lies on, and that share."""
     best, share = np.full(count, -1), np.zeros(count)
     if len(j):
         (on, point), _ = _distinct(edge, j)
@@ -284,8 +319,10 @@ def _distinct(
 
 def _together(count: int, parts: list[tuple[np.ndarray, _PhotoScore]]) -> ArcScores:
     on_edge, edge, direction = np.zeros(count, dtype=bool), np.full(count, -1), np.full(count, np.nan)
+    on_line = np.zeros(count, dtype=bool)
     for rows, photo in parts:
         on_edge[rows], edge[rows], direction[rows] = photo.on_edge, photo.edge, photo.direction_rad
+        on_line[rows] = photo.on_line
     photos = [photo for _, photo in parts]
     length = sum(photo.length_px for photo in photos)
     found = sum(photo.found for photo in photos)
@@ -299,4 +336,5 @@ def _together(count: int, parts: list[tuple[np.ndarray, _PhotoScore]]) -> ArcSco
         on_edge,
         edge,
         direction,
+        on_line,
     )

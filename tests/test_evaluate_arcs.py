@@ -9,7 +9,7 @@ import torch
 
 from camera_models import Equirectangular, InputError, OpenCVFisheye
 from camera_models.pose import Pose
-from omnilines.evaluate_arcs import ArcScores, arc_scores
+from omnilines.evaluate_arcs import ArcScores, arc_scores, lines_of_edges
 from omnilines.files.true_edges import (
     Stretches,
     TrueEdges,
@@ -141,6 +141,23 @@ def test_stretches_that_touch_are_one() -> None:
     assert score.on_edge.tolist() == [True, False]
     grey = scored(FISHEYE, rows, segments(FISHEYE, [(0, 0, 0.0, 1.0)]), colour=False)
     assert grey.stretches == 3 and grey.length_px < score.length_px
+
+
+def test_edges_of_one_line() -> None:
+    """An arc over two sills of one line is on a line, but on no edge; so it is not where the second sill stands back."""
+    for back, on_line in ((0.0, True), (0.05, False)):
+        ends = np.array([[[-1.0, 0.3, 2.0], [0.0, 0.3, 2.0]], [[0.0, 0.3, 2.0], [1.0, 0.3, 2.0]]])
+        ends[1] *= 1.0 + back
+        sills = TrueEdges(("left", "right"), ends)
+        assert len(set(lines_of_edges(sills).tolist())) == (1 if on_line else 2)
+        seen = Stretches(
+            ("a.png",), np.zeros(2, dtype=np.int64), np.arange(2), np.tile([0.0, 1.0], (2, 1)), *np.full((3, 2), 150.0)
+        )
+        pixels, _ = FISHEYE.project(np.stack([ends[0, 0], ends[1, 1]]))
+        found = Segments(np.zeros(1, dtype=np.int64), ("a.png",), np.full(1, -1), (), pixels[None])
+        score = arc_scores(FISHEYE, ImagePoses(("a.png",), Pose.stack([POSES.cam_from_world[0]])), sills, seen, found)
+        assert score.on_edge.tolist() == [False] and score.on_line.tolist() == [on_line]
+        assert score.covered_share == pytest.approx(1.0)
 
 
 def test_direction_of_the_great_circle() -> None:

@@ -52,8 +52,8 @@ def extract(
     """
     refs = find_photos(photos)
     cameras = load(calibration)
-    camera_of = {photo.name: _camera_of(photo, cameras) for photo in refs}
-    keep = None if mask is None else _read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
+    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     folder = output_folder(out)
 
     def look(photo: PhotoRef) -> PhotoArcs:
@@ -78,7 +78,7 @@ def extract(
     return _result(results, files)
 
 
-def _camera_of(photo: PhotoRef, cameras: Calibration) -> str:
+def camera_of_photo(photo: PhotoRef, cameras: Calibration) -> str:
     if len(cameras) == 1:
         return next(iter(cameras))
     folders = [part for part in reversed(photo.path.parent.parts) if part in cameras]
@@ -90,7 +90,7 @@ def _camera_of(photo: PhotoRef, cameras: Calibration) -> str:
     return folders[0]
 
 
-def _read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
+def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
     image = read_photo(path)
     for camera in cameras:
         if image.shape[1::-1] != camera.image_size:

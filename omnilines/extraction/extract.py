@@ -2,9 +2,9 @@
 
 Edge points of the photo (`edgels`) are linked into chains and cut where they leave a great circle; pieces of one edge are
 joined (`merging`); each arc is fitted to profiles of colour across it in the photo itself and ends where its edge does (`refit`);
-what is texture is dropped (`clutter`), and what is two edges side by side is made two arcs (`double_edges`). No view is
-resampled: the camera model says which bearing a pixel has, so that a field of view past 180 degrees, a mirror or the seam of a
-panorama is nothing special.
+what is texture is dropped (`clutter`); edges that only the profiles of others show are added (`hidden_edges`), and edges near
+to each other are fitted together (`neighbours`). No view is resampled: the camera model says which bearing a pixel has, so that
+a field of view past 180 degrees, a mirror or the seam of a panorama is nothing special.
 """
 
 from dataclasses import dataclass
@@ -16,14 +16,15 @@ from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
 from omnilines.extraction.chain_kernel import chains, circles, links
 from omnilines.extraction.clutter import stands_out
-from omnilines.extraction.double_edges import split_doubles
-from omnilines.extraction.edgels import find_edgels
+from omnilines.extraction.edgels import find_edgels, noise_level
+from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
 from omnilines.extraction.merging import duplicates, merged
-from omnilines.extraction.refit import Photo, Refitted, refit
+from omnilines.extraction.neighbours import fit_together, photo_blur
+from omnilines.extraction.refit import Photo, Refitted, joined, refit
 
 LEAST_PX = 25.0
-"""Shorter arcs are not given back."""
+"""Shorter arcs are not given back, unless they are asked for."""
 LEAST_EDGELS = 9
 """Edge points on one circle with which an arc begins."""
 WITHIN_PX = 0.8
@@ -42,9 +43,10 @@ BEYOND_PX = 12.0
 LAST_BEYOND_PX = 4.0
 ALONG_PX = 1.0
 """Standard deviation of an end point along its arc."""
-TYPICAL_BLUR_PX, LEAST_BLUR_PX = 0.7, 0.6
-"""Where no arc tells the blur of the photo; and what pixels and interpolation alone make of a step."""
-SHARP_CONTRAST = 20.0
+HIDDEN_ROUNDS = 2
+"""Times that edges beside known ones are looked for."""
+LEAST_NOISE = 0.3
+"""Grey levels: rounding to whole ones."""
 _SAME_PX = 0.6
 
 
@@ -69,11 +71,12 @@ def extract_arcs(
     model: CameraModel,
     mask: Bool[np.ndarray, "h w"] | None = None,
     least_angle_rad: float = 0.0,
+    least_px: float = LEAST_PX,
 ) -> ExtractedArcs:
     """The arcs of a photo of 8 or 16 bits a channel, grey or in colour.
 
     `mask` is true where arcs are wanted. From `least_angle_rad` off the bearing of the centre pixel on, the photo shows the
-    scene, not the mount of a mirror.
+    scene, not the mount of a mirror. Arcs shorter than `least_px` are not given back.
 
     Raises InputError where photo or mask have not the size of the camera's images.
     """
@@ -85,7 +88,8 @@ def extract_arcs(
                 f"{size[0]}x{size[1]} px; give the one that the calibration is of."
             )
     circle = image_circle(image, model)
-    edgels = find_edgels(image, model, usable_pixels((height, width), circle, mask))
+    allowed = usable_pixels((height, width), circle, mask)
+    edgels = find_edgels(image, model, allowed)
     if circle is not None:
         edgels = edgels.keep(~follows_rim(image, circle, edgels.points.astype(np.float64)))
     if least_angle_rad > 0.0:
@@ -100,21 +104,42 @@ def extract_arcs(
         fitted = refit(photo, arcs, BEYOND_PX)
         good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
         arcs = merged(photo, fitted.arcs.keep(good), fitted.length_px[good])
-    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX))
+    noise = max(noise_level(image, allowed), LEAST_NOISE)
+    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX), noise, least_px)
 
 
-def _finished(photo: Photo, fitted: Refitted) -> ExtractedArcs:
-    kept = (fitted.length_px >= LEAST_PX) & (fitted.support >= LEAST_SUPPORT) & stands_out(photo, fitted.arcs)
-    sharp = fitted.blur_px[kept & (fitted.contrast >= SHARP_CONTRAST)]
-    blur_px = max(float(np.median(sharp)), LEAST_BLUR_PX) if len(sharp) else TYPICAL_BLUR_PX
-    split = split_doubles(photo, fitted.arcs.keep(kept), blur_px)
-    arcs = split.arcs
-    length_px = fitted.length_px[kept][split.rows]
-    single = ~duplicates(photo, arcs, length_px, split.rows, _SAME_PX)
+def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> ExtractedArcs:
+    kept = (fitted.length_px >= least_px) & (fitted.support >= LEAST_SUPPORT) & stands_out(photo, fitted)
+    arcs = fitted.arcs.keep(kept)
+    blur_px = photo_blur(photo, arcs, fitted.contrast[kept], noise)
+    arcs = fit_together(photo, _with_hidden(photo, arcs, blur_px, noise), blur_px, noise)
+    length_px = lengths_px(photo.model, arcs)
+    single = ~duplicates(photo, arcs, length_px, np.arange(len(arcs)), _SAME_PX) & (length_px >= least_px)
     order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
     arcs = arcs.keep(order)
     ends, covariance = _end_points(photo.model, arcs)
     return ExtractedArcs(arcs, ends, covariance, length_px[order])
+
+
+def _with_hidden(photo: Photo, arcs: Arcs, blur_px: float, noise: float) -> Arcs:
+    """The arcs and those that only the profiles of their neighbours show; again beside what was found."""
+    rows = np.arange(len(arcs))
+    for _ in range(HIDDEN_ROUNDS):
+        if not len(rows):
+            break
+        hidden = hidden_arcs(photo, arcs, rows, blur_px, noise)
+        if not len(hidden.arcs):
+            break
+        known = len(arcs)
+        arcs = joined([arcs, hidden.arcs])
+        # What is known already stays: it counts as the longer one.
+        rank = lengths_px(photo.model, arcs) + np.where(np.arange(len(arcs)) < known, 1e6, 0.0)
+        kin = np.maximum(np.arange(len(arcs)) - known, -1)
+        single = ~duplicates(photo, arcs, rank, kin, _SAME_PX)
+        again = np.zeros(len(arcs), dtype=bool)
+        again[known:], again[hidden.beside] = True, True
+        arcs, rows = arcs.keep(single), np.flatnonzero(again[single])
+    return arcs
 
 
 def _end_points(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2 2 2"]]:

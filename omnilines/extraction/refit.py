@@ -113,7 +113,8 @@ def _refit(photo: Photo, whole: Arcs, rows: Int[np.ndarray, " n"], beyond_px: fl
     wide, _, _ = shifts(grey, steady, usable, at.starts, *_filters(WIDE_TAPER_PX))
     bias = fit_circles(at.starts, at.angle, at.rate, wide, strength, usable, MOST_SHIFT_PX)[0] - change
     kept = (used >= 6) & (found[:, 0] >= 0) & (found[:, 1] > found[:, 0])
-    covariance = inverse * (variance * _correlation(residual, at.owner))[:, None, None] + floor_covariance(arcs, at, FLOOR_PX)
+    covariance = inverse * (variance * _correlation(residual, at.owner))[:, None, None]
+    covariance += floor_covariance(arcs, at.owner, at.rate, FLOOR_PX)
     # What lies beside the edge pulls a wide window more than a narrow one.
     covariance += BIAS**2 * bias[:, :, None] * bias[:, None]
     trim(found, place, residual, MOST_OFF_PX)
@@ -166,12 +167,15 @@ def _correlation(residual: Float[np.ndarray, " m"], owner: Int[np.ndarray, " m"]
     return total
 
 
-def floor_covariance(arcs: Arcs, at: Samples, floor_px: float) -> Float[np.ndarray, "n 2 2"]:
-    """Covariance of a shift of the whole arc and of a turn about its middle that moves its ends by that much."""
-    count = np.bincount(at.owner, minlength=len(arcs))
-    rate = np.bincount(at.owner, at.rate, len(arcs)) / np.maximum(count, 1)
+def floor_covariance(
+    arcs: Arcs, owner: Int[np.ndarray, " m"], rate: Float[np.ndarray, " m"], floor_px: float
+) -> Float[np.ndarray, "n 2 2"]:
+    """Covariance of a shift of the whole arc and of a turn about its middle that moves its ends by that much; `rate` is in px
+    per radian at points of the arcs `owner`."""
+    count = np.bincount(owner, minlength=len(arcs))
+    mean = np.bincount(owner, rate, len(arcs)) / np.maximum(count, 1)
     half = np.maximum(0.5 * (arcs.high - arcs.low), 1e-6)
-    variance = (floor_px / np.maximum(rate, 1e-9)) ** 2
+    variance = (floor_px / np.maximum(mean, 1e-9)) ** 2
     result = np.zeros((len(arcs), 2, 2))
     result[:, 0, 0] = variance
     result[:, 1, 1] = variance / np.minimum(np.sin(np.minimum(half, 0.5 * np.pi)), 1.0) ** 2

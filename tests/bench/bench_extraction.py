@@ -3,8 +3,8 @@
     python tests/bench/bench_extraction.py [--views 3] [--seeds 0 1] [--panorama]
 
 LSD is OpenCV's, on the grey photo, segments of 25 px and more. The figures are those of omnilines.evaluate_arcs. "repeated" is
-the share of the edges that two photos both see (40 px, 10 grey levels) and that either found, that both found; "inside 95" is the
-share of end points whose distance from the true great circle is below 1.96 of its standard deviation. Time is CPU time.
+the share of the edges that two photos both see (40 px, 10 grey levels) and that either found, that both found; "inside 95" is
+the share of end points whose distance from the true great circle is below 1.96 of its standard deviation. Time is CPU time.
 """
 
 import argparse
@@ -97,7 +97,7 @@ def inside_95(scene: RenderedScene, scores: ArcScores, table: Segments) -> float
     """Share of end points whose distance across from the true great circle is below 1.96 standard deviations."""
     if table.covariance_px2 is None:
         return math.nan
-    rows = np.flatnonzero(scores.on_edge)
+    rows = np.flatnonzero(scores.on_line)
     pose = scene.poses.cam_from_world
     rotation, translation = pose.rotation.numpy()[table.image[rows]], pose.translation.numpy()[table.image[rows]]
     points = np.einsum("nij,nkj->nki", rotation, scene.edges.ends_m[scores.edge[rows]]) + translation[:, None]
@@ -131,7 +131,7 @@ def repeatability(scene: RenderedScene, scores: ArcScores, table: Segments) -> f
 
 def table_of_rooms(view_count: int, seeds: list[int], size: tuple[int, int]) -> None:
     print(
-        "camera | method | covered | on an edge | arcs per stretch | mean px | direction median, 95th (deg) | "
+        "camera | method | covered | on an edge | on a line | arcs per stretch | mean px | direction median, 95th (deg) | "
         "inside 95 | repeated | CPU s"
     )
     for model, fov_deg in CAMERAS:
@@ -157,6 +157,7 @@ def table_of_rooms(view_count: int, seeds: list[int], size: tuple[int, int]) -> 
                         [
                             scores.covered_share,
                             scores.on_edge_share,
+                            scores.on_line_share,
                             scores.arcs_per_stretch,
                             scores.mean_arc_px,
                             scores.direction_deg(50),
@@ -168,8 +169,8 @@ def table_of_rooms(view_count: int, seeds: list[int], size: tuple[int, int]) -> 
                     )
             v = np.mean(rows, axis=0)
             print(
-                f"{model} | {name} | {100 * v[0]:.1f} | {100 * v[1]:.1f} | {v[2]:.2f} | {v[3]:.0f} | {v[4]:.3f}, {v[5]:.2f} | "
-                f"{100 * v[6]:.1f} | {100 * v[7]:.0f} | {v[8]:.2f}",
+                f"{model} | {name} | {100 * v[0]:.1f} | {100 * v[1]:.1f} | {100 * v[2]:.1f} | {v[3]:.2f} | {v[4]:.0f} | "
+                f"{v[5]:.3f}, {v[6]:.2f} | {100 * v[7]:.1f} | {100 * v[8]:.0f} | {v[9]:.2f}",
                 flush=True,
             )
 

@@ -1,0 +1,112 @@
+"""Arcs fitted together with the edges beside them.
+
+The frame of a picture, the lip of a shelf, the gap between two books: most edges indoors have another one within a few pixels.
+A single step fitted to such a profile lies between both edges, or is pulled from the one towards the other. So a profile across
+an arc is fitted with one blurred step for each arc that crosses it.
+"""
+
+from dataclasses import fields, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import t as t_distribution
+
+from omnilines.extraction.arcs import Arcs
+from omnilines.extraction.blocks import Blocks, blocks_along, fit_places
+from omnilines.extraction.circle_kernel import fit_circles
+from omnilines.extraction.refit import Photo, floor_covariance, moved
+
+TAPER_PX, WIDE_TAPER_PX = 1.0, 2.0
+"""Standard deviations of the weights of a profile: to fit an arc, and to see how much that depends on what lies beside it."""
+BLUR_FACTOR = 1.1
+"""Blur that another fit assumes, over the photo's."""
+WIDE_SHARE, BLUR_SHARE = 2.0, 1.0
+"""Standard deviation by either, over the difference between the fits."""
+CROWDED = 0.2
+"""Share of an arc's length that has others beside it, from which on it is fitted with them."""
+MOST_SHIFT_PX = 2.0
+SCATTER_PX = 0.02
+"""Standard deviation of a place in a profile without noise."""
+FLOOR_PX = 0.015
+"""Standard deviation across the arc that no number of pixels lowers."""
+MOST_OFF_PX = 0.4
+LEAST_BLOCKS = 4
+BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
+TYPICAL_BLUR_PX = 0.7
+"""Where no arc tells the blur of the photo."""
+BLUR_ARCS = 40
+SHARP_CONTRAST = 20.0
+
+
+def photo_blur(photo: Photo, arcs: Arcs, contrast: Float[np.ndarray, " n"], noise: float) -> float:
+    """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them."""
+    strong = np.flatnonzero(contrast >= SHARP_CONTRAST)
+    if not len(strong):
+        return TYPICAL_BLUR_PX
+    whole = blocks_along(photo, arcs, noise)
+    lone = strong[whole.mean((whole.count > 1).astype(np.float64), len(arcs))[strong] < CROWDED]
+    # Longest first.
+    lone = np.sort(lone[np.argsort(-np.diff(whole.starts)[lone], kind="stable")[:BLUR_ARCS]])
+    if not len(lone):
+        return TYPICAL_BLUR_PX
+    blocks = whole.keep(lone)
+    blocks = replace(blocks, count=np.ones(len(blocks.owner), dtype=np.int64))
+    left = []
+    for blur_px in BLURS_PX:
+        rest = fit_places(blocks, blocks.place, TAPER_PX, float(blur_px))[3]
+        left.append(blocks.mean((rest**2).sum((1, 2)), len(lone)))
+    return float(np.median(BLURS_PX[np.argmin(left, axis=0)]))
+
+
+def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float) -> tuple:
+    """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
+    place, variance, _, _ = fit_places(blocks, start, taper_px, blur_px)
+    weight = 1.0 / (variance + SCATTER_PX**2)
+    fit = fit_circles(blocks.starts, blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole, MOST_SHIFT_PX)
+    return (*fit, place, variance)
+
+
+def fit_together(photo: Photo, arcs: Arcs, blur_px: float, noise: float) -> Arcs:
+    """Arcs that have others beside them over CROWDED of their length, fitted anew with them; the others are as they were.
+
+    The covariance holds the scatter of the places, and how much the arc moves where the window is wider or the blur another:
+    the first tells of edges beside it that are not known.
+    """
+    if not len(arcs):
+        return arcs
+    whole = blocks_along(photo, arcs, noise)
+    rows = np.flatnonzero(whole.mean((whole.count > 1).astype(np.float64), len(arcs)) >= CROWDED)
+    crowded, blocks = arcs.keep(rows), whole.keep(rows)
+    change, inverse, scatter, used, residual, place, variance = _circles(blocks, blocks.place, TAPER_PX, blur_px)
+    # Few places tell little of their scatter: Student's t in the place of the normal distribution.
+    few = (t_distribution.ppf(0.975, np.maximum(used - 2.0, 1.0)) / 1.96) ** 2
+    covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, FLOOR_PX)
+    for taper_px, blur, share in ((WIDE_TAPER_PX, blur_px, WIDE_SHARE), (TAPER_PX, BLUR_FACTOR * blur_px, BLUR_SHARE)):
+        bias = _circles(blocks, place, taper_px, blur)[0] - change
+        covariance += share**2 * bias[:, :, None] * bias[:, None]
+    low, high = _trimmed(crowded, blocks, residual, variance)
+    fitted = replace(moved(crowded, change, covariance), low=low, high=high)
+    rows = rows[used >= LEAST_BLOCKS]
+    result = arcs.keep(np.arange(len(arcs)))
+    for field in fields(Arcs):
+        getattr(result, field.name)[rows] = getattr(fitted, field.name)[used >= LEAST_BLOCKS]
+    return result.centred()
+
+
+def _trimmed(
+    arcs: Arcs, blocks: Blocks, residual: Float[np.ndarray, " m"], variance: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Ends of arcs moved inwards to where their edge lies on the circle: beyond, they follow another one."""
+    on = np.abs(residual) <= np.maximum(MOST_OFF_PX, 3.0 * np.sqrt(variance))
+    index = np.arange(len(on))
+    filled = np.diff(blocks.starts) > 0
+    first, last = np.zeros(len(arcs), dtype=np.int64), np.zeros(len(arcs), dtype=np.int64)
+    first[filled] = np.minimum.reduceat(np.where(on, index, len(on)), blocks.starts[:-1][filled])
+    last[filled] = np.maximum.reduceat(np.where(on, index, -1), blocks.starts[:-1][filled])
+    shorter = filled & (last > first)
+    low, high = arcs.low.copy(), arcs.high.copy()
+    rows = np.flatnonzero(shorter & (first > blocks.starts[:-1]))
+    low[rows] = 0.5 * (blocks.angle[first[rows] - 1] + blocks.angle[first[rows]])
+    rows = np.flatnonzero(shorter & (last < blocks.starts[1:] - 1))
+    high[rows] = 0.5 * (blocks.angle[last[rows]] + blocks.angle[last[rows] + 1])
+    return low, high
