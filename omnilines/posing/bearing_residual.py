@@ -1,0 +1,47 @@
+"""The angle between where a point should be seen and where it is, on the whole sphere, and its derivatives.
+
+With b the observed bearing, P (2x3) rows across it and v = X / |X| the direction of the point in the camera,
+
+    r = 2 P v / (1 + b . v),    |r| = 2 tan(angle / 2) for orthonormal rows: the angle to second order
+
+is smooth everywhere but opposite to b, where it grows without bound: no point behind a camera passes for one before it.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models.pose import Pose, hat
+
+_NEAREST_OPPOSITE = 1e-9
+
+
+def across(bearings: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:
+    """Two orthonormal rows across each unit bearing."""
+    helper = torch.nn.functional.one_hot(bearings.abs().argmin(-1), 3).to(bearings.dtype)
+    first = torch.linalg.cross(bearings, helper)
+    first = first / first.norm(dim=-1, keepdim=True)
+    return torch.stack([first, torch.linalg.cross(bearings, first)], -2)
+
+
+def bearing_residual(
+    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], seen: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2 3"]]:
+    """r and d r / d X of points X in the camera frame; `rows` P are across the bearings, divided by standard deviations."""
+    length = seen.norm(dim=-1, keepdim=True).clamp_min(1e-300)
+    v = seen / length
+    beyond = (1.0 + (bearings * v).sum(-1, keepdim=True)).clamp_min(_NEAREST_OPPOSITE)
+    r = 2.0 * (rows @ v[..., None])[..., 0] / beyond
+    by_direction = 2.0 * rows / beyond[..., None] - r[..., None] * (bearings / beyond)[:, None, :]
+    along = (by_direction @ v[..., None]) * v[:, None, :]
+    return r, (by_direction - along) / length[..., None]
+
+
+def by_pose(by_point: Float[Tensor, "n 2 3"], seen: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 6"]:
+    """d r / d pose for the left perturbation exp(delta) T, delta = (rotation_rad, translation_m): d X = omega x X + v."""
+    return torch.cat([-by_point @ hat(seen), by_point], -1)
+
+
+def placed(pose: Pose, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """One point for each pose, in its left frame."""
+    return (pose.rotation @ points[..., None])[..., 0] + pose.translation

@@ -1,0 +1,118 @@
+"""SIFT features of a photo as bearings: the camera turns each keypoint into a unit vector, and all after that is on the sphere.
+
+Keypoints come from the photo as it is, with affine shapes (K. Mikolajczyk, C. Schmid, Scale and affine invariant interest point
+detectors, IJCV 2004), which make up for much of what slant and a wide lens do to a patch. Left out are those that the camera
+cannot see, those beyond the angles that its calibration is supported by, and those at the edge of the lens's dark surround, which
+stand still in every photo.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+
+from camera_models import CameraEstimate, CameraModel, InputError
+from omnilines.posing._pycolmap import pycolmap
+
+MOST_FEATURES = 4000
+PEAK = 0.0033
+"""Least contrast of a keypoint, half of COLMAP's: painted rooms are faint."""
+BEYOND_SUPPORT_RAD = math.radians(2.0)
+SCALE_PX, LEAST_SIGMA_PX = 3.0, 0.35
+"""Scale of a keypoint from which its position is known the less, the larger it is; standard deviation of those below."""
+DARK, SURROUND_PX = 16, 5.0
+"""Grey level (of 255) up to which pixels joined to an image corner are the lens's surround, and the distance kept from it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Keypoints of one photo, rows in the order of falling scale."""
+
+    bearings: Float[torch.Tensor, "n 3"]
+    """Unit vectors in the camera frame."""
+    rows: Float[torch.Tensor, "n 2 3"]
+    """Across each bearing, in units of the keypoint's standard deviation: rows (b' - b) is the error in standard deviations."""
+    sigma_rad: Float[torch.Tensor, " n"]
+    """The larger standard deviation of the bearing."""
+    descriptors: UInt8[torch.Tensor, "n 128"]
+    """RootSIFT, of length 512 or so."""
+
+    def __len__(self) -> int:
+        return len(self.bearings)
+
+    def unit_descriptors(self) -> Float[torch.Tensor, "n 128"]:
+        """In single precision."""
+        whole = self.descriptors.to(torch.float32)
+        return whole / whole.norm(dim=-1, keepdim=True).clamp_min(1.0)
+
+
+def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
+    """A function that finds the features of a photo; raises InputError where pycolmap is not installed."""
+    module = pycolmap()
+    options = module.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    options.sift.estimate_affine_shape = True
+    options.sift.peak_threshold = PEAK
+    options.sift.max_num_features = MOST_FEATURES
+    extractor = module.FeatureExtractor.create(options, module.Device.cpu)
+
+    def find(image: np.ndarray, model: CameraModel, estimate: CameraEstimate | None) -> Features:
+        """Features of a photo (h, w) or (h, w, 3) of 8 or 16 bits; raises InputError where it has not the camera's size."""
+        if image.shape[1::-1] != model.image_size:
+            expected, found = (f"{w}x{h} px" for w, h in (model.image_size, image.shape[1::-1]))
+            raise InputError(f"A photo of {expected} was expected for its camera, found one of {found}; give that of its camera.")
+        grey = _grey(image)
+        keypoints, descriptors = extractor.extract_from_uint8_array(grey)
+        table = np.asarray(module.keypoints_to_matrix(keypoints), dtype=np.float64).reshape(-1, 4)
+        # COLMAP's first pixel has its centre at 0.5.
+        return _on_sphere(table[:, :2] - 0.5, table[:, 2], np.array(descriptors.data), model, estimate, clear_of_surround(grey))
+
+    return find
+
+
+def _grey(image: np.ndarray) -> UInt8[np.ndarray, "h w"]:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey // 257).astype(np.uint8))
+
+
+def clear_of_surround(grey: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels away from the dark surround of the image circle and then from the image's border; all where no corner is dark."""
+    dark = (cv2.blur(grey, (3, 3)) <= DARK).astype(np.uint8)
+    if not dark[[0, 0, -1, -1], [0, -1, 0, -1]].any():
+        return np.ones(grey.shape, dtype=bool)
+    # What is dark at the border is joined by a ring around the image: the circle may cut it into slivers.
+    _, labels = cv2.connectedComponents(cv2.copyMakeBorder(dark, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1))
+    distance = cv2.distanceTransform((labels != labels[0, 0]).astype(np.uint8), cv2.DIST_L2, 3)
+    clear: Bool[np.ndarray, "h w"] = distance[1:-1, 1:-1] > SURROUND_PX
+    return clear
+
+
+def _on_sphere(
+    pixels: Float[np.ndarray, "n 2"],
+    scale_px: Float[np.ndarray, " n"],
+    descriptors: UInt8[np.ndarray, "n 128"],
+    model: CameraModel,
+    estimate: CameraEstimate | None,
+    clear: Bool[np.ndarray, "h w"],
+) -> Features:
+    place: Int[np.ndarray, "n 2"] = np.clip(np.rint(pixels).astype(np.int64), 0, np.array(model.image_size) - 1)
+    with torch.no_grad():
+        at = torch.as_tensor(pixels)
+        bearings, valid = model.unproject(at)
+        axis, _ = model.unproject(model.centre_px)
+        angle = torch.atan2(torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1), bearings @ axis)
+        supported = torch.ones_like(valid)
+        if estimate is not None:
+            most = math.pi if estimate.max_angle_deg is None else math.radians(estimate.max_angle_deg) + BEYOND_SUPPORT_RAD
+            supported = (angle <= most) & (angle >= math.radians(estimate.min_angle_deg))
+        jacobian = model.unproject_jacobian(at)
+    finite = torch.isfinite(jacobian).flatten(1).all(-1)
+    keep = valid & supported & finite & torch.as_tensor(clear[place[:, 1], place[:, 0]])
+    jacobian, sigma_px = jacobian[keep], LEAST_SIGMA_PX * torch.as_tensor(scale_px / SCALE_PX).clamp_min(1.0)[keep]
+    rows = torch.linalg.pinv(jacobian) / sigma_px[:, None, None]
+    sigma_rad = sigma_px * torch.linalg.matrix_norm(jacobian, ord=2)
+    return Features(bearings[keep], rows, sigma_rad, torch.as_tensor(descriptors)[keep])

@@ -1,0 +1,144 @@
+"""Poses of photos from a calibration target that each of them shows: the board frame is the world."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from calib_patterns._pattern import Detection, Pattern
+from calib_patterns.checkerboard import Checkerboard
+from calib_patterns.guided_part import guided_search_of_part
+from calib_patterns.pose_refit import refit_pose, robust_scale_px
+from calib_patterns.tangent_views import LEAST_CORNERS, detect_in_views
+from camera_models import CameraModel, GeometryError, InputError
+from camera_models.pose import Pose, hat
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.resection import resect
+from omnilines.records import ImagePoses
+
+CORNER_SIGMA_PX = 0.5
+"""Of corners and camera together, where a pose begins: generous, it only decides what is a gross error."""
+LEAST_SHARE = 0.6
+"""Of the corners must agree on the pose."""
+
+
+def poses_from_boards(
+    photos: Sequence[str],
+    read: Callable[[str], np.ndarray],
+    cameras: Mapping[str, CameraModel],
+    camera_of: Mapping[str, str],
+    pattern: Pattern,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> PhotoPoses:
+    """`cam_from_world` of the photos that show a board which does not move; its frame is the world, in metres.
+
+    `read` gives the photo of a name as (h, w) or (h, w, 3), 8 or 16 bits. Corners are detected, completed with the help of the
+    calibrated camera (guided.py), and the pose fitted to them in pixels; its covariance is that of the fit, with the residuals'
+    own standard deviation. Photos without a board, or with one that does not fit the camera, are left out.
+
+    A plain board with nx + ny even looks the same after half a turn (a square one after a quarter too, but for its colours): each
+    photo's pose is right up to that turn, and several need not agree. Raises InputError for such a board with more than one photo
+    that shows it, and where no photo shows the board.
+    """
+    found: list[tuple[str, Pose, Float[np.ndarray, "6 6"]]] = []
+    lost = []
+    for done, photo in enumerate(photos):
+        if progress is not None:
+            progress("finding boards", done, len(photos))
+        outcome = board_pose(read(photo), cameras[camera_of[photo]], pattern)
+        if isinstance(outcome, str):
+            lost.append(f"{photo} has no pose: {outcome}")
+        else:
+            found.append((photo, *outcome))
+    if progress is not None:
+        progress("finding boards", len(photos), len(photos))
+    if not found:
+        raise InputError(
+            f"A {pattern.specification} was expected in some photo, found none; {lost[0] if lost else 'give photos.'}"
+        )
+    notes: tuple[str, ...] = ("The world is the board frame.",)
+    if turns_unseen(pattern):
+        if len(found) > 1:
+            raise InputError(
+                f"A board whose ends can be told apart was expected to give the poses of {len(found)} photos, found "
+                f"{pattern.specification}, which looks the same after half a turn; use a ChArUco board, an AprilGrid or a "
+                "checkerboard with an even and an odd number of inner corners."
+            )
+        notes += (f"The {pattern.specification} looks the same after half a turn: its x axis is taken to point to the right.",)
+    table = ImagePoses(
+        tuple(photo for photo, _, _ in found),
+        Pose.stack([pose for _, pose, _ in found]),
+        tuple(camera_of[photo] for photo, _, _ in found),
+        np.stack([covariance for _, _, covariance in found]),
+    )
+    return PhotoPoses(table, tuple(lost), notes)
+
+
+def turns_unseen(pattern: Pattern) -> bool:
+    """Whether a board looks the same after half a turn."""
+    return isinstance(pattern, Checkerboard) and (pattern.nx + pattern.ny) % 2 == 0
+
+
+def is_mirrored(model: CameraModel) -> bool:
+    """Whether photos of a camera show the world as a mirror does."""
+    centre = model.centre_px.detach()
+    with torch.no_grad():
+        around, _ = model.unproject(centre + torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64))
+    axis, by_u, by_v = around[0], around[1] - around[0], around[2] - around[0]
+    return float((torch.linalg.cross(by_u, by_v) * axis).sum()) < 0
+
+
+def board_pose(image: np.ndarray, model: CameraModel, pattern: Pattern) -> tuple[Pose, Float[np.ndarray, "6 6"]] | str:
+    """cam_from_board and its covariance, or one sentence why there is none."""
+    if image.shape[1::-1] != model.image_size:
+        size = f"{image.shape[1]}x{image.shape[0]} px"
+        return f"a photo of {model.image_size[0]}x{model.image_size[1]} px was expected for its camera, found one of {size}."
+    mirrored = is_mirrored(model)
+    detection, reason = pattern.detect(image, mirrored=mirrored)
+    whole = _completed(image, model, pattern, detection)
+    if whole is None:
+        lost = detect_in_views(image, pattern, model, mirrored=mirrored)
+        whole = _completed(image, model, pattern, lost)
+    if whole is None:
+        return reason or "the corners found do not fit the camera; check the pattern and the calibration."
+    return whole
+
+
+def _completed(
+    image: np.ndarray, model: CameraModel, pattern: Pattern, found: Detection
+) -> tuple[Pose, Float[np.ndarray, "6 6"]] | None:
+    """The pose from all corners that the camera leads to from those found; None where they are too few or contradict it."""
+    start = _resected(model, pattern, found)
+    if start is None:
+        return None
+    guided = guided_search_of_part(image, pattern, model, start, found)
+    corners = guided.detection
+    if not guided.fits or len(corners) < LEAST_CORNERS:
+        return None
+    board_m = pattern.points_m[corners.ids]
+    pose, residual = refit_pose(model, guided.cam_from_board, board_m, corners.pixels)
+    return pose, _covariance(model, pose, board_m, robust_scale_px(residual))
+
+
+def _resected(model: CameraModel, pattern: Pattern, found: Detection) -> Pose | None:
+    bearings, valid = model.unproject(found.pixels)
+    if valid.sum() < LEAST_CORNERS:
+        return None
+    jacobian = model.unproject_jacobian(torch.as_tensor(found.pixels[valid])).detach()
+    sigma = CORNER_SIGMA_PX * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
+    least = max(LEAST_CORNERS, int(LEAST_SHARE * valid.sum()))
+    try:
+        return resect(bearings[valid], pattern.points_m[found.ids[valid]], sigma, least_inliers=least).pose
+    except GeometryError:
+        return None
+
+
+def _covariance(model: CameraModel, pose: Pose, board_m: Float[np.ndarray, "n 3"], sigma_px: float) -> Float[np.ndarray, "6 6"]:
+    """sigma^2 (J' J)^-1 of the pixels by the left perturbation of the pose."""
+    with torch.no_grad():
+        seen = pose.transform(torch.as_tensor(board_m))
+        _, valid, by_point, _ = model.project_with_jacobians(seen)
+        jacobian = (torch.cat([-by_point @ hat(seen), by_point], -1) * valid[:, None, None]).flatten(0, 1)
+        inverse: Float[np.ndarray, "6 6"] = (sigma_px**2 * torch.linalg.inv(jacobian.mT @ jacobian)).numpy()
+    return inverse

@@ -1,0 +1,74 @@
+"""The result that every source of poses hands back, and moving poses into the frame of others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from camera_models import GeometryError
+from camera_models.pose import Pose
+from omnilines.records import ImagePoses
+
+
+@dataclass(frozen=True)
+class PhotoPoses:
+    """`cam_from_world` of photos, and what became of the others."""
+
+    poses: ImagePoses
+    left_out: tuple[str, ...] = ()
+    """One sentence for each photo without a pose: its name and the reason."""
+    notes: tuple[str, ...] = ()
+    """What a person should know of the poses, one sentence each."""
+
+
+def image_poses(
+    images: Sequence[str], poses: Sequence[Pose], cameras: Sequence[str], frames: Sequence[str] | None = None
+) -> ImagePoses:
+    """A table of single poses; none at all is an empty one."""
+    whole = Pose.stack(list(poses)) if poses else Pose.identity(0)
+    return ImagePoses(tuple(images), whole, tuple(cameras), None, None if frames is None else tuple(frames))
+
+
+def align_to(poses: ImagePoses, reference: ImagePoses) -> tuple[ImagePoses, float, Pose]:
+    """Poses in the world of others: X_reference = s R X + t from the photos that both hold; also s (1) and (R, t).
+
+    R maximises the sum of the mean correlation of the centres, in units of their spread, and of the rotations,
+    tr(R' R_ref' R_own): rotations count as much as places, so that cameras on a straight line are aligned too. s and t
+    follow from the centres (Umeyama 1991). Covariances are moved along. Raises GeometryError where fewer than two photos are in
+    both, or their centres coincide in either.
+    """
+    place = {name: k for k, name in enumerate(reference.images)}
+    rows = [(k, place[name]) for k, name in enumerate(poses.images) if name in place]
+    if len(rows) < 2:
+        raise GeometryError(f"At least two photos with poses in both sets were expected, found {len(rows)}; name them alike.")
+    here, there = (torch.tensor(index) for index in zip(*rows, strict=True))
+    own, other = poses.cam_from_world[here], reference.cam_from_world[there]
+    a, b = own.centre, other.centre
+    mean_a, mean_b = a.mean(0), b.mean(0)
+    spread_a, spread_b = ((c - c.mean(0)).square().sum(-1).mean().sqrt() for c in (a, b))
+    if float(spread_a) <= 1e-12 * float(1 + a.abs().max()) or float(spread_b) <= 1e-12 * float(1 + b.abs().max()):
+        raise GeometryError("Photos at two or more places were expected to find a scale, found all at one place; give others.")
+    moved = (b - mean_b).mT @ (a - mean_a) / (spread_a * spread_b * len(a))
+    turned = (other.rotation.mT @ own.rotation).mean(0)
+    u, _, vt = torch.linalg.svd(moved + turned)
+    sign = torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ vt))], dtype=u.dtype)
+    rotation = (u * sign) @ vt
+    scale = float(((b - mean_b) * ((a - mean_a) @ rotation.mT)).sum() / (a - mean_a).square().sum())
+    if not scale > 0:
+        raise GeometryError("Photos at like places in both sets were expected, found places that contradict; check the names.")
+    similarity = Pose(rotation, mean_b - scale * rotation @ mean_a)
+    return moved_poses(poses, scale, similarity), scale, similarity
+
+
+def moved_poses(poses: ImagePoses, scale: float, similarity: Pose) -> ImagePoses:
+    """Poses in the world X' = s R X + t."""
+    rotation = poses.cam_from_world.rotation @ similarity.rotation.mT
+    centre = scale * (poses.cam_from_world.centre @ similarity.rotation.mT) + similarity.translation
+    moved = Pose(rotation, -(rotation @ centre[..., None])[..., 0])
+    covariance = poses.covariance
+    if covariance is not None:
+        # The perturbation is that of the camera's own frame: only lengths change.
+        unit = np.array([1.0, 1.0, 1.0, scale, scale, scale])
+        covariance = covariance * unit[:, None] * unit
+    return replace(poses, cam_from_world=moved, covariance=covariance)

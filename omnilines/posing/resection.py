@@ -1,0 +1,158 @@
+"""The pose of one camera from bearings to known points, wherever on the sphere they lie and with many wrong ones among them.
+
+1. Poses of random triples (p3p.py), scored by sum min(angle^2, limit^2) over all points (MSAC: P. Torr, A. Zisserman, MLESAC,
+   CVIU 2000), until a better one is improbable.
+2. The best few are refined by iteratively reweighted Levenberg-Marquardt with the loss log(1 + r^2 / BEND^2) of the residuals in
+   standard deviations (bearing_residual.py), over all points; the one with the least cost is taken.
+3. Its covariance is that of least squares over the inliers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import GeometryError
+from camera_models.pose import Pose
+from omnilines.posing.bearing_residual import across, bearing_residual, by_pose, placed
+from omnilines.posing.p3p import p3p
+
+INLIER_SIGMA = 3.5
+"""A point counts when its residual is below so many standard deviations: 0.998 of those with normal noise in two directions."""
+BEND = 2.0
+LEAST_POINTS = 4
+"""Three leave up to four poses."""
+BATCH, MOST_BATCHES = 256, 40
+CONFIDENCE = 1e-4
+"""Probability of having missed a triple without a wrong point at which the search ends."""
+REFINED = 4
+_STEPS = 30
+
+
+@dataclass(frozen=True)
+class Resection:
+    """A pose and what it rests on."""
+
+    pose: Pose
+    """cam_from_world."""
+    inliers: Bool[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "6 6"]
+    """Of the left perturbation (rotation_rad, translation_m), for the stated standard deviations."""
+
+
+def resect(
+    bearings: Float[np.ndarray, "n 3"],
+    points: Float[np.ndarray, "n 3"],
+    sigma_rad: float | Float[np.ndarray, " n"] = 1e-3,
+    *,
+    least_inliers: int = LEAST_POINTS,
+    seed: int = 0,
+) -> Resection:
+    """The pose cam_from_world that sees world `points` along unit `bearings` (camera frame, any angle off axis).
+
+    `sigma_rad` is the standard deviation of each bearing in either direction across it. Half of the points or more may be wrong.
+    Raises GeometryError for fewer than four points, where fewer than `least_inliers` points agree on a pose, and where those that
+    do leave it open (all on one line, all in one direction).
+    """
+    if len(bearings) < LEAST_POINTS:
+        raise GeometryError(f"At least {LEAST_POINTS} points were expected for a pose, found {len(bearings)}; give more.")
+    b, x = torch.as_tensor(bearings), torch.as_tensor(points)
+    sigma = torch.as_tensor(np.broadcast_to(np.asarray(sigma_rad, dtype=np.float64), len(b)).copy())
+    middle, size = x.median(0).values, float((x - x.median(0).values).norm(dim=-1).median().clamp_min(1e-12))
+    local = (x - middle) / size
+    starts = _best_of_triples(b, local, sigma, seed)
+    rows = across(b) / sigma[:, None, None]
+    pose = min((_refined(b, rows, local, starts[k]) for k in range(len(starts))), key=lambda item: item[1])[0]
+    residual, by_point = bearing_residual(b, rows, placed(pose, local))
+    inliers = residual.norm(dim=-1) < INLIER_SIGMA
+    if int(inliers.sum()) < max(least_inliers, LEAST_POINTS):
+        raise GeometryError(
+            f"At least {max(least_inliers, LEAST_POINTS)} points that agree on a pose were expected, found {int(inliers.sum())} "
+            f"of {len(b)}; give more points or better ones."
+        )
+    jacobian = by_pose(by_point, placed(pose, local))[inliers]
+    covariance = _inverse(torch.einsum("nki,nkj->ij", jacobian, jacobian))
+    unit = torch.tensor([1.0, 1.0, 1.0, size, size, size], dtype=torch.float64)
+    whole = Pose(pose.rotation, size * pose.translation - pose.rotation @ middle)
+    return Resection(whole, inliers.numpy(), (covariance * unit[:, None] * unit).numpy())
+
+
+def _best_of_triples(bearings: Float[Tensor, "n 3"], points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"], seed: int) -> Pose:
+    """The poses of the best few triples; raises GeometryError where no triple has one."""
+    rng = np.random.default_rng(seed)
+    count = len(bearings)
+    limit = (2.0 * torch.tan(0.5 * (INLIER_SIGMA * sigma).clamp_max(1.0))).square()
+    best_cost, best = torch.zeros(0, dtype=torch.float64), Pose.identity(0)
+    for batch in range(1, MOST_BATCHES + 1):
+        triples = torch.as_tensor(rng.random((BATCH, count)).argpartition(2, axis=1)[:, :3].copy())
+        poses, found = p3p(bearings[triples], points[triples])
+        poses = poses[found]
+        if len(poses):
+            seen = poses.transform(points)
+            cosine = (seen * bearings).sum(-1) / seen.norm(dim=-1).clamp_min(1e-300)
+            # 4 tan^2(angle / 2) of unit vectors.
+            square = 4.0 * (1.0 - cosine) / (1.0 + cosine).clamp_min(1e-12)
+            cost = torch.minimum(square / limit, torch.ones_like(square)).sum(-1)
+            every = torch.cat([best_cost, cost])
+            order = torch.argsort(every, stable=True)[:REFINED]
+            together = Pose(torch.cat([best.rotation, poses.rotation]), torch.cat([best.translation, poses.translation]))
+            best_cost, best = every[order], together[order]
+        share = 1.0 - float(best_cost[0]) / count if len(best) else 0.0
+        if share > 0 and BATCH * batch * -np.log1p(-min(share**3, 1 - 1e-12)) > -np.log(CONFIDENCE):
+            break
+    if not len(best):
+        raise GeometryError(
+            "Points that are not all on one line, in three directions or more, were expected for a pose, found none such three; "
+            "give others."
+        )
+    return best
+
+
+def _refined(
+    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], start: Pose
+) -> tuple[Pose, float]:
+    """The pose near a start with the least robust cost, and that cost."""
+    pose, damping = start, 1e-4
+    cost, normal, right = _linearised(bearings, rows, points, pose)
+    for _ in range(_STEPS):
+        step = torch.linalg.solve(normal + damping * torch.diag(normal.diagonal() + 1e-12), right)
+        trial = Pose.exp(step) @ pose
+        found = _linearised(bearings, rows, points, trial)
+        if found[0] < cost:
+            gain = cost - found[0]
+            pose, (cost, normal, right), damping = trial, found, 0.2 * damping
+            if gain < 1e-12 * cost:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                break
+    return pose, cost
+
+
+def _linearised(
+    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], pose: Pose
+) -> tuple[float, Float[Tensor, "6 6"], Float[Tensor, "6"]]:
+    """Robust cost, normal matrix and right side."""
+    seen = placed(pose, points)
+    residual, by_point = bearing_residual(bearings, rows, seen)
+    share = residual.square().sum(-1) / BEND**2
+    jacobian = by_pose(by_point, seen)
+    weighted = jacobian / (1.0 + share)[:, None, None]
+    normal = torch.einsum("nki,nkj->ij", weighted, jacobian)
+    return float(torch.log1p(share).sum()), normal, -torch.einsum("nki,nk->i", weighted, residual)
+
+
+def _inverse(normal: Float[Tensor, "6 6"]) -> Float[Tensor, "6 6"]:
+    """Covariance of a normal matrix; raises GeometryError where it is singular."""
+    unit = normal.diagonal().clamp_min(1e-300).rsqrt()
+    values, vectors = torch.linalg.eigh(normal * unit[:, None] * unit)
+    if not float(values[0]) > 1e-12:
+        raise GeometryError(
+            "Points that determine a pose were expected, found points that leave a motion open (on one line, or all in one "
+            "direction); give others."
+        )
+    inverse = (vectors / values) @ vectors.mT
+    return inverse * unit[:, None] * unit

@@ -1,0 +1,162 @@
+"""Poses of photos that nothing is known of, by structure from motion with the calibrated cameras held.
+
+features as bearings (features.py) -> matches (feature_matches.py) -> COLMAP on ideal panoramas (colmap_mapper.py) -> guided
+matches, resection of what COLMAP could not place, and a last adjustment of all poses with all bearings (growth.py).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from camera_models import Calibration, CameraModel, GeometryError
+from camera_models.pose import Pose, adjoint
+from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.colmap_mapper import MapperInput, map_photos
+from omnilines.posing.feature_matches import matched, pairs_to_compare
+from omnilines.posing.features import Features, feature_finder
+from omnilines.posing.from_rig import cam_from_rig_of
+from omnilines.posing.growth import Grown, Matches, grow, start_from
+from omnilines.posing.photo_poses import PhotoPoses, moved_poses
+from omnilines.posing.point_adjustment import Frames
+from omnilines.records import ImagePoses
+
+Progress = Callable[[str, int, int], None]
+LEAST_SEEN = 10
+"""Points that a photo must see in the end."""
+LEAST_FEATURES = 20
+
+
+def sfm_poses(
+    photos: Sequence[str],
+    read: Callable[[str], np.ndarray],
+    cameras: Mapping[str, CameraModel],
+    camera_of: Mapping[str, str],
+    work_folder: Path,
+    *,
+    frame_of: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    seed: int = 0,
+) -> PhotoPoses:
+    """`cam_from_world` of photos from what they have in common, with covariances (left perturbation, rad and world units).
+
+    `read` gives the photo of a name, (h, w) or (h, w, 3) of 8 or 16 bits; it is called from several threads, once for each photo.
+    `cameras` may be a `Calibration`: features beyond the angles that its estimates are supported by are then left out, and where
+    it holds a rig and `frame_of` names the instants, the cameras of a frame move as one and lengths are metres. Otherwise the
+    scale is open: the root mean square distance of the cameras from their middle is then 1. The world is the frame of the first
+    photo that has a pose (of a rig: its rig frame). COLMAP works in `work_folder`/colmap.
+
+    Raises InputError where pycolmap is not installed or a photo has not the size of its camera, and GeometryError where no three
+    photos (frames) could be joined.
+    """
+    pycolmap()
+    calibration = cameras if isinstance(cameras, Calibration) else Calibration(dict(cameras))
+    rigid = bool(calibration.rig) and frame_of is not None
+    frame_names = [frame_of[photo] if rigid and frame_of is not None else photo for photo in photos]
+    order = {name: number for number, name in enumerate(dict.fromkeys(frame_names))}
+    frame = [order[name] for name in frame_names]
+    names = [camera_of[photo] for photo in photos]
+    rig = cam_from_rig_of(calibration, names) if rigid else Pose.identity(len(photos))
+    features = _features(photos, read, calibration, names, progress)
+    matches = _matches(features, seed, progress)
+    numbers = list(calibration)
+    in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
+    if progress is not None:
+        progress("structure from motion", 0, 0)
+    given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
+    parts = map_photos(given, Path(work_folder) / "colmap", seed)
+    if not parts:
+        raise GeometryError(
+            f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
+            "take more photos with smaller steps between them, or give poses."
+        )
+    grown = grow(start_from(Frames(torch.tensor(frame), rig), parts[0]), features, matches, seed, progress)
+    return _result(photos, names, frame_names if rigid else None, features, grown, parts)
+
+
+def _features(
+    photos: Sequence[str],
+    read: Callable[[str], np.ndarray],
+    calibration: Calibration,
+    names: Sequence[str],
+    progress: Progress | None,
+) -> list[Features]:
+    def look(k: int) -> Features:
+        return feature_finder()(read(photos[k]), calibration[names[k]], calibration.estimates.get(names[k]))
+
+    found = []
+    with ThreadPoolExecutor(cpu_count() or 1) as pool:
+        for done, features in enumerate(pool.map(look, range(len(photos)))):
+            if progress is not None:
+                progress("finding features", done + 1, len(photos))
+            found.append(features)
+    return found
+
+
+def _matches(features: Sequence[Features], seed: int, progress: Progress | None) -> Matches:
+    pairs = pairs_to_compare(features, seed)
+    clear, faint = {}, {}
+    for done, (i, j) in enumerate(pairs):
+        if progress is not None:
+            progress("comparing photos", done, len(pairs))
+        clear[i, j], faint[i, j] = matched(features[i], features[j])
+    if progress is not None:
+        progress("comparing photos", len(pairs), len(pairs))
+    return Matches(clear, faint)
+
+
+def _result(
+    photos: Sequence[str],
+    names: Sequence[str],
+    frame_names: Sequence[str] | None,
+    features: Sequence[Features],
+    grown: Grown,
+    parts: Sequence[Mapping[int, Pose]],
+) -> PhotoPoses:
+    """The table of poses, in the frame of the first photo, and the reasons of those left out."""
+    seen = torch.bincount(grown.seen.photo, minlength=len(photos)).numpy()
+    in_frame = np.bincount(grown.frames.of_photo.numpy(), weights=seen, minlength=len(grown.known))
+    enough = grown.known & (in_frame >= LEAST_SEEN)
+    kept = np.flatnonzero(enough[grown.frames.of_photo.numpy()]).tolist()
+    lost = []
+    for k in sorted(set(range(len(photos))) - set(kept)):
+        elsewhere = next((len(part) for part in parts[1:] if k in part), 0)
+        if elsewhere:
+            why = f"it belongs to {elsewhere} photos that could not be joined to the others"
+        elif len(features[k]) < LEAST_FEATURES:
+            why = f"only {len(features[k])} features were found in it"
+        else:
+            why = f"too few of its {len(features[k])} features match those of the other photos"
+        lost.append(f"{photos[k]} has no pose: {why}.")
+    if not kept:
+        raise GeometryError("Photos that see the same points were expected, found none; give photos that overlap more.")
+    table = ImagePoses(
+        tuple(photos[k] for k in kept),
+        grown.cam_from_world[kept],
+        tuple(names[k] for k in kept),
+        _covariance(grown, kept),
+        None if frame_names is None else tuple(frame_names[k] for k in kept),
+    )
+    first = grown.rig_from_world[grown.frames.of_photo[kept[0]]]
+    note = f"{len(grown.points)} points, {len(grown.seen)} observations, standard deviation {grown.scale:.2f} times that assumed."
+    if grown.frames.has_scale:
+        return PhotoPoses(moved_poses(table, 1.0, first), tuple(lost), ("Lengths are metres, by the rig.", note))
+    centre = table.cam_from_world.centre
+    spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
+    metric = "The scale is not known: the cameras' root mean square distance from their middle is taken as 1."
+    return PhotoPoses(
+        moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), tuple(lost), (metric, note)
+    )
+
+
+def _covariance(grown: Grown, kept: Sequence[int]) -> Float[np.ndarray, "n 6 6"] | None:
+    """Of the photos, from that of their frames."""
+    if grown.covariance is None:
+        return None
+    turn = adjoint(grown.frames.cam_from_rig[kept]).numpy()
+    whole: Float[np.ndarray, "n 6 6"] = turn @ grown.covariance[grown.frames.of_photo[kept].numpy()] @ turn.transpose(0, 2, 1)
+    return whole

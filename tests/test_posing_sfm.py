@@ -1,0 +1,226 @@
+"""Structure from motion against truth: features of a synthetic scene for every camera, rendered rooms end to end."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError
+from camera_models.formats.calibration_data import RigCamera
+from camera_models.pose import Pose
+from omnilines.commands.render_scene import write_scene
+from omnilines.files import read_photo
+from omnilines.geometry.alignment import similarity_alignment
+from omnilines.posing import sfm
+from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
+from omnilines.posing.features import Features, clear_of_surround, feature_finder
+from omnilines.posing.photo_poses import PhotoPoses, moved_poses
+from omnilines.posing.sfm import sfm_poses
+from omnilines.records import ImagePoses
+from omnilines.scenes import scene_camera
+
+CAMERAS = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
+NOISE_PX = 0.35
+
+
+def described(model: CameraModel, pose: Pose, points: np.ndarray, words: np.ndarray, rng: np.random.Generator) -> Features:
+    """What a photo shows of points: their bearings with noise, descriptors with some, in any order, and clutter."""
+    pixels, valid = model.project(pose.transform(torch.as_tensor(points)))
+    inside = valid & ((pixels > 0) & (pixels < torch.tensor(model.image_size) - 1.0)).all(-1)
+    seen = rng.permutation(np.flatnonzero(inside.numpy() & (rng.uniform(size=len(points)) < 0.8)))
+    clutter = rng.uniform(0, 1, (60, 2)) * (np.array(model.image_size) - 1)
+    at = torch.as_tensor(np.concatenate([pixels[seen].numpy() + NOISE_PX * rng.normal(size=(len(seen), 2)), clutter]))
+    bearings, good = model.unproject(at)
+    own = np.concatenate([words[seen] + 6 * rng.normal(size=(len(seen), 128)), rng.uniform(0, 100, (60, 128))])
+    descriptors = torch.as_tensor(np.clip(own, 0, 255).astype(np.uint8))
+    jacobian = model.unproject_jacobian(at)
+    sigma = NOISE_PX * torch.linalg.matrix_norm(jacobian, ord=2)
+    return Features(bearings[good], torch.linalg.pinv(jacobian[good]) / NOISE_PX, sigma[good], descriptors[good])
+
+
+def world(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the walls of a room of 5 x 4 x 3 m, and a descriptor for each."""
+    rng = np.random.default_rng(seed)
+    half = np.array([2.5, 2.0, 1.5])
+    points = rng.uniform(-1, 1, (count, 3))
+    wall = rng.integers(3, size=count)
+    points[np.arange(count), wall] = np.sign(points[np.arange(count), wall])
+    return points * half, rng.uniform(0, 100, (count, 128))
+
+
+def places(count: int, seed: int, around_rad: float = 5.0) -> Pose:
+    """Upright cameras in the room that look around by some angle."""
+    rng = np.random.default_rng(seed)
+    turn = Pose.exp(torch.as_tensor(np.stack([0.2 * rng.normal(size=6) * [1, 0, 1, 0, 0, 0] for _ in range(count)])))
+    yaw = torch.zeros(count, 6, dtype=torch.float64)
+    yaw[:, 1] = torch.linspace(0, around_rad, count, dtype=torch.float64)
+    rotation = (turn @ Pose.exp(yaw)).rotation
+    centre = torch.as_tensor(rng.uniform(-1, 1, (count, 3)) * [1.5, 1.2, 0.5])
+    return Pose(rotation, -(rotation @ centre[..., None])[..., 0])
+
+
+def errors(found: ImagePoses, truth: Pose, names: list[str], *, metric: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of position (m) and rotation (degrees) after a similarity, or after a rigid motion."""
+    true = truth[[names.index(name) for name in found.images]]
+    scale, similarity = similarity_alignment(found.cam_from_world.centre, true.centre)
+    if metric:
+        assert float(scale) == pytest.approx(1.0, abs=5e-3)
+    moved = moved_poses(found, float(scale), similarity).cam_from_world
+    turned = (moved @ true.inverse()).log()[:, :3].norm(dim=-1)
+    return (moved.centre - true.centre).norm(dim=-1).numpy(), np.degrees(turned.numpy())
+
+
+def run_on(features: list[Features], monkeypatch, folder: Path, cameras, names: list[str], camera_of, **options) -> PhotoPoses:
+    """Structure from motion of features that are given instead of photos."""
+    monkeypatch.setattr(sfm, "_features", lambda *_: features)
+    return sfm_poses(names, lambda _: np.zeros((1, 1), np.uint8), cameras, camera_of, folder, **options)
+
+
+@pytest.mark.parametrize(("model", "fov"), CAMERAS)
+def test_poses_of_a_known_scene_are_found_with_every_camera(monkeypatch, tmp_path, model, fov):
+    camera, _ = scene_camera(model, (800, 600), 0, fov)
+    narrow = model == "pinhole"
+    points, words = world(1200 if narrow else 600, 1)
+    truth = places(6, 2, 1.2 if narrow else 5.0)
+    features = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    if model in ("scaramuzza", "equirectangular"):
+        assert min(float((f.bearings[:, 2] < 0).double().mean()) for f in features) > 0.02
+    names = [f"{k}.png" for k in range(6)]
+    found = run_on(features, monkeypatch, tmp_path, {"cam0": camera}, names, dict.fromkeys(names, "cam0"))
+    assert found.poses.images == tuple(names)
+    position, rotation = errors(found.poses, truth, names)
+    # Noise of 0.35 px is some 0.1 degrees a feature; hundreds of them make up a pose.
+    assert position.max() < 0.015
+    assert rotation.max() < 0.4
+    assert "scale is not known" in found.notes[0]
+    centre = found.poses.cam_from_world.centre
+    assert float((centre - centre.mean(0)).square().sum(-1).mean()) == pytest.approx(1.0)
+    torch.testing.assert_close(found.poses.cam_from_world[0].rotation, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-9)
+    assert found.poses.covariance is not None
+    assert np.isfinite(found.poses.covariance).all()
+
+
+def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
+    camera, _ = scene_camera("scaramuzza", (800, 600), 0, 200.0)
+    points, words = world(400, 1)
+    truth = places(5, 2)
+    features = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(5)]
+    names = [f"{k}.png" for k in range(5)]
+    runs = [
+        run_on(features, monkeypatch, tmp_path / str(k), {"c": camera}, names, dict.fromkeys(names, "c"), seed=3)
+        for k in range(2)
+    ]
+    assert torch.equal(runs[0].poses.cam_from_world.rotation, runs[1].poses.cam_from_world.rotation)
+    assert torch.equal(runs[0].poses.cam_from_world.translation, runs[1].poses.cam_from_world.translation)
+
+
+def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
+    camera, _ = scene_camera("scaramuzza", (800, 600), 0, 220.0)
+    second = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=torch.float64))
+    rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(second)}
+    calibration = Calibration(dict.fromkeys(rig, camera), {}, rig)
+    points, words = world(700, 4)
+    at = places(5, 6)
+    names, poses, features = [], [], []
+    for k in range(5):
+        for name, item in rig.items():
+            names.append(f"{name}/{k}.png")
+            poses.append(item.cam_from_rig @ at[k])
+            features.append(described(camera, poses[-1], points, words, np.random.default_rng([len(names), 7])))
+    camera_of, frame_of = {n: n.split("/")[0] for n in names}, {n: n.split("/")[1] for n in names}
+    found = run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of)
+    assert found.poses.images == tuple(names)
+    position, rotation = errors(found.poses, Pose.stack(poses), names, metric=True)
+    assert position.max() < 0.01
+    assert rotation.max() < 0.15
+    assert "metres" in found.notes[0]
+    relative = found.poses.cam_from_world[1] @ found.poses.cam_from_world[0].inverse()
+    torch.testing.assert_close(relative.translation, second.translation, rtol=0, atol=1e-9)
+    assert found.poses.frames == tuple(frame_of[n] for n in names)
+
+
+def test_photos_of_elsewhere_are_left_out_with_a_reason_and_nothing_in_common_is_refused(monkeypatch, tmp_path):
+    camera, _ = scene_camera("opencv-fisheye", (800, 600), 0, 190.0)
+    points, words = world(500, 1)
+    truth = places(6, 2)
+    features = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(5)]
+    features.append(described(camera, truth[5], *world(500, 77), np.random.default_rng(6)))
+    names = [f"{k}.png" for k in range(6)]
+    found = run_on(features, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+    assert found.poses.images == tuple(names[:5])
+    assert len(found.left_out) == 1
+    assert "5.png has no pose: too few of its" in found.left_out[0]
+    strangers = [described(camera, truth[k], *world(300, 50 + k), np.random.default_rng(k)) for k in range(3)]
+    with pytest.raises(GeometryError, match="COLMAP could not join"):
+        run_on(strangers, monkeypatch, tmp_path, {"c": camera}, names[:3], dict.fromkeys(names, "c"))
+
+
+def test_matches_near_the_epipolar_circle_are_the_true_ones():
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    truth = places(2, 2)
+    a, b = (described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(2))
+    clear, faint = matched(a, b)
+    assert len(clear) > 200
+    assert {tuple(p) for p in clear.tolist()} <= {tuple(p) for p in faint.tolist()}
+    relative = truth[1] @ truth[0].inverse()
+    guided = {tuple(p) for p in matched_near(a, b, relative, 4 * float(a.sigma_rad.median())).tolist()}
+    assert len(guided & {tuple(p) for p in clear.tolist()}) > 0.9 * len(clear)
+    behind = Pose(relative.rotation, -relative.translation)
+    wrong = {tuple(p) for p in matched_near(a, b, behind, 4 * float(a.sigma_rad.median())).tolist()}
+    assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
+
+
+def test_of_many_photos_each_is_compared_with_those_that_look_alike():
+    rng = np.random.default_rng(0)
+    count = MOST_EXHAUSTIVE + 20
+    themes = rng.uniform(0, 100, (2, 40, 128))
+    own = [np.clip(themes[k % 2] + 5 * rng.normal(size=(40, 128)), 0, 255).astype(np.uint8) for k in range(count)]
+    none = torch.zeros(40, 3, dtype=torch.float64)
+    photos = [Features(none, torch.zeros(40, 2, 3, dtype=torch.float64), none[:, 0], torch.as_tensor(d)) for d in own]
+    pairs = pairs_to_compare(photos, 0)
+    assert len(pairs) <= NEIGHBOURS * count
+    assert sum((i - j) % 2 == 0 for i, j in pairs) > 0.95 * len(pairs)
+    assert pairs_to_compare(photos[:4], 0) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+
+
+def test_features_keep_away_from_the_surround_and_from_angles_without_support():
+    camera, _ = scene_camera("opencv-fisheye", (400, 300), 0, 190.0)
+    rng = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(400.0), np.arange(300.0)), -1)
+    bearings, valid = camera.unproject(grid)
+    angle = np.degrees(np.arctan2(np.hypot(bearings[..., 0], bearings[..., 1]), bearings[..., 2]))
+    circle = valid & (angle < 95.0)
+    noise = np.kron(rng.integers(40, 255, (38, 50)), np.ones((8, 8)))[:300, :400]
+    photo = np.where(circle, noise, 3.0).astype(np.uint8)
+    clear = clear_of_surround(photo)
+    assert not clear[~circle].any()
+    assert clear[angle < 75.0].all()
+    found = feature_finder()(photo, camera, None)
+    assert len(found) > 100
+    assert found.unit_descriptors().norm(dim=-1).allclose(torch.ones(len(found)), atol=1e-3)
+    estimate = CameraEstimate(max_angle_deg=60.0)
+    narrow = feature_finder()(photo, camera, estimate)
+    assert 50 < len(narrow) < len(found)
+    assert float(torch.atan2(narrow.bearings[:, :2].norm(dim=-1), narrow.bearings[:, 2]).max()) <= math.radians(62.0)
+    with pytest.raises(InputError, match="400x300 px was expected"):
+        feature_finder()(photo[:-1], camera, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "fov"), CAMERAS)
+def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov):
+    size = (1000, 500) if model == "equirectangular" else (640, 640)
+    scene = write_scene(tmp_path, scene="room", model=model, fov_deg=fov, views=12, size=size, noise=2.0, blur=0.5, seed=5)
+    names = list(scene.poses.images)
+    found = sfm_poses(
+        names, lambda name: read_photo(tmp_path / name), {"cam0": scene.model}, dict.fromkeys(names, "cam0"), tmp_path / "work"
+    )
+    # A pinhole camera of 80 degrees turned by 30 degrees from photo to photo shares little with the next.
+    assert len(found.poses) >= (6 if model == "pinhole" else 11)
+    assert len(found.poses) + len(found.left_out) == 12
+    position, rotation = errors(found.poses, scene.poses.cam_from_world, names)
+    assert np.median(position) < 0.03
+    assert np.median(rotation) < 0.8
