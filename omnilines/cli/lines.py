@@ -1,55 +1,105 @@
 """Commands on lines: reconstruct, adjust."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from omnilines.cli._shared import (
-    Json,
-    LossName,
-    Out,
-    app,
-    run,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from camera_models.errors import InputError
+from omnilines.cli._shared import Json, LossName, Out, Seed, app, run
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
+PoseSource = Annotated[
+    str,
+    typer.Option(
+        "--poses", help="poses.csv or a COLMAP model's folder; with photos also sfm, rig or boards.", show_default=False
+    ),
+]
+ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
+MaybeSegments = Annotated[Path | None, typer.Option("--segments", help="segments.csv (matched segments), in place of photos.")]
 Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging, svd or ml.")]
 Cost = Annotated[str, typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm.")]
+MaybeTriangulation = Annotated[
+    str | None, typer.Option("--triangulation", help="dual, averaging, svd or ml (of photos: ml, of segments: dual).")
+]
+MaybeCost = Annotated[
+    str | None,
+    typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm (of photos: whitened, of segments: sector)."),
+]
+MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
 PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
 PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
+Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
+MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
+Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
+MinViews = Annotated[int, typer.Option("--min-views", help="Photos that have to see a line (3 or more).")]
+TolerancePx = Annotated[
+    float | None, typer.Option("--tolerance-px", help="Error of poses and calibration; found from the arcs where not given.")
+]
 
 
 @app.command()
 def reconstruct(
     calibration: Calibration,
-    poses: Poses,
-    segments: SegmentTable,
+    poses: PoseSource,
     out: Out,
-    triangulation: Triangulation = "dual",
-    cost: Cost = "sector",
+    photos: ScenePhotos = None,
+    segments: MaybeSegments = None,
+    triangulation: MaybeTriangulation = None,
+    cost: MaybeCost = None,
     refine: Refine = "lines",
-    loss: LossName = "none",
+    loss: MaybeLoss = None,
     robust: Robust = False,
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
+    pattern: MaybePattern = None,
+    mask: Mask = None,
+    min_views: MinViews = 4,
+    tolerance_px: TolerancePx = None,
+    colmap: Annotated[bool, typer.Option("--colmap", help="Write a COLMAP model too.")] = False,
+    device: Device = "cpu",
+    recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
+    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Calibration, poses and matched segments -> 3D lines, report.html."""
+    """Photos, calibration and poses (or matched segments in place of photos) -> 3D lines, report.html."""
+    if bool(photos) == (segments is not None):
+        found = "both" if photos else "neither"
+        raise InputError(
+            f"Photos, or --segments with a table of matched segments, were expected, found {found}; give one of them."
+        )
+    if segments is not None:
+        _from_segments(
+            calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine, loss or "none",
+            robust, pose_sigma_deg, pose_sigma_m, device, as_json,
+        )  # fmt: skip
+        return
+    from omnilines.commands.reconstruct_photos import reconstruct_photos
+
+    run(
+        lambda progress: reconstruct_photos(
+            photos or [], calibration, poses, out, pattern=pattern, mask=mask, least_views=min_views, tolerance_px=tolerance_px,
+            triangulation=triangulation or "ml", cost=cost or "whitened", refine=refine, loss=loss or "cauchy", colmap=colmap,
+            recording=recording, device=device, seed=seed, progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip
+
+
+def _from_segments(
+    calibration: Path, poses: str, segments: Path, out: Path, triangulation: str, cost: str, refine: str, loss: str, robust: bool,
+    pose_sigma_deg: float | None, pose_sigma_m: float | None, device: str, as_json: bool,
+) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
     run(
         lambda progress: reconstruct_segments(
-            calibration, poses, segments, out, triangulation=triangulation, cost=cost, refine=refine, loss=loss,
-            robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, progress=progress,
+            calibration, Path(poses), segments, out, triangulation=triangulation, cost=cost, refine=refine, loss=loss,
+            robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, device=device, progress=progress,
         ),
         as_json,
     )  # fmt: skip
@@ -68,9 +118,22 @@ def adjust(
     robust: Robust = False,
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
+    device: Device = "cpu",
     as_json: Json = False,
 ) -> None:
     """Refine the lines and the poses of a scene."""
-    reconstruct(
-        calibration, poses, segments, out, triangulation, cost, refine, loss, robust, pose_sigma_deg, pose_sigma_m, as_json
+    _from_segments(
+        calibration,
+        str(poses),
+        segments,
+        out,
+        triangulation,
+        cost,
+        refine,
+        loss,
+        robust,
+        pose_sigma_deg,
+        pose_sigma_m,
+        device,
+        as_json,
     )

@@ -35,12 +35,13 @@ def reconstruct_segments(
     robust: bool = False,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
+    device: str = "cpu",
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Triangulate and adjust the lines of a user's own tables; `refine` is `lines` with any of `poses`, `intrinsics` and `rig`.
 
     With `robust`, observations of other lines are found by consensus and left out. `pose_sigma_deg` and `pose_sigma_m`, both or
-    neither, make the poses of the table a prior with these standard deviations of each component.
+    neither, make the poses of the table a prior with these standard deviations of each component. `device` is `cpu` or `cuda`.
 
     Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
@@ -67,6 +68,7 @@ def reconstruct_segments(
         pose_sigma=prior,
         robust=robust,
         loss=loss,
+        device=device,
         callback=tell,
     )
     folder = output_folder(out)

@@ -1,0 +1,315 @@
+"""Arcs of photos with poses -> adjusted lines, clipped to what the photos show, and what every stage kept and dropped."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Int
+
+from camera_models import Calibration, GeometryError
+from omnilines.adjustment.lines import end_sigma_m
+from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.commands._common import ProgressCallback
+from omnilines.commands._photo_arcs import FoundArcs
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.match import Matched, match_arcs
+from omnilines.records import ImagePoses, Lines, Segments, StageCount
+from omnilines.structure.clipping import Stretches, supported_stretches
+
+MOST_SLACKS = 3.0
+"""A line is dropped whose arcs lie farther from it (RMS) than so many times the slack, or LEAST_RMS_PX."""
+LEAST_RMS_PX = 1.5
+LEAST_LENGTH_SIGMA = 3.0
+"""A line shorter than so many standard deviations of its ends across it has no direction."""
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """How a line scene is made."""
+
+    least_views: int
+    slack_px: float | None
+    triangulation: str
+    cost: str
+    loss: str
+    refine: tuple[str, ...]
+    device: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class PhotoScene:
+    """The scene of a set of photos."""
+
+    scene: LineScene
+    """`lines` are the supported ones."""
+    segments: Segments
+    """All arcs in photos with poses, with the track of each; covariances hold the slack."""
+    stages: tuple[StageCount, ...]
+    slack_px: float
+    supported: Int[np.ndarray, " k"]
+    """Line of `scene.lines` of every arc of `segments`, -1 for none."""
+
+
+def photo_scene(
+    found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+) -> PhotoScene:
+    """Match, triangulate, adjust, clip and filter.
+
+    With poses refined, arcs are matched again with the better poses. Raises GeometryError naming the stage where no line is left.
+    """
+    posed = [arcs for arcs in found if arcs.reason is None and arcs.photo.name in poses.images]
+    rounds = 2 if "poses" in options.refine else 1
+    for turn in range(rounds):
+        segments, viewed = _viewed(posed, poses, cameras)
+        # The poses of the second round are those of the adjustment: what they still lack is found anew.
+        matched = match_arcs(
+            viewed, least_views=options.least_views, slack_px=options.slack_px, seed=options.seed, progress=progress
+        )
+        _require(matched)
+        segments = _with_tracks(segments, matched)
+        scene = _adjusted(segments, poses, cameras, options, progress)
+        poses = scene.poses
+        if turn + 1 < rounds:
+            cameras = replace(cameras, cameras=_refined(cameras, scene))
+    return _clipped(found, segments, matched, scene, options)
+
+
+def _viewed(found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration) -> tuple[Segments, ViewedArcs]:
+    """The arcs of all photos as a table and as bearings, photos in the order of their poses."""
+    place = {name: k for k, name in enumerate(poses.images)}
+    found = sorted(found, key=lambda arcs: place[arcs.photo.name])
+    if not sum(map(len, found)):
+        raise GeometryError(
+            f"Arcs of straight lines were expected, found none in {len(found)} photos with poses; see their pictures."
+        )
+    count = np.array([len(arcs) for arcs in found])
+    pixels = np.concatenate([arcs.endpoints_px for arcs in found])
+    covariance = np.concatenate([arcs.covariance_px2 for arcs in found])
+    bearings, by_pixel = [], []
+    with torch.no_grad():
+        for arcs in found:
+            ends = torch.as_tensor(arcs.endpoints_px)
+            bearings.append(cameras[arcs.camera].unproject(ends)[0].numpy())
+            by_pixel.append(cameras[arcs.camera].unproject_jacobian(ends).numpy())
+    rows = np.array([place[arcs.photo.name] for arcs in found], dtype=np.int64)
+    viewed = ViewedArcs(
+        np.repeat(rows, count),
+        poses.cam_from_world,
+        np.concatenate(bearings),
+        np.concatenate(by_pixel),
+        covariance,
+        np.concatenate([arcs.colours for arcs in found]),
+    )
+    names = tuple(arcs.photo.name for arcs in found)
+    segments = Segments(
+        np.repeat(np.arange(len(found)), count),
+        names,
+        np.full(len(pixels), -1),
+        (),
+        pixels,
+        covariance_px2=covariance,
+        cameras=tuple(arcs.camera for arcs in found),
+    )
+    return segments, viewed
+
+
+def _require(matched: Matched) -> None:
+    if len(matched.tracks):
+        return
+    alike = int((matched.hypotheses.candidates > 0).sum())
+    raise GeometryError(
+        f"No line was found: of {len(matched.arcs)} arcs, {alike} have a partner that looks like them in another photo, and none "
+        f"is confirmed by enough photos (slack {matched.slack_px} px); check that poses and calibration are of these photos, or "
+        "give more of them."
+    )
+
+
+def _with_tracks(segments: Segments, matched: Matched) -> Segments:
+    width = len(str(len(matched.tracks)))
+    names = tuple(f"line{k:0{width}d}" for k in range(len(matched.tracks)))
+    return replace(segments, track=matched.tracks.track, tracks=names, covariance_px2=matched.arcs.covariance_px2)
+
+
+def _adjusted(
+    segments: Segments, poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+) -> LineScene:
+    return reconstruct_lines(
+        segments,
+        poses,
+        cameras,
+        triangulation=options.triangulation,
+        cost=options.cost,
+        refine_poses="poses" in options.refine,
+        refine_cameras="intrinsics" in options.refine,
+        refine_rig="rig" in options.refine,
+        rig=cameras.rig,
+        loss=options.loss,
+        device=options.device,
+        callback=lambda step: progress("adjusting the scene", step.iteration, 0),
+    )
+
+
+def _refined(cameras: Calibration, scene: LineScene) -> dict:
+    """The cameras as they were refined, where they were."""
+    return dict(zip(cameras.cameras, scene.cameras, strict=True)) if scene.cameras else dict(cameras.cameras)
+
+
+def _clipped(
+    found: Sequence[FoundArcs], segments: Segments, matched: Matched, scene: LineScene, options: SceneOptions
+) -> PhotoScene:
+    """The lines that pass, clipped, and the counts of all stages."""
+    lines = scene.lines
+    limit_px = max(MOST_SLACKS * matched.slack_px, LEAST_RMS_PX)
+    known = lines.known
+    far = known & (lines.rms_px > limit_px)
+    weak = known & ~far & (np.array(lines.status) == "weak")
+    kept = np.flatnonzero(known & ~far & ~weak)
+    stretches = _supported(matched, kept, scene, options.least_views)
+    table, row = _table(lines, scene, kept, stretches)
+    if not len(table):
+        none = f"{int((~known).sum())} have no line in space, {int(far.sum())} lie more than {limit_px:.1f} px from their arcs"
+        raise GeometryError(
+            f"No line was left: of {len(lines)} triangulated, {none}, {int(weak.sum())} are too uncertain, and {len(kept)} are "
+            f"nowhere supported by {options.least_views} photos; give photos from more places."
+        )
+    unsupported = len(kept) - len(np.unique(stretches.line))
+    filtered = (
+        *((f"status {status}", count) for status, count in Counter(lines.status).items() if status not in ("ok", "weak")),
+        (f"more than {limit_px:.1f} px from their arcs", int(far.sum())),
+        ("weak: too uncertain for their distance", int(weak.sum())),
+        ("nowhere supported by enough photos", unsupported),
+    )
+    stages = (*_arc_stages(found, segments, matched), StageCount("lines", len(table), _counted(filtered)))
+    supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
+    names = (*table.tracks,)
+    labelled = replace(segments, track=supported, tracks=names)
+    return PhotoScene(replace(scene, lines=table), labelled, stages, matched.slack_px, supported)
+
+
+def _counted(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
+    return tuple((reason, count) for reason, count in reasons if count)
+
+
+def _arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched) -> tuple[StageCount, ...]:
+    total = sum(map(len, found))
+    hypotheses, tracks = matched.hypotheses, matched.tracks
+    partner = hypotheses.candidates > 0
+    several = partner & (_photos_of(matched) >= 2)
+    member = int((tracks.track >= 0).sum())
+    return (
+        StageCount("detected arcs", total, _counted([("photos skipped", sum(arcs.reason is not None for arcs in found))])),
+        StageCount("in photos with poses", len(segments), _counted([("photo without a pose", total - len(segments))])),
+        StageCount(
+            "matched",
+            int(partner.sum()),
+            _counted([("no arc of another photo could show its line and looks like it", int((~partner).sum()))]),
+        ),
+        StageCount(
+            "confirmed by a third photo",
+            int(several.sum()),
+            _counted([("only one photo agrees", int((partner & ~several).sum()))]),
+        ),
+        StageCount(
+            "in tracks",
+            member,
+            _counted([("did not fit the others of a track, or too few photos see it", max(int(several.sum()) - member, 0))]),
+        ),
+        StageCount("tracks triangulated", len(tracks), _counted([("parts of other tracks", tracks.merged)])),
+    )
+
+
+def _photos_of(matched: Matched) -> Int[np.ndarray, " n"]:
+    """Number of other photos that support the best line of every arc."""
+    support = matched.hypotheses.support
+    photo = np.where(support >= 0, matched.arcs.image[support], -1)
+    photo.sort(axis=1)
+    return ((photo[:, 1:] != photo[:, :-1]) & (photo[:, 1:] >= 0)).sum(1) + (photo[:, 0] >= 0)
+
+
+def _lines_of(scene: LineScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
+    ends = torch.as_tensor(scene.lines.ends_m[tracks])
+    return PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+
+
+def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene, least_views: int) -> Stretches:
+    """Stretches of the lines `kept`, numbered as there."""
+    arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
+    rows, line = _members(matched, kept)
+    lines = _lines_of(scene, kept)
+    positions, sigma, in_front = arcs.places(lines, rows, line)
+    return supported_stretches(
+        lines, line[in_front], positions[in_front], sigma[in_front], arcs.image[rows[in_front]], least_views
+    )
+
+
+def _members(matched: Matched, kept: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """The arcs of the lines `kept`, and the place of the line of each among them."""
+    place = np.full(len(matched.tracks), -1)
+    place[kept] = np.arange(len(kept))
+    own = np.where(matched.tracks.track >= 0, place[matched.tracks.track], -1)
+    rows = np.flatnonzero(own >= 0)
+    return rows, own[rows]
+
+
+def _table(
+    lines: Lines, scene: LineScene, kept: Int[np.ndarray, " k"], stretches: Stretches
+) -> tuple[Lines, Int[np.ndarray, " s"]]:
+    """One row for each stretch, and which stretch it is; stretches too short for their uncertainty are left out."""
+    track = kept[stretches.line]
+    charted = np.flatnonzero(np.isfinite(lines.chart_scale_m)) if lines.chart_scale_m is not None else kept
+    at = torch.as_tensor(np.searchsorted(charted, track))
+    chart: LineChart = scene.adjusted.state.chart[at]
+    sigma = end_sigma_m(chart, scene.adjusted.line_covariance[at], torch.as_tensor(stretches.ends_m)).numpy()
+    length = np.linalg.norm(stretches.ends_m[:, 1] - stretches.ends_m[:, 0], axis=-1)
+    row = np.flatnonzero(length > LEAST_LENGTH_SIGMA * sigma)
+    track = track[row]
+    return (
+        Lines(
+            _names(lines.tracks, track),
+            stretches.ends_m[row],
+            stretches.views[row],
+            lines.rms_px[track],
+            sigma[row],
+            tuple(lines.status[k] for k in track.tolist()),
+            None if lines.covariance is None else lines.covariance[track],
+            None if lines.chart_centre_m is None else lines.chart_centre_m[track],
+            None if lines.chart_scale_m is None else lines.chart_scale_m[track],
+        ),
+        row,
+    )
+
+
+def _names(tracks: tuple[str, ...], track: Int[np.ndarray, " s"]) -> tuple[str, ...]:
+    """line7 for the first stretch of a line, line7-2 for the second."""
+    seen: Counter[int] = Counter()
+    names = []
+    for k in track.tolist():
+        seen[k] += 1
+        names.append(tracks[k] if seen[k] == 1 else f"{tracks[k]}-{seen[k]}")
+    return tuple(names)
+
+
+def _arcs_of_stretches(
+    matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene, stretches: Stretches, row: Int[np.ndarray, " s"]
+) -> Int[np.ndarray, " n"]:
+    """The row of the table that every arc supports: of the stretches of its line the one that it overlaps most."""
+    rows, line = _members(matched, kept)
+    positions, in_front = matched.arcs.with_poses(scene.poses.cam_from_world).positions(_lines_of(scene, kept), rows, line)
+    first, last = (np.searchsorted(stretches.line, line, side) for side in ("left", "right"))
+    arc = np.repeat(np.arange(len(rows)), last - first)
+    stretch = np.arange(len(arc)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    low, high = stretches.positions_m[stretch].T
+    overlap = np.minimum(positions[arc, 1], high) - np.maximum(positions[arc, 0], low)
+    number = np.full(len(stretches.line), -1)
+    number[row] = np.arange(len(row))
+    usable = in_front[arc] & (overlap > 0) & (number[stretch] >= 0)
+    # Of the stretches of one arc the longest overlap is written last.
+    order = np.flatnonzero(usable)[np.argsort(overlap[usable], kind="stable")]
+    place = np.full(len(matched.arcs), -1)
+    place[rows[arc[order]]] = number[stretch[order]]
+    return place

@@ -1,0 +1,129 @@
+"""omnilines reconstruct PHOTOS: photos + calibration + poses -> arcs, tracks, adjusted lines, scene folder, report."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from camera_models import Calibration, load
+from omnilines.adjustment.scene import parse_refine
+from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
+from omnilines.commands._photo_arcs import FoundArcs, find_arcs
+from omnilines.commands._photo_poses import photo_poses
+from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
+from omnilines.commands._resume import Stamp, fingerprint
+from omnilines.commands.extract import camera_of_photo, read_mask
+from omnilines.commands.reconstruct import write_scene
+from omnilines.files import PhotoRef, find_photos
+from omnilines.files.colmap_scene import colmap_cameras, write_colmap_scene
+from omnilines.files.obj import write_obj
+from omnilines.files.recording import write_recording
+from omnilines.matching.match import LEAST_VIEWS
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.report import write_report
+from omnilines.structure.families import line_families
+
+WORK, STAMP = "work", "done.json"
+
+
+def reconstruct_photos(
+    photos: Sequence[Path],
+    calibration: Path,
+    poses: str,
+    out: Path,
+    *,
+    pattern: str | None = None,
+    mask: Path | None = None,
+    least_views: int = LEAST_VIEWS,
+    tolerance_px: float | None = None,
+    triangulation: str = "ml",
+    cost: str = "whitened",
+    refine: str = "lines",
+    loss: str = "cauchy",
+    colmap: bool = False,
+    recording: bool = False,
+    device: str = "cpu",
+    seed: int = 0,
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Rebuild the straight lines that photos show.
+
+    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. A line is kept that
+    at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
+    of poses and calibration; it is found from the arcs where it is not given. `colmap` and `recording` add a COLMAP model and a
+    recording for the rerun viewer. `device` is `cpu` or `cuda`.
+
+    Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
+    inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
+    input, and GeometryError naming the stage where no line is left.
+    """
+    parts = parse_refine(refine)
+    refs = find_photos(photos)
+    cameras = load(calibration)
+    camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
+    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
+    folder = output_folder(out)
+    inputs = [photo.path for photo in refs] + [calibration] + ([] if mask is None else [mask]) + _pose_files(poses)
+    stamp = Stamp(folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, colmap, recording, [p.name for p in refs]))))
+    done = stamp.result()
+    if done is not None:
+        return done
+    found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
+    usable = [arcs.photo for arcs in found if arcs.reason is None]
+    posed = photo_poses(
+        poses, usable, cameras, camera_of, output_folder(folder / WORK), pattern=pattern, seed=seed, progress=progress
+    )
+    scene = photo_scene(found, posed.poses, cameras, options, progress)
+    result = _written(folder, scene, found, posed, cameras, refs, calibration, poses, colmap, recording, progress)
+    stamp.write(result)
+    return result
+
+
+def _pose_files(source: str) -> list[Path]:
+    path = Path(source)
+    if path.is_dir():
+        return sorted(file for file in path.rglob("*") if file.suffix in (".bin", ".txt") and file.is_file())
+    return [path] if path.is_file() else []
+
+
+def _written(
+    folder: Path,
+    scene: PhotoScene,
+    found: Sequence[FoundArcs],
+    posed: PhotoPoses,
+    cameras: Calibration,
+    photos: Sequence[PhotoRef],
+    calibration: Path,
+    poses: str,
+    colmap: bool,
+    recording: bool,
+    progress: ProgressCallback,
+) -> CommandResult:
+    progress("writing the scene", 0, 0)
+    lines = scene.scene.lines
+    inputs = {"photos": photos[0].path.parent, "calibration": calibration, "poses": poses}
+    files = [*write_scene(folder, scene.scene, scene.segments, cameras, inputs), folder / "lines.obj"]
+    write_obj(files[-1], lines)
+    final = refined_cameras(cameras, scene)
+    remarks: tuple[str, ...] = ()
+    if colmap:
+        known, remarks = colmap_cameras(final)
+        files += write_colmap_scene(output_folder(folder / "colmap"), known, scene.scene.poses, lines, remarks=remarks)
+    if recording:
+        files.append(folder / "scene.rrd")
+        write_recording(files[-1], lines, scene.scene.poses, final)
+    families = line_families(lines)
+    summary = scene_summary(scene, len(photos), families)
+    sections = scene_sections(scene, final, photos, families, summary)
+    files.append(write_report(folder / "report.html", "Line scene", sections))
+    skipped = tuple(f"{arcs.photo.name} is skipped: {arcs.reason}" for arcs in found if arcs.reason is not None)
+    notes = (*skipped, *posed.left_out, *posed.notes, *remarks, *summary.notes)
+    return CommandResult((summary,), scene_data(scene, families), files=tuple(files), report=files[-1], warnings=notes)
+
+
+def refined_cameras(cameras: Calibration, scene: PhotoScene) -> Calibration:
+    """The calibration with the cameras as they were refined, where they were."""
+    if not scene.scene.cameras:
+        return cameras
+    return replace(cameras, cameras=dict(zip(cameras.cameras, scene.scene.cameras, strict=True)))

@@ -1,0 +1,1 @@
+"""Arcs of several photos -> tracks: `match.match_arcs`."""

@@ -1,0 +1,111 @@
+"""The arcs of all photos in one frame, as the stages of matching use them."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from camera_models.pose import Pose
+from omnilines.geometry.line import PlueckerLines
+from omnilines.triangulation.observations import PlaneObservations
+
+
+@dataclass(frozen=True)
+class ViewedArcs:
+    """n arcs of photos with poses, sorted by photo."""
+
+    image: Int[np.ndarray, " n"]
+    poses: Pose
+    """cam_from_world of every photo."""
+    bearings: Float[np.ndarray, "n 2 3"]
+    """Both ends, unit, camera frame."""
+    by_pixel: Float[np.ndarray, "n 2 3 2"]
+    """d bearing / d pixel of both ends."""
+    covariance_px2: Float[np.ndarray, "n 2 2 2"]
+    """Of both ends."""
+    colours: Float[np.ndarray, "n 2 3"]
+    """As `appearance.side_colours`; NaN where not known."""
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+    @property
+    def images(self) -> int:
+        """Number of photos."""
+        return len(self.poses)
+
+    def rows(self, chosen: Int[np.ndarray, " m"]) -> "ViewedArcs":
+        """Some of the arcs, in the same order."""
+        return replace(
+            self,
+            image=self.image[chosen],
+            bearings=self.bearings[chosen],
+            by_pixel=self.by_pixel[chosen],
+            covariance_px2=self.covariance_px2[chosen],
+            colours=self.colours[chosen],
+        )
+
+    def widened(self, slack_px: float) -> "ViewedArcs":
+        """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
+        return replace(self, covariance_px2=self.covariance_px2 + slack_px**2 * np.eye(2))
+
+    def with_poses(self, poses: Pose) -> "ViewedArcs":
+        """The same arcs in photos that stand elsewhere."""
+        return replace(self, poses=poses)
+
+    @cached_property
+    def starts(self) -> Int[np.ndarray, " m"]:
+        """First arc of every photo, and one more."""
+        return np.searchsorted(self.image, np.arange(self.images + 1))
+
+    @cached_property
+    def planes(self) -> PlaneObservations:
+        """All interpretation planes, each a track of its own."""
+        return PlaneObservations.from_arcs(
+            torch.as_tensor(self.bearings),
+            self.poses[torch.as_tensor(self.image)],
+            torch.arange(len(self)),
+            len(self),
+            torch.as_tensor(self.by_pixel),
+            torch.as_tensor(self.covariance_px2),
+        )
+
+    def tracks(self, rows: Int[np.ndarray, " m"], track: Int[np.ndarray, " m"], tracks: int) -> PlaneObservations:
+        """Some of the planes, any of them more than once, put into tracks."""
+        return self.planes.take(torch.as_tensor(rows), torch.as_tensor(track), tracks)
+
+    @cached_property
+    def px_rad(self) -> Float[np.ndarray, " n"]:
+        """Radians across the arc that a pixel is, the larger of both ends."""
+        normal = (self.poses.rotation[torch.as_tensor(self.image)] @ self.planes.normal[..., None])[..., 0].numpy()
+        return np.linalg.norm(np.einsum("nkxp,nx->nkp", self.by_pixel, normal), axis=-1).max(-1)
+
+    @cached_property
+    def packed(self) -> Float[np.ndarray, "n 14"]:
+        """Rows for the kernels: end bearings, plane normal and centre (world), standard deviations across both ends (rad)."""
+        planes = self.planes
+        assert planes.arcs is not None and planes.noise is not None
+        sigma = (planes.noise.mT @ planes.normal[:, None, :, None])[..., 0].norm(dim=-1)
+        return torch.cat([planes.arcs.flatten(1), planes.normal, planes.centre, sigma], -1).contiguous().numpy()
+
+    def positions(
+        self, lines: PlueckerLines, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
+        """Where arcs begin and end along their lines (m, the lower first), and whether they lie in front of their cameras."""
+        places, _, usable = self.places(lines, rows, line)
+        return places, usable
+
+    def places(
+        self, lines: PlueckerLines, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
+        """As `positions`, with the standard deviation (m) of each for an end that is known to a pixel along the arc."""
+        own = lines[torch.as_tensor(line)[:, None].expand(-1, 2)]
+        planes = self.tracks(rows, np.zeros(len(rows), dtype=np.int64), 1)
+        assert planes.arcs is not None
+        places, in_front, leverage = own.position_seen(planes.centre[:, None].expand(-1, 2, -1), planes.arcs)
+        usable = in_front.all(-1) & torch.isfinite(places).all(-1)
+        ordered = places.sort(-1)
+        sigma = leverage.gather(-1, ordered.indices).numpy() * self.px_rad[rows, None]
+        return ordered.values.numpy(), sigma, usable.numpy()

@@ -1,0 +1,263 @@
+"""For every arc the 3D line that other photos agree on, compiled.
+
+An arc fixes the plane of its line; what is open are the depths at its two ends. Every arc of another photo that could show the
+same line gives a pair of depths: where its plane cuts the rays of both ends. True partners give one pair of depths again and
+again; the others scatter. `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+LEAST_OVERLAP = 0.25
+"""Of the shorter of two stretches of the line, seen in two photos."""
+MOST_SIGMA = 0.3
+"""Largest standard deviation of an inverse depth, as a share of it: farther lines, and baselines along the plane, say nothing."""
+GATE = 3.0
+"""Standard deviations within which two depths agree."""
+COLOUR_SIGMA, GAIN_SIGMA = 0.12, 0.25
+"""Of the logarithm of a colour beside one edge in two photos, and of a gain common to all of them."""
+ONE_SIDE = 5.0
+"""Added to chi-square where only one side looks the same: the other may be seen through to something else."""
+LEAST_LIKENESS = 0.05
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
+    """exp(-chi-square / 2) per degree of freedom of the colours (side, channel) of two arcs, in (0, 1]; 0.3 if unknown.
+
+    With differences x of n logarithms, each of variance s^2 but for a common gain of variance t^2, chi-square is
+    (sum x^2 - t^2 (sum x)^2 / (s^2 + n t^2)) / s^2.
+    """
+    noise, gain = COLOUR_SIGMA**2, GAIN_SIGMA**2
+    total, square, best, known = 0.0, 0.0, np.inf, 0
+    for side in range(2):
+        other = 1 - side if flipped else side
+        own_total, own_square = 0.0, 0.0
+        for channel in range(3):
+            x = first[side, channel] - second[other, channel]
+            own_total += x
+            own_square += x * x
+        if math.isnan(own_total):
+            continue
+        known += 1
+        total += own_total
+        square += own_square
+        one = (own_square - gain * own_total**2 / (noise + 3 * gain)) / noise
+        best = min(best, one / 3 + ONE_SIDE)
+    if known == 0:
+        return 0.3
+    if known == 2:
+        best = min(best, (square - gain * total**2 / (noise + 6 * gain)) / noise / 6)
+    else:
+        best -= 0.5 * ONE_SIDE
+    return math.exp(-0.5 * best)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def cross_sigma(along: float, span: float, first: float, second: float) -> float:
+    """Standard deviation (rad) across an arc, at an angle from its first end, of the circle through two uncertain ends."""
+    sine = max(math.sin(span), 1e-9)
+    return math.hypot(math.sin(span - along) * first, math.sin(along) * second) / sine
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def depths(i: int, j: int, packed: np.ndarray, out: np.ndarray) -> bool:
+    """The line of arcs i and j: inverse depths at both ends of i and their standard deviations into `out`; false if none.
+
+    A row of `packed` holds both end bearings, normal and centre (world) and the standard deviations of both ends across the arc.
+    With m the normal of plane j and b from the centre of i to that of j, the ray V meets the plane at 1 / u, u = m.V / m.b.
+    out[4] is 1 where the direction of j along the line is against that of i.
+    """
+    p, q = packed[i], packed[j]
+    bx, by, bz = q[9] - p[9], q[10] - p[10], q[11] - p[11]
+    nb = p[6] * bx + p[7] * by + p[8] * bz
+    n1 = p[6] * q[0] + p[7] * q[1] + p[8] * q[2]
+    n2 = p[6] * q[3] + p[7] * q[4] + p[8] * q[5]
+    # The rays of j meet plane i before their camera: n . (b + depth w) = 0.
+    if nb * n1 >= 0.0 or nb * n2 >= 0.0:
+        return False
+    mb = q[6] * bx + q[7] * by + q[8] * bz
+    m1 = q[6] * p[0] + q[7] * p[1] + q[8] * p[2]
+    m2 = q[6] * p[3] + q[7] * p[4] + q[8] * p[5]
+    if mb * m1 <= 0.0 or mb * m2 <= 0.0:
+        return False
+    u1, u2, far1, far2 = m1 / mb, m2 / mb, -nb / n1, -nb / n2
+    # The line is (V1 / u1, V2 / u2), seen from centre i.
+    x, y, z = p[0] / u1, p[1] / u1, p[2] / u1
+    dx, dy, dz = p[3] / u2 - x, p[4] / u2 - y, p[5] / u2 - z
+    low = (bx + far1 * q[0] - x) * dx + (by + far1 * q[1] - y) * dy + (bz + far1 * q[2] - z) * dz
+    high = (bx + far2 * q[3] - x) * dx + (by + far2 * q[4] - y) * dy + (bz + far2 * q[5] - z) * dz
+    length = dx * dx + dy * dy + dz * dz
+    out[4] = 1.0 if high < low else 0.0
+    low, high = min(low, high) / length, max(low, high) / length
+    if min(high, 1.0) - max(low, 0.0) < LEAST_OVERLAP * min(high - low, 1.0):
+        return False
+    out[0], out[1] = u1, u2
+    return _depth_sigmas(p, q, bx, by, bz, abs(mb), out)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float, mb: float, out: np.ndarray) -> bool:
+    """Standard deviations of the inverse depths in `out`; false where they say nothing.
+
+    du = dm . (V - u b) / m.b, and V - u b points from centre j to the point that is seen.
+    """
+    mn = p[6] * q[6] + p[7] * q[7] + p[8] * q[8]
+    fx, fy, fz = q[7] * q[2] - q[8] * q[1], q[8] * q[0] - q[6] * q[2], q[6] * q[1] - q[7] * q[0]
+    span = math.atan2(q[3] * fx + q[4] * fy + q[5] * fz, q[3] * q[0] + q[4] * q[1] + q[5] * q[2])
+    for end in range(2):
+        u = out[end]
+        x, y, z = p[3 * end] - u * bx, p[3 * end + 1] - u * by, p[3 * end + 2] - u * bz
+        along = math.atan2(x * fx + y * fy + z * fz, x * q[0] + y * q[1] + z * q[2])
+        across = cross_sigma(along, span, q[12], q[13])
+        out[2 + end] = math.sqrt((x * x + y * y + z * z) * across**2 + (mn * p[12 + end]) ** 2) / mb
+        if out[2 + end] > MOST_SIGMA * u:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def partners(
+    i: int,
+    starts: np.ndarray,
+    photos: np.ndarray,
+    packed: np.ndarray,
+    colours: np.ndarray,
+    arc: np.ndarray,
+    found: np.ndarray,
+    weight: np.ndarray,
+) -> int:
+    """All arcs of some photos that could show the line of arc i, with depths and likeness; how many."""
+    count = 0
+    out = np.empty(5)
+    for photo in photos:
+        for j in range(starts[photo], starts[photo + 1]):
+            if not depths(i, j, packed, out):
+                continue
+            alike = likeness(colours[i], colours[j], out[4] > 0.5)
+            if alike < LEAST_LIKENESS:
+                continue
+            arc[count], weight[count] = j, alike
+            for k in range(4):
+                found[count, k] = out[k]
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _square(one: np.ndarray, at: int, other: np.ndarray, k: int) -> float:
+    """Chi-square between two pairs of depths, of the variance of the other and at most as much again; infinite beyond GATE."""
+    total = 0.0
+    for end in range(2):
+        variance = other[k, 2 + end] ** 2
+        variance += min(variance, one[at, 2 + end] ** 2)
+        total += (other[k, end] - one[at, end]) ** 2 / variance
+        if total > GATE**2:
+            return np.inf
+    return total
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _best(found: np.ndarray, weight: np.ndarray, seen: np.ndarray, images: int) -> tuple[int, float, float]:
+    """Which pair of depths, sorted by the first, the other photos agree on most, its score, and that of its best rival."""
+    scores = np.zeros(len(found))
+    votes, stamp = np.zeros(images), np.full(images, -1, dtype=np.int64)
+    reach = found[:, 2].max() * math.sqrt(2.0) * GATE
+    first, best, score = 0, -1, 0.0
+    for h in range(len(found)):
+        while found[first, 0] < found[h, 0] - reach:
+            first += 1
+        total = 0.0
+        for k in range(first, len(found)):
+            if found[k, 0] > found[h, 0] + reach:
+                break
+            square = _square(found, h, found, k)
+            if square == np.inf:
+                continue
+            vote = weight[k] * math.exp(-0.25 * square)
+            photo = seen[k]
+            if stamp[photo] != h:
+                stamp[photo] = h
+                votes[photo] = 0.0
+            if vote > votes[photo]:
+                total += vote - votes[photo]
+                votes[photo] = vote
+        scores[h] = total
+        if total > score:
+            score, best = total, h
+    rival = 0.0
+    for h in range(len(found)):
+        if best >= 0 and scores[h] > rival and _square(found, best, found, h) == np.inf:
+            rival = scores[h]
+    return best, score, rival
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def best_lines(
+    rows: np.ndarray,
+    image: np.ndarray,
+    starts: np.ndarray,
+    neighbours: np.ndarray,
+    packed: np.ndarray,
+    colours: np.ndarray,
+    most: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of each arc of `rows`: inverse depths at both ends, score and best rival, up to `most` supporters, candidates.
+
+    The score of a pair of depths is the sum over the other photos of the best likeness times exp(-chi-square / 4).
+    """
+    total = len(image)
+    depth, score = np.full((len(rows), 2), np.nan), np.zeros((len(rows), 2))
+    support, tried = np.full((len(rows), most), -1, dtype=np.int32), np.zeros(len(rows), dtype=np.int64)
+    arc, found, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
+    for k in range(len(rows)):
+        count = partners(rows[k], starts, np.flatnonzero(neighbours[image[rows[k]]]), packed, colours, arc, found, weight)
+        tried[k] = count
+        if not count:
+            continue
+        order = np.argsort(found[:count, 0])
+        arcs, pairs, weights = arc[order], found[order], weight[order]
+        best, score[k, 0], score[k, 1] = _best(pairs, weights, image[arcs], len(neighbours))
+        if best >= 0:
+            _gather(best, arcs, pairs, weights, depth[k], support[k])
+    return depth, score, support, tried
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _gather(best: int, arcs: np.ndarray, found: np.ndarray, weight: np.ndarray, depth: np.ndarray, support: np.ndarray) -> None:
+    """The arcs that agree with the best pair of depths, and the weighted mean of their depths."""
+    sums, weights, at = np.zeros(2), np.zeros(2), 0
+    for k in range(len(arcs)):
+        if _square(found, best, found, k) == np.inf:
+            continue
+        if at < len(support):
+            support[at] = arcs[k]
+            at += 1
+        for end in range(2):
+            share = weight[k] / found[k, 2 + end] ** 2
+            sums[end] += share * found[k, end]
+            weights[end] += share
+    for end in range(2):
+        depth[end] = sums[end] / weights[end]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def likenesses(first: np.ndarray, second: np.ndarray, one: np.ndarray, other: np.ndarray, flipped: np.ndarray) -> np.ndarray:
+    """`likeness` of rows of two tables of colours."""
+    found = np.empty(len(one))
+    for k in range(len(one)):
+        found[k] = likeness(first[one[k]], second[other[k]], flipped[k])
+    return found

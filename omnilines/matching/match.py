@@ -1,0 +1,136 @@
+"""Arcs of photos with poses -> tracks: which arcs show one line of the world, and where that line is.
+
+found = match_arcs(arcs)        # ViewedArcs: both ends of every arc as bearings, their noise, colours beside them, poses
+found.tracks.track              # (n,) line of every arc or -1; found.tracks.lines: a `Triangulation`
+
+How far arcs of one line may lie apart follows from their stated noise and from a slack for what no arc knows of: errors of poses
+and cameras. Unless given, the slack is chosen by the data (`chosen_slack`).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+
+from camera_models.errors import GeometryError, InputError
+from camera_models.pose import Pose
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
+from omnilines.matching.tracks import Tracks, build_tracks
+from omnilines.triangulation.robust import noise_level
+
+SLACKS_PX = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+"""Standard deviations that are tried, from exact poses to poor ones."""
+SAMPLED_ARCS = 250
+SHOWING = 60
+"""Of them, those whose residuals are looked at."""
+ENOUGH = 0.6
+"""Of the most that any slack gains."""
+CHANCE_SIGMA = 3.0
+"""Standard errors by which the most that any slack gains has to exceed what chance gains, and at least by as much again."""
+CHANCE_TURN_RAD = (0.25 * math.pi, 1.75 * math.pi)
+LEAST_VIEWS = 4
+NEIGHBOURS = 24
+"""Photos that each is compared with at most."""
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Matched:
+    """The tracks with what led to them."""
+
+    arcs: ViewedArcs
+    """As given, widened by the slack."""
+    hypotheses: Hypotheses
+    tracks: Tracks
+    slack_px: float
+
+
+def match_arcs(
+    arcs: ViewedArcs,
+    *,
+    least_views: int = LEAST_VIEWS,
+    slack_px: float | None = None,
+    neighbours: int = NEIGHBOURS,
+    seed: int = 0,
+    progress: Progress = lambda stage, done, total: None,
+) -> Matched:
+    """Put arcs into tracks that at least `least_views` photos (3 or more) see.
+
+    Raises InputError on a wrong option and GeometryError where fewer than three photos have arcs, or all of them stand at one
+    place: then nothing has a depth.
+    """
+    if least_views < 3 or neighbours < 2 or (slack_px is not None and not slack_px > 0):
+        raise InputError(
+            "Matching expects at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found "
+            f"{least_views}, {neighbours} and {slack_px}; correct the option."
+        )
+    _require_parallax(arcs)
+    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), neighbours)
+    if slack_px is None:
+        slack_px = chosen_slack(arcs, near, seed)
+    widened = arcs.widened(slack_px)
+    found = find_hypotheses(widened, near, progress=lambda done, total: progress("matching arcs", done, total))
+    tracks = build_tracks(widened, found, least_views, lambda done, total: progress("building tracks", done, total))
+    return Matched(widened, found, tracks, slack_px)
+
+
+def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: int) -> float:
+    """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of arcs.
+
+    Too little of it and true partners miss each other: the best line of an arc stands out less from its best rival than under
+    another slack, or the residuals of the lines that stand out most show more noise than was allowed for. Where nothing stands
+    out more than by chance, which it does the more the larger the slack, the smallest is taken.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = np.sort(rng.permutation(len(arcs))[:SAMPLED_ARCS])
+    found = [find_hypotheses(arcs.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
+    gain = np.array([float((one.score - one.rival).mean()) for one in found])
+    most = int(np.argmax(gain))
+    turned = arcs.with_poses(_turned(arcs.poses, rng)).widened(SLACKS_PX[most])
+    chance = find_hypotheses(turned, neighbours, rows=chosen)
+    by_chance = chance.score - chance.rival
+    excess = found[most].score - found[most].rival - by_chance
+    if excess.mean() <= max(by_chance.mean(), CHANCE_SIGMA * excess.std() / math.sqrt(len(excess))):
+        return SLACKS_PX[0]
+    for k in np.flatnonzero(gain >= ENOUGH * gain.max()).tolist():
+        if _shown_slack(arcs, chosen, found[k], SLACKS_PX[k]) <= SLACKS_PX[k]:
+            return SLACKS_PX[k]
+    return SLACKS_PX[most]
+
+
+def _turned(poses: Pose, rng: np.random.Generator) -> Pose:
+    """Cameras at the same places, each turned about its optical axis at random: arcs fit each other by chance alone."""
+    axis = torch.zeros(len(poses), 6, dtype=torch.float64)
+    axis[:, 2] = torch.as_tensor(rng.uniform(*CHANCE_TURN_RAD, len(poses)))
+    return Pose.exp(axis) @ poses
+
+
+def _shown_slack(arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, slack_px: float) -> float:
+    """What the residuals show beyond the stated noise: of the SHOWING arcs whose line stands out most, with their supporters."""
+    best = np.argsort(found.rival - found.score, kind="stable")[:SHOWING]
+    support = found.support[best]
+    member = np.concatenate([rows[best], support[support >= 0]])
+    track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
+    level = noise_level(arcs.widened(slack_px).tracks(member, track, len(best)))
+    stated = float(np.median(arcs.packed[member, 12:].max(-1) / arcs.px_rad[member]))
+    square = level**2 * (stated**2 + slack_px**2) - stated**2
+    return math.sqrt(square) if square > 0 else (0.0 if math.isfinite(level) else slack_px)
+
+
+def _require_parallax(arcs: ViewedArcs) -> None:
+    seen = np.unique(arcs.image)
+    if len(seen) < 3:
+        raise GeometryError(
+            f"Arcs in at least 3 photos with poses were expected to match lines, found {len(seen)}; give more photos."
+        )
+    centres = arcs.poses.centre.numpy()[seen]
+    spread = float(np.linalg.norm(centres - centres.mean(0), axis=-1).max())
+    if spread <= 1e-9 * (1.0 + float(np.abs(centres).max())):
+        raise GeometryError(
+            f"Photos from different places were expected, found all {len(seen)} at one place, from where no line has a depth; "
+            "move the camera between photos."
+        )

@@ -1,0 +1,118 @@
+"""Arcs put together into tracks, and lines compared with the arcs of all photos, compiled.
+
+`no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def claim(order: np.ndarray, support: np.ndarray, image: np.ndarray, images: int, least_views: int) -> tuple[np.ndarray, int]:
+    """The track of every arc (-1 for none) and how many there are: in this order, each free arc takes its free supporters."""
+    track = np.full(len(image), -1, dtype=np.int64)
+    seen = np.full(images, -1, dtype=np.int64)
+    made = 0
+    for turn in range(len(order)):
+        i = order[turn]
+        if track[i] >= 0:
+            continue
+        views = 1
+        seen[image[i]] = turn
+        for j in support[i]:
+            if j < 0:
+                break
+            if track[j] < 0 and seen[image[j]] != turn:
+                seen[image[j]] = turn
+                views += 1
+        if views < least_views:
+            continue
+        track[i] = made
+        for j in support[i]:
+            if j < 0:
+                break
+            if track[j] < 0:
+                track[j] = made
+        made += 1
+    return track, made
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def near_lines(
+    rows: np.ndarray, packed: np.ndarray, direction: np.ndarray, moment: np.ndarray, span: np.ndarray, gate_rad: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (row of an arc, line): both ends within `gate_rad` of the line's great circle, and the line lies where the arc is.
+
+    `span` holds the positions along each line between which it is known; an arc has to overlap that.
+    """
+    capacity = 1024
+    arcs, lines = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
+    count = 0
+    for k in range(len(rows)):
+        p = packed[rows[k]]
+        sine = np.sin(gate_rad[k])
+        for line in range(len(direction)):
+            dx, dy, dz = direction[line, 0], direction[line, 1], direction[line, 2]
+            mx = moment[line, 0] - (p[10] * dz - p[11] * dy)
+            my = moment[line, 1] - (p[11] * dx - p[9] * dz)
+            mz = moment[line, 2] - (p[9] * dy - p[10] * dx)
+            square = mx * mx + my * my + mz * mz
+            limit = sine * sine * square
+            h = p[0] * mx + p[1] * my + p[2] * mz
+            if h * h > limit:
+                continue
+            h = p[3] * mx + p[4] * my + p[5] * mz
+            if h * h > limit:
+                continue
+            # To the point of the line nearest to the centre: d x m.
+            tx, ty, tz = dy * mz - dz * my, dz * mx - dx * mz, dx * my - dy * mx
+            first, last = p[0] * tx + p[1] * ty + p[2] * tz, p[3] * tx + p[4] * ty + p[5] * tz
+            if first <= 0.0 or last <= 0.0:
+                continue
+            base = p[9] * dx + p[10] * dy + p[11] * dz
+            low = base + square * (p[0] * dx + p[1] * dy + p[2] * dz) / first
+            high = base + square * (p[3] * dx + p[4] * dy + p[5] * dz) / last
+            if high < low:
+                low, high = high, low
+            if min(high, span[line, 1]) <= max(low, span[line, 0]):
+                continue
+            if count == capacity:
+                capacity *= 2
+                arcs, lines = _grown(arcs, capacity), _grown(lines, capacity)
+            arcs[count], lines[count] = rows[k], line
+            count += 1
+    return arcs[:count], lines[:count]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _grown(values: np.ndarray, capacity: int) -> np.ndarray:
+    larger = np.empty(capacity, dtype=values.dtype)
+    larger[: len(values)] = values
+    return larger
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def united(part: np.ndarray, whole: np.ndarray, count: int) -> np.ndarray:
+    """The representative of each of `count` sets after pairs of them are joined (disjoint sets)."""
+    root = np.arange(count)
+    for k in range(len(part)):
+        a, b = part[k], whole[k]
+        while root[a] != a:
+            root[a] = root[root[a]]
+            a = root[a]
+        while root[b] != b:
+            root[b] = root[root[b]]
+            b = root[b]
+        root[a] = b
+    for k in range(count):
+        a = k
+        while root[a] != a:
+            a = root[a]
+        root[k] = a
+    return root

@@ -1,0 +1,200 @@
+"""Arcs of several photos put into tracks, one for each line of the world.
+
+Arcs with a good hypothesis take those that support it; every track is triangulated robustly; then every arc goes to the line that
+explains it best, tracks of one line become one, and what is left over may form tracks of its own. A few rounds of this settle.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from omnilines.geometry.line import PlueckerLines
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypotheses import Hypotheses
+from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
+from omnilines.matching.track_kernel import claim, near_lines, united
+from omnilines.triangulation.residuals import linearise
+from omnilines.triangulation.result import Triangulation
+from omnilines.triangulation.robust import robust_triangulate
+
+ROUNDS = 3
+"""Times that arcs are given to lines anew."""
+FIRST_VIEWS = 3
+"""Photos that see a line before it is looked at: two planes always meet in a line."""
+MOST_CHI_SQUARE = 18.0
+"""Of both ends of an arc from a line, in its noise and the line's: one true arc in 8,000 is farther off."""
+REACH_PX = 3.0
+"""An arc is compared with lines that pass so near, and as much farther as its noise asks for."""
+SAME_SHARE = 0.6
+"""Of the arcs of one track that another line explains too: then they are one."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Which line every arc shows, and the lines."""
+
+    track: Int[np.ndarray, " n"]
+    """-1 where an arc shows none."""
+    lines: Triangulation
+    rows: Int[np.ndarray, " m"]
+    """The arcs that the lines rest on, in the order of `lines.observations`."""
+    merged: int
+    """Tracks that turned out to be parts of others."""
+    inconsistent: int
+    """Arcs that were left out because they do not fit the others of their track."""
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+def build_tracks(
+    arcs: ViewedArcs, found: Hypotheses, least_views: int, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Tracks:
+    """Tracks of arcs in at least `least_views` photos, with their lines."""
+    order = np.argsort(-found.score, kind="stable")
+    track, count = claim(order, found.support, arcs.image, arcs.images, FIRST_VIEWS)
+    merged = wrong = 0
+    for turn in range(ROUNDS):
+        progress(turn, ROUNDS + 1)
+        track, lines, out = _triangulated(arcs, track, count)
+        track, candidates = _nearest_lines(arcs, track, lines)
+        track, fewer = _united(track, candidates, count)
+        merged, wrong = merged + fewer, wrong + out
+        free = order[track[order] < 0]
+        support = _still_free(found.support, track)
+        more, extra = claim(free, support, arcs.image, arcs.images, FIRST_VIEWS)
+        track = np.where(more >= 0, more + count, track)
+        track, count = _with_views(arcs, track, count + extra, FIRST_VIEWS)
+    while True:
+        # A track that loses members may have too few photos, and one without a line has none.
+        track, lines, out = _triangulated(arcs, track, count)
+        wrong, before = wrong + out, count
+        track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
+        track, count = _with_views(arcs, track, count, least_views)
+        if count == before:
+            break
+    progress(ROUNDS + 1, ROUNDS + 1)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong)
+
+
+def _triangulated(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> tuple[np.ndarray, Triangulation, int]:
+    """The tracks without their wrong members, the lines, and how many members were wrong."""
+    rows = np.flatnonzero(track >= 0)
+    found = robust_triangulate(arcs.tracks(rows, track[rows], count), method="ml", sigma=1.0)
+    inlier = found.inlier.numpy()
+    kept = np.full_like(track, -1)
+    kept[rows[inlier]] = track[rows[inlier]]
+    return kept, found.triangulation, int((~inlier).sum())
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Arcs and the lines that could be theirs."""
+
+    arc: Int[np.ndarray, " k"]
+    track: Int[np.ndarray, " k"]
+
+
+def _nearest_lines(
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation
+) -> tuple[Int[np.ndarray, " n"], _Candidates]:
+    """The track whose line explains each arc best, -1 for none, and all that explain it."""
+    known = np.flatnonzero(lines.known.numpy())
+    place = np.full(len(lines), -1)
+    place[known] = np.arange(len(known))
+    own = _of_tracks(track, place)
+    member = np.flatnonzero(own >= 0)
+    own = own[member]
+    chosen = lines.lines[torch.as_tensor(known)]
+    direction, moment = chosen.direction.numpy(), chosen.moment.numpy()
+    reach_rad = REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1)
+    spans = _spans(chosen, arcs, member, own)
+    arc, line = near_lines(np.arange(len(arcs)), arcs.packed, direction, moment, spans, reach_rad)
+    square = _chi_square(arcs, arc, line, lines, known)
+    along = arcs.packed[:, 3:6] - arcs.packed[:, :3]
+    colours = _line_colours(arcs, member, own, (along[member] * direction[own]).sum(-1) < 0, len(known))
+    alike = likenesses(colours, arcs.colours, line, arc, (along[arc] * direction[line]).sum(-1) < 0)
+    fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
+    arc, line, cost = arc[fits], line[fits], square[fits] - 2.0 * np.log(alike[fits])
+    order = np.lexsort((cost, arc))
+    _, first = np.unique(arc[order], return_index=True)
+    best = order[first]
+    nearest = np.full_like(track, -1)
+    nearest[arc[best]] = known[line[best]]
+    return nearest, _Candidates(arc, known[line])
+
+
+def _chi_square(
+    arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"], lines: Triangulation, known: Int[np.ndarray, " l"]
+) -> Float[np.ndarray, " k"]:
+    """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""
+    chosen, index = torch.as_tensor(known), torch.as_tensor(line)
+    at = linearise(arcs.tracks(arc, line, len(known)), lines.chart[chosen])
+    covariance = lines.covariance[chosen][index]
+    spread = torch.eye(2, dtype=torch.float64) + at.jacobian @ covariance @ at.jacobian.mT
+    square = (at.residual * torch.linalg.solve(spread, at.residual)).sum(-1)
+    return torch.nan_to_num(square, nan=torch.inf).numpy()
+
+
+def _spans(
+    lines: PlueckerLines, arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "l 2"]:
+    """Positions along each line between which its arcs lie."""
+    positions, in_front = arcs.positions(lines, rows, line)
+    low, high = np.full(len(lines), np.inf), np.full(len(lines), -np.inf)
+    np.minimum.at(low, line[in_front], positions[in_front, 0])
+    np.maximum.at(high, line[in_front], positions[in_front, 1])
+    return np.stack([low, high], -1)
+
+
+def _line_colours(
+    arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"], against: Bool[np.ndarray, " m"], count: int
+) -> Float[np.ndarray, "l 2 3"]:
+    """Mean colours on both sides of each line, sides as an arc along its direction has them; NaN where no arc knows."""
+    colours = np.where(against[:, None, None], arcs.colours[rows][:, ::-1], arcs.colours[rows])
+    there = ~np.isnan(colours)
+    total, seen = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+    np.add.at(total, line, np.where(there, colours, 0.0))
+    np.add.at(seen, line, there)
+    return np.where(seen > 0, total / np.maximum(seen, 1.0), np.nan)
+
+
+def _united(track: Int[np.ndarray, " n"], candidates: _Candidates, count: int) -> tuple[Int[np.ndarray, " n"], int]:
+    """Tracks whose arcs are explained by the line of another become part of it."""
+    size = np.bincount(track[track >= 0], minlength=count)
+    other = (track[candidates.arc] >= 0) & (track[candidates.arc] != candidates.track)
+    pair, times = np.unique(track[candidates.arc[other]] * count + candidates.track[other], return_counts=True)
+    part, whole = pair // count, pair % count
+    share = times / np.maximum(size[part], 1)
+    order = np.argsort(-share, kind="stable")
+    order = order[share[order] >= SAME_SHARE]
+    root = united(part[order], whole[order], count)
+    return _of_tracks(track, root), int((root != np.arange(count)).sum())
+
+
+def _still_free(support: Int[np.ndarray, "n k"], track: Int[np.ndarray, " n"]) -> Int[np.ndarray, "n k"]:
+    """The supporters that have no track, -1 after the last."""
+    free = np.where((support >= 0) & (track[support] < 0), support, -1)
+    return np.take_along_axis(free, np.argsort(free < 0, axis=1, kind="stable"), 1)
+
+
+def _with_views(
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, least_views: int
+) -> tuple[Int[np.ndarray, " n"], int]:
+    """The tracks that enough photos see, renumbered."""
+    member = track >= 0
+    seen = np.unique(track[member] * arcs.images + arcs.image[member]) // arcs.images
+    keep = np.bincount(seen, minlength=count) >= least_views
+    number = np.where(keep, np.cumsum(keep) - 1, -1)
+    return _of_tracks(track, number), int(keep.sum())
+
+
+def _of_tracks(track: Int[np.ndarray, " n"], values: Int[np.ndarray, " t"]) -> Int[np.ndarray, " n"]:
+    """The value of the track of every arc, -1 where it has none."""
+    found = np.full_like(track, -1)
+    member = track >= 0
+    found[member] = values[track[member]]
+    return found

@@ -1,0 +1,294 @@
+"""The compiled parts of matching against plain forms: depths and their noise, colours, votes, lines near arcs, sets."""
+
+import itertools
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from matching_scenes import VIEWS, room
+
+from omnilines.geometry.line import PlueckerLines
+from omnilines.matching import hypotheses
+from omnilines.matching import hypothesis_kernel as kernel
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypotheses import find_hypotheses
+from omnilines.matching.track_kernel import claim, near_lines, united
+
+CAMERAS = list(VIEWS)
+
+
+def every_neighbour(count: int) -> np.ndarray:
+    return ~np.eye(count, dtype=bool)
+
+
+def some(arcs: ViewedArcs, count: int, seed: int = 0) -> ViewedArcs:
+    return arcs.rows(np.sort(np.random.default_rng(seed).permutation(len(arcs))[:count]))
+
+
+def true_depths(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> tuple[torch.Tensor, ...]:
+    """Inverse depths of pairs from the line of their planes, by from_planes and position_seen; allowed but for the noise; flipped."""
+    normal, centre = packed[:, 6:9], packed[:, 9:12]
+    s = -(normal * centre).sum(-1)
+    lines = PlueckerLines.from_planes(normal[i], s[i], normal[j], s[j])
+    both = PlueckerLines(lines.direction[:, None].expand(-1, 2, -1), lines.moment[:, None].expand(-1, 2, -1))
+    places, front = [], []
+    for rows in (i, j):
+        at, ahead, _ = both.position_seen(centre[rows][:, None].expand(-1, 2, -1), packed[rows, :6].unflatten(1, (2, 3)))
+        places.append(at)
+        front.append(ahead.all(-1))
+    inverse = 1 / (both.point_at(places[0]) - centre[i][:, None]).norm(dim=-1)
+    own, other = (place.sort(-1).values for place in places)
+    overlap = torch.minimum(own[:, 1], other[:, 1]) - torch.maximum(own[:, 0], other[:, 0])
+    shorter = torch.minimum(own[:, 1] - own[:, 0], other[:, 1] - other[:, 0])
+    flipped = (places[0][:, 1] > places[0][:, 0]) ^ (places[1][:, 1] > places[1][:, 0])
+    return inverse, front[0] & front[1] & (overlap > kernel.LEAST_OVERLAP * shorter), flipped
+
+
+def depth_sigmas(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> torch.Tensor:
+    """By derivatives of m . V / m . b, each end moved across its plane: n_i for the ends of i, n_j for those of j."""
+
+    def inverse(moved: torch.Tensor, p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
+        ends = p[:6].unflatten(0, (2, 3)) + moved[:2, None] * p[6:9]
+        others = q[:6].unflatten(0, (2, 3)) + moved[2:, None] * q[6:9]
+        m = torch.linalg.cross(others[0], others[1])
+        return ends @ m / (m @ (q[9:12] - p[9:12]))
+
+    zero = torch.zeros(len(i), 4, dtype=torch.float64)
+    jacobian = torch.func.vmap(torch.func.jacrev(inverse))(zero, packed[i], packed[j])
+    return (jacobian.square() @ torch.cat([packed[i, 12:], packed[j, 12:]], -1).square()[..., None]).sqrt().squeeze(-1)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_depths_of_all_pairs_are_those_of_the_line_of_their_planes(name: str) -> None:
+    arcs = some(room(name).arcs(0.3, 1), 80)
+    i, j = np.nonzero(arcs.image[:, None] != arcs.image)
+    packed = torch.as_tensor(arcs.packed)
+    inverse, allowed, flipped = true_depths(packed, i, j)
+    sigma = depth_sigmas(packed, i, j)
+    allowed &= (sigma <= kernel.MOST_SIGMA * inverse).all(-1)
+    out = np.empty(5)
+    accepted = 0
+    for k, (a, b) in enumerate(zip(i, j, strict=True)):
+        assert kernel.depths(a, b, arcs.packed, out) == bool(allowed[k])
+        if allowed[k]:
+            accepted += 1
+            np.testing.assert_allclose(out[:2], inverse[k].numpy(), rtol=1e-7)
+            np.testing.assert_allclose(out[2:4], sigma[k].numpy(), rtol=1e-6)
+            assert (out[4] == 1.0) == bool(flipped[k])
+    assert accepted > 100 and accepted < 0.6 * len(i)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_spread_of_depths_under_noise_is_the_stated_one(name: str) -> None:
+    """Pixel noise at both ends of arc j, and noise across its plane at those of i: along it they are other points of the line."""
+    scene, sigma_px, draws = room(name), 0.2, 4000
+    exact = scene.arcs(0.0, 0).widened(math.sqrt(sigma_px**2 - 0.01**2))
+    rng, out, tried = np.random.default_rng(4), np.empty(5), 0
+    for line in range(0, len(scene.ends_m), 9):
+        i, j = np.flatnonzero(scene.line == line)[:2]
+        if not kernel.depths(i, j, exact.packed, out):
+            continue
+        tried += 1
+        stated = out[2:4].copy()
+        pixels = scene.pixels[[j] * draws] + sigma_px * torch.as_tensor(rng.standard_normal((draws, 2, 2)))
+        noisy = replace(scene, pixels=pixels, image=scene.image[[j] * draws], line=scene.line[[j] * draws]).arcs(0.0, 0)
+        own = np.repeat(exact.packed[[i]], draws, 0)
+        own[:, :6] += (own[:, 12:, None] * rng.standard_normal((draws, 2, 1)) * own[:, None, 6:9]).reshape(draws, 6)
+        rows, found = np.concatenate([own, noisy.packed]), np.empty((draws, 5))
+        for k in range(draws):
+            kernel.depths(k, draws + k, rows, found[k])
+        np.testing.assert_allclose(found[:, :2].std(0), stated, rtol=0.06)
+    assert tried > 4
+
+
+def dense_likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
+    """From multivariate normal densities relative to their largest, covariance s^2 I + t^2 1 1'."""
+
+    def square(x: np.ndarray) -> float:
+        covariance = kernel.COLOUR_SIGMA**2 * np.eye(len(x)) + kernel.GAIN_SIGMA**2
+        return float(x @ np.linalg.solve(covariance, x)) / len(x)
+
+    sides = first - (second[::-1] if flipped else second)
+    known = ~np.isnan(sides).any(-1)
+    if not known.any():
+        return 0.3
+    single = min(square(x) for x in sides[known]) + kernel.ONE_SIDE
+    if known.all():
+        return math.exp(-0.5 * min(single, square(sides.ravel())))
+    return math.exp(-0.5 * (single - 0.5 * kernel.ONE_SIDE))
+
+
+def test_likeness_is_a_gaussian_with_a_common_gain() -> None:
+    rng = np.random.default_rng(3)
+    found = []
+    for k in range(400):
+        first = rng.uniform(3.0, 5.5, (2, 3))
+        second = first + 0.25 * rng.standard_normal() + 0.12 * rng.standard_normal((2, 3))
+        if k % 4 == 1:
+            second[k // 4 % 2] = rng.uniform(3.0, 5.5, 3)
+        if k % 4 == 2:
+            second[k // 4 % 2] = np.nan
+        flipped = bool(rng.random() < 0.5)
+        second = second[::-1].copy() if flipped else second
+        found.append(kernel.likeness(first, second, flipped))
+        assert found[-1] == pytest.approx(dense_likeness(first, second, flipped), rel=1e-9)
+        # Neither the order of the two arcs nor the direction in which both run matters.
+        assert kernel.likeness(second, first, flipped) == pytest.approx(found[-1], rel=1e-9)
+        assert kernel.likeness(first[::-1].copy(), second[::-1].copy(), flipped) == pytest.approx(found[-1], rel=1e-9)
+        assert kernel.likeness(first, second[::-1].copy(), not flipped) == pytest.approx(found[-1], rel=1e-9)
+    same = rng.uniform(3.0, 5.5, (2, 3))
+    assert kernel.likeness(same, same, False) == 1.0 and 0 < min(found) and max(found) <= 1
+    unknown = np.full((2, 3), np.nan)
+    assert kernel.likeness(unknown, same, False) == kernel.likeness(same, unknown, True) == 0.3
+    # Of true partners all but a few pass, and most strangers do not.
+    true = [found[k] for k in range(400) if k % 4 in (0, 3)]
+    strangers = [kernel.likeness(*rng.uniform(3.0, 5.5, (2, 2, 3)), False) for _ in range(400)]
+    assert np.mean(np.array(true) > kernel.LEAST_LIKENESS) > 0.99 and np.mean(np.array(strangers) > kernel.LEAST_LIKENESS) < 0.05
+    rows = rng.uniform(3.0, 5.5, (20, 2, 3))
+    one, other, against = rng.integers(0, 20, 50), rng.integers(0, 20, 50), rng.random(50) < 0.5
+    expected = [kernel.likeness(rows[a], rows[b], c) for a, b, c in zip(one, other, against, strict=True)]
+    np.testing.assert_array_equal(kernel.likenesses(rows, rows, one, other, against), expected)
+
+
+@pytest.mark.parametrize("span", [0.01, 0.5, 1.7, 2.8])
+def test_cross_sigma_is_that_of_the_circle_through_both_ends(span: float) -> None:
+    """Derivatives of the angle of a point from the circle by moves of both ends across it."""
+
+    def off(moved: torch.Tensor, along: float) -> torch.Tensor:
+        first = torch.stack([torch.ones(()), torch.zeros(()), moved[0]])
+        last = torch.stack([moved[1].new_tensor(math.cos(span)), moved[1].new_tensor(math.sin(span)), moved[1]])
+        normal = torch.linalg.cross(first, last)
+        point = torch.tensor([math.cos(along), math.sin(along), 0.0], dtype=torch.float64)
+        return normal @ point / normal.norm()
+
+    for along in (-0.4, 0.0, 0.3 * span, span, span + 0.7):
+        jacobian = torch.func.jacrev(off)(torch.zeros(2, dtype=torch.float64), along)
+        expected = float((jacobian * torch.tensor([0.002, 0.005], dtype=torch.float64)).norm())
+        assert kernel.cross_sigma(along, span, 0.002, 0.005) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
+    """Score, rival, supporters and depths of the kernel against all pairs in NumPy."""
+    arcs = some(room("fisheye").arcs(0.3, 1, colours=True), 400)
+    near = every_neighbour(arcs.images)
+    near[0, 3] = near[3, 0] = False
+    found = find_hypotheses(arcs, near)
+    total = len(arcs)
+    arc, pairs, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
+    supported = 0
+    for i in range(0, total, 9):
+        photos = np.flatnonzero(near[arcs.image[i]])
+        count = kernel.partners(i, arcs.starts, photos, arcs.packed, arcs.colours, arc, pairs, weight)
+        assert count == found.candidates[i] and set(arcs.image[arc[:count]]) <= set(photos.tolist())
+        depth, variance = pairs[:count, :2], pairs[:count, 2:] ** 2
+        square = ((depth - depth[:, None]) ** 2 / (variance + np.minimum(variance, variance[:, None]))).sum(-1)
+        votes = np.where(square <= kernel.GATE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
+        image = arcs.image[arc[:count]]
+        scores = sum((votes * (image == photo)).max(1, initial=0.0) for photo in photos)
+        best = int(np.argmax(scores)) if count else -1
+        rivals = scores[square[best] > kernel.GATE**2] if count else np.zeros(0)
+        assert found.score[i] == pytest.approx(scores[best] if count else 0.0, rel=1e-9)
+        assert found.rival[i] == pytest.approx(rivals.max(initial=0.0), rel=1e-9)
+        agreeing = np.flatnonzero(square[best] <= kernel.GATE**2) if count else np.zeros(0, dtype=np.int64)
+        assert sorted(arc[agreeing].tolist()) == sorted(found.support[i][found.support[i] >= 0].tolist())
+        if count:
+            share = weight[agreeing, None] / variance[agreeing]
+            np.testing.assert_allclose(found.inverse_depth[i], (share * depth[agreeing]).sum(0) / share.sum(0), rtol=1e-9)
+            supported += len(agreeing) > 2
+    assert supported > 20
+
+
+def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.MonkeyPatch) -> None:
+    arcs = some(room("scaramuzza").arcs(0.3, 1), 500)
+    near, every = every_neighbour(arcs.images), None
+    for cores, portion in itertools.product((1, 2), (7, 256, 1000)):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        monkeypatch.setattr(hypotheses, "AT_ONCE", portion)
+        steps = []
+        found = find_hypotheses(arcs, near, progress=lambda done, total: steps.append((done, total)))
+        assert steps == [(k + 1, math.ceil(500 / portion)) for k in range(math.ceil(500 / portion))]
+        every = found if every is None else every
+        for one, other in zip(vars(every).values(), vars(found).values(), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert every is not None
+    rows = np.array([3, 77, 401])
+    for one, other in zip(vars(find_hypotheses(arcs, near, rows=rows)).values(), vars(every).values(), strict=True):
+        np.testing.assert_array_equal(one, other[rows])
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_lines_near_arcs_are_those_of_a_plain_search(name: str) -> None:
+    scene = room(name)
+    arcs = some(scene.arcs(0.5, 2), 150)
+    rng = np.random.default_rng(8)
+    truth = scene.truth()
+    ends = torch.einsum("tkx,tx->tk", scene.ends_m - truth.foot[:, None], truth.direction)
+    low = rng.uniform(0.0, 0.8, len(ends))
+    spans = (ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * torch.as_tensor(np.stack([low, low + 0.2], -1))).numpy()
+    gate = rng.uniform(1.0, 12.0, len(arcs)) * arcs.px_rad
+    rows = np.sort(rng.permutation(len(arcs))[:120])
+    arc, line = near_lines(rows, arcs.packed, truth.direction.numpy(), truth.moment.numpy(), spans, gate[rows])
+    centre, bearings = arcs.planes.centre[rows], torch.as_tensor(arcs.packed[rows, :6]).unflatten(1, (2, 3))
+    moment = truth[None].moment_about(centre[:, None].expand(120, len(ends), 3))
+    angle = torch.asin((bearings @ (moment / moment.norm(dim=-1, keepdim=True)).mT).abs().clamp_max(1)).amax(1)
+    lines = PlueckerLines(truth.direction[None, :, None].expand(120, -1, 2, -1), truth.moment[None, :, None].expand(120, -1, 2, -1))
+    expand = (120, len(ends), 2, 3)
+    place, front, _ = lines.position_seen(centre[:, None, None].expand(expand), bearings[:, None].expand(expand))
+    meets = torch.minimum(place.amax(-1), torch.as_tensor(spans[:, 1])) > torch.maximum(place.amin(-1), torch.as_tensor(spans[:, 0]))
+    expected = (angle <= torch.as_tensor(gate[rows])[:, None]) & front.all(-1) & meets
+    pairs = np.argwhere(expected.numpy())
+    np.testing.assert_array_equal(np.stack([arc, line], -1), np.stack([rows[pairs[:, 0]], pairs[:, 1]], -1))
+    assert len(pairs) > 40
+
+
+def test_the_list_of_near_lines_grows() -> None:
+    arcs = room("fisheye").arcs(0.3, 1)
+    truth = room("fisheye").truth()
+    everywhere = np.repeat([[-np.inf, np.inf]], len(truth), 0)
+    arc, line = near_lines(
+        np.arange(len(arcs)), arcs.packed, truth.direction.numpy(), truth.moment.numpy(), everywhere, np.full(len(arcs), 1.5)
+    )
+    assert len(arc) > 4096 and len(np.unique(arc * len(truth) + line)) == len(arc)
+    assert bool((np.diff(arc * len(truth) + line) > 0).all())
+
+
+def plain_claim(order: list, support: list, image: list, least_views: int) -> list:
+    track, made = [-1] * len(image), 0
+    for i in order:
+        if track[i] < 0:
+            free = [j for j in support[i] if j >= 0 and track[j] < 0]
+            if len({image[j] for j in [i, *free]}) >= least_views:
+                for j in [i, *free]:
+                    track[j] = made
+                made += 1
+    return track
+
+
+def test_claimed_and_united_sets_are_those_of_plain_python() -> None:
+    rng = np.random.default_rng(5)
+    most = 0
+    for _ in range(60):
+        count, images = int(rng.integers(1, 40)), int(rng.integers(1, 8))
+        image = np.sort(rng.integers(0, images, count))
+        support = np.full((count, 6), -1, dtype=np.int32)
+        for i in range(count):
+            others = rng.permutation(count)[: rng.integers(0, 6)]
+            support[i, : len(others)] = others[image[others] != image[i]].tolist() + [-1] * int((image[others] == image[i]).sum())
+        order = rng.permutation(count)
+        track, made = claim(order, support, image, images, 3)
+        assert track.tolist() == plain_claim(order.tolist(), support.tolist(), image.tolist(), 3)
+        assert made == track.max() + 1
+        most = max(most, made)
+        pairs = rng.integers(0, count, (int(rng.integers(0, count)), 2))
+        root = united(pairs[:, 0], pairs[:, 1], count)
+        sets = [{k} for k in range(count)]
+        for a, b in pairs.tolist():
+            joined = sets[a] | sets[b]
+            for k in joined:
+                sets[k] = joined
+        assert [{k for k in range(count) if root[k] == root[i]} for i in range(count)] == sets
+        assert bool((root[root] == root).all())
+    assert most >= 3

@@ -1,0 +1,208 @@
+"""`omnilines reconstruct PHOTOS`: a rendered room from photos to lines, what is kept between runs, and bad input."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from camera_models.pose import Pose
+from omnilines.cli import main
+from omnilines.commands.render_scene import render_scene
+from omnilines.evaluate_scene import scene_scores
+from omnilines.files import read_lines, read_poses, read_segments, write_poses
+from omnilines.files.true_edges import read_stretches, read_true_edges
+from omnilines.records import ImagePoses
+
+VIEWS, SIZE, SEED = 8, (480, 480), 11
+TABLES = ("calibration.yaml", "poses.csv", "truth.csv", "visibility.csv")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A folder `photos`, and its tables beside it."""
+    folder = tmp_path_factory.mktemp("room")
+    render_scene(folder / "photos", views=VIEWS, size=SIZE, seed=SEED)
+    for name in TABLES:
+        (folder / "photos" / name).rename(folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rebuilt(room):
+    """The room rebuilt once by the command line."""
+    status = call(room / "photos", room, room / "scene", "--colmap", "--recording")
+    assert status == 0
+    return room / "scene"
+
+
+def call(photos, room, out, *options, poses="poses.csv"):
+    source = room / poses if poses.endswith(".csv") or poses == "colmap" else poses
+    arguments = ["reconstruct", photos, "--calibration", room / "calibration.yaml", "--poses", source, "--out", out, *options]
+    with pytest.raises(SystemExit) as stopped:
+        main([str(item) for item in arguments])
+    return stopped.value.code
+
+
+def scores(room, lines):
+    edges = read_true_edges(room / "truth.csv")
+    return scene_scores(lines.ends_m, edges, read_stretches(room / "visibility.csv", edges))
+
+
+def test_lines_lie_on_the_edges_of_the_room(room, rebuilt):
+    lines = read_lines(rebuilt / "lines.csv")
+    found = scores(room, lines)
+    assert len(lines) > 60
+    assert set(lines.status) == {"ok"}
+    assert (lines.views >= 4).all()
+    # A pixel is 7 mm a metre away.
+    assert found.precision[2] > 0.8
+    assert found.median_error_m < 0.01
+    assert found.direction_deg(50) < 0.3
+    assert found.repeated_share < 0.05
+
+
+def test_what_is_stated_of_a_line_explains_its_error(room, rebuilt):
+    lines = read_lines(rebuilt / "lines.csv")
+    edges = read_true_edges(room / "truth.csv").ends_m
+    found = scores(room, lines)
+    along = edges[found.edge, 1] - edges[found.edge, 0]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.linalg.norm(np.cross(lines.ends_m - edges[found.edge, :1], along[:, None]), axis=-1).max(-1)
+    on_edge = across < 0.02
+    assert on_edge.sum() > 50
+    # sigma_m is the largest standard deviation of either end: two dimensions across, the worse of two ends.
+    assert (across[on_edge] < 3.0 * lines.sigma_m[on_edge]).mean() > 0.75
+
+
+def test_the_scene_folder_is_whole(rebuilt):
+    lines, segments = read_lines(rebuilt / "lines.csv"), read_segments(rebuilt / "segments.csv")
+    assert set(segments.tracks) <= set(lines.tracks)
+    rows = [segments.track == segments.tracks.index(name) for name in lines.tracks[:20]]
+    seen = [len(np.unique(segments.image[own])) for own in rows]
+    assert min(seen) >= 3
+    for name in ("report.html", "lines.ply", "lines.obj", "covariance.npz", "poses.csv", "scene.rrd", "colmap/lines.txt"):
+        assert (rebuilt / name).stat().st_size > 0
+    with np.load(rebuilt / "covariance.npz") as kept:
+        assert tuple(kept["track"]) == lines.tracks
+    assert "Stages" in (rebuilt / "report.html").read_text()
+
+
+def test_adjust_reads_the_scene_folder(rebuilt, tmp_path, capsys):
+    arguments = ["adjust", "--calibration", rebuilt / "calibration.yaml", "--poses", rebuilt / "poses.csv"]
+    arguments += [
+        "--segments",
+        rebuilt / "segments.csv",
+        "--refine",
+        "lines",
+        "--cost",
+        "whitened",
+        "--out",
+        tmp_path / "again",
+        "--json",
+    ]
+    with pytest.raises(SystemExit) as stopped:
+        main([str(item) for item in arguments])
+    assert stopped.value.code == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["rms_px"] < 0.5
+    assert data["tracks"] == len(read_lines(rebuilt / "lines.csv"))
+
+
+def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, rebuilt, capsys):
+    lines, report = (rebuilt / "lines.csv").read_bytes(), (rebuilt / "report.html").stat().st_mtime_ns
+    capsys.readouterr()
+    assert call(room / "photos", room, rebuilt, "--colmap", "--recording", "--json") == 0
+    said = capsys.readouterr()
+    assert "nothing was done" in said.err
+    assert (rebuilt / "report.html").stat().st_mtime_ns == report
+    assert json.loads(said.out)["lines"] == len(read_lines(rebuilt / "lines.csv"))
+    kept = {path.name: path.stat().st_mtime_ns for path in (rebuilt / "work" / "arcs").iterdir()}
+    assert len(kept) == VIEWS
+    (rebuilt / "lines.csv").write_bytes(b"")
+    assert call(room / "photos", room, rebuilt, "--colmap", "--recording") == 0
+    assert (rebuilt / "lines.csv").read_bytes() == lines
+    assert {path.name: path.stat().st_mtime_ns for path in (rebuilt / "work" / "arcs").iterdir()} == kept
+
+
+def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
+    pytest.importorskip("pycolmap")
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    model = tmp_path / "colmap"
+    model.mkdir()
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        shutil.copy(rebuilt / "colmap" / name, model)
+    assert call(room / "photos", room, tmp_path / "scene", poses=str(model)) == 0
+    first, second = (read_lines(folder / "lines.csv") for folder in (rebuilt, tmp_path / "scene"))
+    assert len(first) == len(second)
+    np.testing.assert_allclose(second.ends_m, first.ends_m, atol=1e-6)
+
+
+def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
+    poses = read_poses(room / "poses.csv")
+    rng = np.random.default_rng(3)
+    turn = np.concatenate([np.radians(0.1) * rng.standard_normal((VIEWS, 3)), 0.003 * rng.standard_normal((VIEWS, 3))], -1)
+    write_poses(
+        tmp_path / "poses.csv", ImagePoses(poses.images, Pose.exp(torch.as_tensor(turn)) @ poses.cam_from_world, poses.cameras)
+    )
+    shutil.copy(room / "calibration.yaml", tmp_path)
+    rms = {}
+    for refine in ("lines", "lines,poses"):
+        out = tmp_path / refine.replace(",", "_")
+        shutil.copytree(rebuilt / "work", out / "work")
+        assert call(room / "photos", tmp_path, out, "--refine", refine) == 0
+        lines = read_lines(out / "lines.csv")
+        rms[refine] = float(np.sqrt(np.mean(lines.rms_px**2)))
+    assert rms["lines,poses"] < 0.75 * rms["lines"]
+
+
+def test_a_bad_photo_is_skipped_and_a_photo_without_pose_is_named(room, rebuilt, tmp_path, capsys):
+    shutil.copytree(room / "photos", tmp_path / "photos")
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    (tmp_path / "photos" / "broken.png").write_bytes(b"no photo")
+    shutil.copy(tmp_path / "photos" / "view00.png", tmp_path / "photos" / "extra.png")
+    assert call(tmp_path / "photos", room, tmp_path / "scene") == 0
+    said = capsys.readouterr().err
+    assert "broken.png is skipped" in said
+    assert "extra.png has no pose: it is not in poses.csv." in said
+    assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(read_lines(rebuilt / "lines.csv"))
+
+
+def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, capsys):
+    poses = read_poses(room / "poses.csv")
+    order = np.random.default_rng(5).permutation(VIEWS)
+    swapped = tuple(poses.images[k] for k in order[:3])
+    write_poses(tmp_path / "poses.csv", ImagePoses(swapped, poses.cam_from_world[:3], ("cam0",) * 3))
+    shutil.copy(room / "calibration.yaml", tmp_path)
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    assert call(room / "photos", tmp_path, tmp_path / "scene", "--min-views", "4") == 2
+    said = capsys.readouterr().err
+    assert "No line was found" in said and "Traceback" not in said
+    assert not (tmp_path / "scene" / "lines.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "poses", "sentence"),
+    [
+        (("--min-views", "2"), "poses.csv", "at least 3 views"),
+        (("--tolerance-px", "0"), "poses.csv", "slack above 0 px"),
+        (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern was expected with --poses boards"),
+        ((), "nowhere", "--poses was expected to be"),
+        ((), "rig", "rig"),
+        (("--refine", "walls"), "poses.csv", "--refine was expected"),
+    ],
+)
+def test_bad_requests_are_refused_in_one_sentence(room, rebuilt, tmp_path, capsys, options, poses, sentence):
+    shutil.copytree(rebuilt / "work", tmp_path / "work")
+    assert call(room / "photos", room, tmp_path, *options, poses=poses) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and "Traceback" not in said
+
+
+def test_photos_or_segments_are_asked_for(room, tmp_path, capsys):
+    arguments = ["reconstruct", "--calibration", room / "calibration.yaml", "--poses", room / "poses.csv", "--out", tmp_path]
+    with pytest.raises(SystemExit) as stopped:
+        main([str(item) for item in arguments])
+    assert stopped.value.code == 2
+    assert "found neither" in capsys.readouterr().err
