@@ -108,6 +108,15 @@ class AprilGrid(TagBoard):
         order = np.array([[1.0, 1.0], [0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
         return self._tag_top_left_m[:, None] + self.tag_m * order
 
+    @property
+    def lines_m(self) -> tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]]:
+        # Both sides of each gap, also of those around the board.
+        x, up = (
+            np.sort(np.concatenate([places - self.gap * self.tag_m, places]))
+            for places in (self._pitch_m * np.arange(n + 1) for n in (self.nx, self.ny))
+        )
+        return x, -up[::-1]
+
     @cached_property
     def cells(self) -> CellGrid:
         """The black cells of all tags, and the squares at the crossings of the gaps."""

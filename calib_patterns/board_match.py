@@ -1,7 +1,9 @@
-"""Which part of a ChArUco board a piece of checkerboard is, where blur or noise leaves its tags unread.
+"""Which part of a board with tags a piece of its corners is, where blur or noise leaves its tags unread.
 
-The squares of the piece are sampled in the photo and compared, all at once, with what every numbering of the piece expects there.
-A tag whose bits run into each other still looks more like itself than like another, and a whole board of them more so.
+The corners of such a board lie on lines along x and along y. The cells between these lines are the squares of a ChArUco board or
+the tags and gaps of an AprilGrid. Those of the piece are sampled in the photo and compared, all at once, with what every
+numbering of the piece expects there. A tag whose bits run into each other still looks more like itself than like another, and a
+whole board of them more so.
 """
 
 import cv2
@@ -13,45 +15,50 @@ from calib_patterns.local_map import KnownCorners
 from calib_patterns.saddle_points import POINT_SIGMA_PX, Lattice, quarter_turn
 
 SAMPLES = 8
-"""Along each side of a square."""
-FOOTPRINT_SQUARES = 0.2
-"""Width of the boxes that expected grey levels are means of: about the blur that leaves tags unread."""
-LEAST_SQUARES = 4
+"""Along each side of a cell."""
+FOOTPRINT = 0.2
+"""Width of the boxes that expected grey levels are means of, in widths of the largest cell: about the blur that leaves tags
+unread."""
+LEAST_CELLS = 4
 LEAST_CORRELATION = 0.3
-CLEAR_LEAD, CLEAR_LEAD_PER_SQUARE = 4.0, 0.35
+CLEAR_LEAD, CLEAR_LEAD_PER_CELL = 4.0, 0.4
 """By how much the log likelihood of the best numbering has to exceed that of the next. On boards with the tags of another
-dictionary the best of several hundred numberings led by at most 4.5 + 0.2 per square, on their own boards by 1.2 to 6 per
-square."""
+dictionary the best of several hundred numberings led by at most 4.3 over 8 to 33 squares of a ChArUco board and 17 over 35 cells
+of an AprilGrid, on their own boards by 0.8 to 6 per cell."""
 
 
-def matched(search: np.ndarray, piece: Lattice, board: Pattern, square_m: float, squares: tuple[int, int]) -> KnownCorners | None:
+def matched(
+    search: np.ndarray, piece: Lattice, board: Pattern, x_m: Float[np.ndarray, " nx"], y_m: Float[np.ndarray, " ny"]
+) -> KnownCorners | None:
     """The corners of the piece as places of the board, None where no numbering stands out.
 
-    `search`: the photo in 8 bits in which the piece was found, not mirrored; `squares`: columns and rows of the board's squares.
+    `search`: the photo in 8 bits in which the piece was found, not mirrored; `x_m`, `y_m`: the lines that the board's corners lie
+    on, and the ends of the outermost cells, ascending.
     """
     low = piece.places.min(0)
     wide, tall = np.ptp(piece.places, axis=0) + 1
     grid = np.full((tall, wide, 2), np.nan)
     grid[piece.places[:, 1] - low[1], piece.places[:, 0] - low[0]] = piece.pixels
     whole = np.isfinite(grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]).all(-1)
-    if whole.sum() < LEAST_SQUARES:
+    if whole.sum() < LEAST_CELLS:
         return None
     row, column = np.nonzero(whole)
     seen = _seen(search, grid, row, column)
-    expected = _expected(board, square_m, squares)
-    best = _best_numbering(seen, np.stack([column, row], -1), expected)
+    best = _best_numbering(seen, np.stack([column, row], -1), _expected(board, x_m, y_m))
     if best is None:
         return None
     turn, shift = best
-    # A square's place is that of its first corner; both turn about the square's middle.
-    corners = (piece.places - low - 0.5) @ turn.T + shift + 0.5
-    return KnownCorners(corners * square_m, piece.pixels, np.full(len(piece.pixels), POINT_SIGMA_PX))
+    # A cell's place is that of its first corner; both turn about the cell's middle.
+    lines = np.rint((piece.places - low - 0.5) @ turn.T + shift + 0.5).astype(np.int64)
+    on_board = ((lines >= 0) & (lines < (len(x_m), len(y_m)))).all(1)
+    corners_m = np.stack([x_m[lines[on_board, 0]], y_m[lines[on_board, 1]]], -1)
+    return KnownCorners(corners_m, piece.pixels[on_board], np.full(len(corners_m), POINT_SIGMA_PX))
 
 
 def _seen(
     search: np.ndarray, grid: Float[np.ndarray, "tall wide 2"], row: Int[np.ndarray, " k"], column: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k s s"]:
-    """Grey levels inside each square, [y, x], the photo taken as bilinear between its corners."""
+    """Grey levels inside each cell, [y, x], the photo taken as bilinear between its corners."""
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     x, y = np.meshgrid(share, share)
     weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y])
@@ -61,19 +68,20 @@ def _seen(
     return grey.reshape(-1, SAMPLES, SAMPLES).astype(np.float64)
 
 
-def _expected(board: Pattern, square_m: float, squares: tuple[int, int]) -> Float[np.ndarray, "ny nx s s"]:
-    """Reflectance inside each square of the board, [y, x]."""
-    nx, ny = squares
+def _expected(
+    board: Pattern, x_m: Float[np.ndarray, " nx"], y_m: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, "rows columns s s"]:
+    """Reflectance inside each cell of the board, [y, x]."""
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    x, y = (np.arange(count)[:, None] + share for count in (nx, ny))
-    points = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), -1) * square_m
-    return board.reflectance(points, np.full(points.shape, FOOTPRINT_SQUARES * square_m))
+    x, y = (lines[:-1, None] + np.diff(lines)[:, None] * share for lines in (x_m, y_m))
+    points = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), -1)
+    return board.reflectance(points, np.full(points.shape, FOOTPRINT * float(np.diff(x_m).max())))
 
 
 def _best_numbering(
-    seen: Float[np.ndarray, "k s s"], places: Int[np.ndarray, "k 2"], expected: Float[np.ndarray, "ny nx s s"]
+    seen: Float[np.ndarray, "k s s"], places: Int[np.ndarray, "k 2"], expected: Float[np.ndarray, "rows columns s s"]
 ) -> tuple[Int[np.ndarray, "2 2"], Int[np.ndarray, "2"]] | None:
-    """Turn and shift that take columns and rows of seen squares to those of the board, where they stand out."""
+    """Turn and shift that take columns and rows of seen cells to those of the board, where they stand out."""
     ny, nx = expected.shape[:2]
     scores: list[float] = []
     ways: list[tuple[np.ndarray, np.ndarray]] = []
@@ -86,7 +94,7 @@ def _best_numbering(
         room = np.array([nx, ny]) - turned.max(0)
         if (room <= 0).any():
             continue
-        # What a turned square shows, in the order of the samples of the seen one.
+        # What a turned cell shows, in the order of the samples of the seen one.
         of_board = np.rot90(expected, quarter, axes=(2, 3))
         shifts = np.stack(np.meshgrid(np.arange(room[0]), np.arange(room[1])), -1).reshape(-1, 2)
         at = turned + shifts[:, None]
@@ -101,6 +109,6 @@ def _best_numbering(
     next_best = scores[order[1]] if len(order) > 1 else 0.0
     # Logarithm of the ratio of likelihoods; what neither explains is no white noise, so it counts for an eighth of the samples.
     lead = seen.size / 16 * np.log((1.0 - next_best**2) / max(1.0 - best**2, 1e-9))
-    if best < LEAST_CORRELATION or lead < CLEAR_LEAD + CLEAR_LEAD_PER_SQUARE * len(seen):
+    if best < LEAST_CORRELATION or lead < CLEAR_LEAD + CLEAR_LEAD_PER_CELL * len(seen):
         return None
     return ways[order[0]]

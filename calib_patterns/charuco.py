@@ -15,12 +15,7 @@ from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid, bit_rectangles
 from calib_patterns._pattern import format_length_mm, parse_length
-from calib_patterns.board_match import matched
 from calib_patterns.corner_growth import CornerKind
-from calib_patterns.detection import searched
-from calib_patterns.local_map import KnownCorners
-from calib_patterns.partial import LEAST_CORNERS, MOST_PIECES
-from calib_patterns.saddle_points import lattices, saddle_points
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
@@ -117,6 +112,10 @@ class ChArUco(TagBoard):
         low = self.square_m * self._squares(white=True) + 0.5 * (self.square_m - self.marker_m)
         return low[:, None] + self.marker_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
+    @property
+    def lines_m(self) -> tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]]:
+        return self.square_m * np.arange(self.nx + 1.0), self.square_m * np.arange(self.ny + 1.0)
+
     @cached_property
     def cells(self) -> CellGrid:
         squares = self._squares(white=False)
@@ -134,13 +133,3 @@ class ChArUco(TagBoard):
         # White quadrants are (+, +) and (-, -) where the sign is positive, the other two elsewhere; black ones hold no tag.
         diagonal = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
         return CornerKind(corners, sign, np.where(diagonal, strip, np.inf), self.square_m, self.square_m)
-
-    def seeds_by_appearance(self, grey: np.ndarray) -> KnownCorners | None:
-        """From pieces of checkerboard whose squares look like some part of the board."""
-        search, factors = searched(grey)
-        for piece in lattices(saddle_points(search), LEAST_CORNERS, MOST_PIECES):
-            seeds = matched(search, piece, self, self.square_m, (self.nx, self.ny))
-            if seeds is not None:
-                pixels = (seeds.pixels + 0.5) * factors - 0.5
-                return KnownCorners(seeds.board_m, pixels, seeds.sigma_px * float(factors.max()))
-        return None

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection
 from calib_patterns.local_map import KnownCorners, LocalMap, agrees, local_map
-from calib_patterns.saddle import SaddleFit, fit_corners
+from calib_patterns.saddle import SETTLED_GRID_PX, SETTLED_PX, SaddleFit, fit_corners
 
 MAX_PREDICTION_SIGMA = 0.25
 """Corners are looked for where the map is this certain, in squares."""
@@ -25,12 +25,17 @@ MIN_CLEARNESS = 3.5
 """Contrast of a corner over what its fit leaves."""
 MIN_CONTRAST = 0.2
 """Contrast of a corner, as a share of the median."""
+MAX_BLUR, LIKE_BLUR, MAX_LIKE_BLUR, MUCH_BLUR = 0.24, 1.3, 0.3, 3.0
+"""Standard deviation of the profile across an edge: in squares; over the usual one and in squares where that is as wide; and how
+many times the usual one it is nowhere."""
 MIN_NARROW_PX = 8.0
 """Squares that are at least this wide are also tried with half the window."""
 MUCH_MORE = 1.5
 """Fits that leave this many times what others do have something in their window that is not of the corner."""
 MOST_SIGMA = 10.0
 """A corner whose standard deviation is so many times the usual one is covered in part."""
+SETTLED_SHARE = 0.04
+"""A fit has settled when a step is shorter than this share of the usual standard deviation of corners."""
 MIN_CORNERS = 4
 _MAX_ROUNDS = 30
 _FIELDS = ("pixels", "sigma_px", "contrast", "residual", "blur_px", "converged")
@@ -54,11 +59,13 @@ class CornerKind:
         """Some of the corners."""
         return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
 
-    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float) -> SaddleFit:
+    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float, settled_px: float = SETTLED_PX) -> SaddleFit:
         """The saddles near the predicted places."""
         share = self.square_m / self.spacing_m
         first, second = places.first * share, places.second * share**2
-        return fit_corners(grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px)
+        return fit_corners(
+            grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
+        )
 
     def narrowed(self) -> "CornerKind":
         """With windows of half the width."""
@@ -69,14 +76,18 @@ class CornerKind:
         return places.spacing_px * self.square_m / self.spacing_m
 
 
-def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float) -> Bool[np.ndarray, " n"]:
-    """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, no more blurred
-    than their squares are wide, near their prediction."""
+def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float, blur_px: float) -> Bool[np.ndarray, " n"]:
+    """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, near their
+    prediction, and no more blurred than their squares are wide or, where the usual `blur_px` (infinite while nothing is known) is
+    about that, than the others.
+    """
     strength = kind.sign * fit.contrast
     square_px = kind.square_px(places)
     clear = (strength > MIN_CLEARNESS * fit.residual) & (strength > MIN_CONTRAST * contrast)
     near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(MAX_STEP * square_px, 2.0)
-    sharp = fit.blur_px.max(1) < np.maximum(0.24 * square_px, 1.4)
+    alike = np.minimum(LIKE_BLUR * blur_px, MAX_LIKE_BLUR * square_px)
+    widest = np.minimum(np.maximum(MAX_BLUR * square_px, 1.4), max(MUCH_BLUR * blur_px, 1.4))
+    sharp = fit.blur_px.max(1) < np.maximum(widest, alike)
     good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < 1.0)
     return good
 
@@ -113,6 +124,13 @@ class _Growth:
         """Their usual blur, of the more blurred edge."""
         return float(np.clip(np.median(self.fit.blur_px[self.good].max(-1)), 0.5, 4.0)) if self.good.any() else 1.0
 
+    @property
+    def settled_px(self) -> float:
+        """How far the fits have to settle: a small share of what noise moves the corners by."""
+        if not self.good.any():
+            return SETTLED_PX
+        return float(np.clip(SETTLED_SHARE * np.median(self.fit.sigma_px[self.good]), SETTLED_PX, SETTLED_GRID_PX))
+
     def known(self) -> KnownCorners:
         """Corners, and the tags' where too few corners are known."""
         return self.corners.joined(self.seeds)
@@ -120,10 +138,11 @@ class _Growth:
     def look(self, chosen: Int[np.ndarray, " k"], places: LocalMap, *, narrow: bool = False) -> None:
         """Fit corners at their predictions; keep those that are accepted, forget the others."""
         kind = self.kind.at(chosen).narrowed() if narrow else self.kind.at(chosen)
-        fit = kind.fit(self.grey, places, self.blur_px)
+        fit = kind.fit(self.grey, places, self.blur_px, self.settled_px)
         _put(self.fit, chosen, fit)
         contrast = max(self.contrast, float(np.median(np.abs(fit.contrast[fit.converged]))) if fit.converged.any() else 0.0)
-        self.good[chosen] = accepted(kind, fit, places, contrast) & _inside(fit.pixels, self.grey.shape)
+        usual_px = self.blur_px if self.good.any() else np.inf
+        self.good[chosen] = accepted(kind, fit, places, contrast, usual_px) & _inside(fit.pixels, self.grey.shape)
 
     def grow(self) -> None:
         """Until nothing is gained."""
@@ -147,11 +166,11 @@ class _Growth:
     def guess(self, chosen: Int[np.ndarray, " k"], places: LocalMap) -> None:
         """Fit corners at uncertain predictions; keep those that are near them all the same and look just like the others."""
         kind = self.kind.at(chosen)
-        fit = kind.fit(self.grey, places, self.blur_px)
+        fit = kind.fit(self.grey, places, self.blur_px, self.settled_px)
         strength, contrast = kind.sign * fit.contrast, self.contrast
         alike = (strength > contrast / ALIKE) & (strength < contrast * ALIKE) & (strength > ALIKE * MIN_CLEARNESS * fit.residual)
         near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < MAX_GUESS_STEP * kind.square_px(places)
-        good = accepted(kind, fit, places, contrast) & alike & near & _inside(fit.pixels, self.grey.shape)
+        good = accepted(kind, fit, places, contrast, self.blur_px) & alike & near & _inside(fit.pixels, self.grey.shape)
         _put(self.fit, chosen[good], _rows(fit, good))
         self.good[chosen[good]] = True
 
@@ -182,8 +201,8 @@ class _Growth:
         if not chosen.size:
             return
         kind = self.kind.at(chosen).narrowed()
-        fit = kind.fit(self.grey, places, self.blur_px)
-        better = accepted(kind, fit, places, self.contrast) & (self.fit.residual[chosen] > MUCH_MORE * fit.residual)
+        fit = kind.fit(self.grey, places, self.blur_px, self.settled_px)
+        better = accepted(kind, fit, places, self.contrast, self.blur_px) & (self.fit.residual[chosen] > MUCH_MORE * fit.residual)
         _put(self.fit, chosen[better], _rows(fit, better))
 
     def drop_what_disagrees(self) -> None:

@@ -216,8 +216,10 @@ class _Search:
         for _ in range(halvings):
             kind = kind.narrowed()
         known = self.blur_px[self.good].max(-1)
-        fit = kind.fit(self.grey, places, float(np.clip(np.median(known), 0.5, 4.0)) if known.size else 1.0)
-        taken = accepted(kind, fit, places, self._usual_contrast(fit)) & _inside(fit.pixels, self.model.image_size)
+        blur_px = float(np.clip(np.median(known), 0.5, 4.0)) if known.size else 1.0
+        fit = kind.fit(self.grey, places, blur_px)
+        usual_px = blur_px if known.size else np.inf
+        taken = accepted(kind, fit, places, self._usual_contrast(fit), usual_px) & _inside(fit.pixels, self.model.image_size)
         taken &= self._too_far(ids, places, fit.pixels, fit.sigma_px) < 1.0
         self.tried_px[ids], self.good[ids], self.trusted[ids] = places.pixels, taken, taken
         rows = ids[taken]

@@ -18,22 +18,34 @@ precision.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from calib_patterns.saddle_kernel import PARAMETERS, fit_all
 
-MAX_HALF_WINDOW_PX = 10
+MIN_HALF_WINDOW_PX, MAX_HALF_WINDOW_PX = 3, 10
 WINDOW_SQUARES = 0.42
 """The window reaches this far into the adjoining squares, short of the next edges and their blur."""
 MODEL_SIGMA_PX = 0.01
 """What the saddle leaves unmodelled (pixel integration, third-order distortion), added in quadrature to the noise's share."""
+MAX_BLUR_SQUARES = 0.32
+"""Wider profiles across an edge are not fitted (standard deviation)."""
 MAX_STEPS = 20
+SETTLED_PX, SETTLED_GRID_PX = 1e-3, 5e-3
+"""A fit ends with the step that is shorter than this: each is about a tenth of the one before. What is no saddle seldom settles
+so far; the corners of a whole grid are told from what is none by each other."""
+HASTY_PX, MIN_THINNED_PX = 0.05, 7
+"""The same for a hasty fit, and the half window from which on it uses every other pixel each way."""
 
-STENCIL = 5
-"""Corners that a derivative along the board is taken from. Three leave the curvature of edges at the border of the board wrong,
-which moves corners by some 0.005 px, all alike: seven standard deviations of the focal length of a well calibrated camera."""
+PRIOR_BY_ORDER = (np.inf, np.inf, 0.1, 0.02, 0.003, 0.0005, 0.0001)
+"""Standard deviation of the coefficients of a row of corners, in squares, by order: lenses bend rows smoothly."""
+REMAINDER = 1e-5
+"""The same for the order that is left out: what a corner n squares away may be off, over n^7."""
+MISFIT_PX, MISFIT_SQUARES = 1.0, 0.04
+FINDER_SIGMA_PX = 0.3
+"""Standard deviation of corners as finders give them."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +70,51 @@ class SaddleFit:
         return SaddleFit(pixels, sigma_px, contrast, residual, blur_px, self.converged.reshape(shape))
 
 
-@dataclass(frozen=True)
-class _Patches:
-    """The pixels around each corner: position, grey level and whether they belong to the window."""
-
-    pixels: Float[np.ndarray, "n k 2"]
-    grey: Float[np.ndarray, "n k"]
-    mask: Bool[np.ndarray, "n k"]
-
-
-def _stencils(count: int) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """Matrices that take values at 0 .. n-1 to first and second derivatives there: those of the polynomial through the nearest
-    STENCIL values (Fornberg 1988)."""
-    width = min(STENCIL, count)
-    first, second = np.zeros((count, count)), np.zeros((count, count))
-    for at in range(count):
-        low = min(max(at - width // 2, 0), count - width)
-        coefficients = np.linalg.inv(np.vander(np.arange(low, low + width) - float(at), width, increasing=True))
-        first[at, low : low + width], second[at, low : low + width] = coefficients[1], 2 * coefficients[2]
-    return first, second
+@lru_cache(maxsize=256)
+def _stencils(
+    count: int, octaves: int, *, leave_out: bool = False
+) -> tuple[Float[np.ndarray, "orders n n"], Float[np.ndarray, " n"]]:
+    """Matrices that take values at 0 .. n-1, known to 2^octaves squares, to the coefficients of each order of the polynomial
+    around each place that is the most probable, and the standard deviation (squares) of its value; with `leave_out` without the
+    value known at that place."""
+    orders = np.arange(min(len(PRIOR_BY_ORDER), count))
+    offset = np.arange(count) - np.arange(count, dtype=np.float64)[:, None]
+    basis = offset[..., None] ** orders
+    weight = 1.0 / (4.0**octaves + (REMAINDER * np.abs(offset) ** len(PRIOR_BY_ORDER)) ** 2)
+    weighted = basis * (weight * (offset != 0) if leave_out else weight)[..., None]
+    prior = np.diag(1.0 / np.square(PRIOR_BY_ORDER[: len(orders)]))
+    covariance = np.linalg.inv(weighted.transpose(0, 2, 1) @ basis + prior)
+    return np.ascontiguousarray((covariance @ weighted.transpose(0, 2, 1)).transpose(1, 0, 2)), np.sqrt(covariance[:, 0, 0])
 
 
-def grid_derivatives(grid: Float[np.ndarray, "ny nx 2"]) -> tuple[Float[np.ndarray, "ny nx 2 2"], Float[np.ndarray, "ny nx 2 2"]]:
-    """First (.., (u, v), (x, y)) and second ([..., k] along x, then y) derivatives of pixels by board squares at each corner."""
-    (down, bend_down), (across, bend_across) = _stencils(grid.shape[0]), _stencils(grid.shape[1])
+def _sizes_px(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> tuple[tuple[float, int], tuple[float, int]]:
+    """Mean width and height of the squares, and to how many octaves of each the grid is known, rounded to few different ones."""
+    width, height = (float(np.sqrt(np.sum(np.diff(grid, axis=axis) ** 2, -1)).mean()) + 1e-6 for axis in (1, 0))
+    columns, rows = (int(np.clip(np.rint(np.log2(sigma_px / size)), -20, 5)) for size in (width, height))
+    return (width, columns), (height, rows)
+
+
+def misfit(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> Float[np.ndarray, "ny nx"]:
+    """How far each corner of a grid known to `sigma_px` is from where the others of its row and of its column say, whichever is
+    the nearer, over what that may be: MISFIT_PX, MISFIT_SQUARES and three standard deviations."""
+    over = []
+    for rows, (size, octaves) in zip((grid, grid.transpose(1, 0, 2)), _sizes_px(grid, sigma_px), strict=True):
+        (value, *_), sigma = _stencils(rows.shape[1], octaves, leave_out=True)
+        off = np.linalg.norm(np.einsum("ij,kjc->kic", value, rows) - rows, axis=-1)
+        over.append(off / (MISFIT_PX + (MISFIT_SQUARES + 3.0 * sigma) * size))
+    return np.minimum(over[0], over[1].T)
+
+
+def grid_derivatives(
+    grid: Float[np.ndarray, "ny nx 2"], sigma_px: float
+) -> tuple[Float[np.ndarray, "ny nx 2 2"], Float[np.ndarray, "ny nx 2 2"]]:
+    """First (.., (u, v), (x, y)) and second ([..., k] along x, then y) derivatives of pixels by board squares at each corner, of
+    a grid of at least 3 x 3 corners known to `sigma_px`."""
+    (_, columns), (_, rows) = _sizes_px(grid, sigma_px)
+    (_, across, bend_across, *_), _ = _stencils(grid.shape[1], columns)
+    (_, down, bend_down, *_), _ = _stencils(grid.shape[0], rows)
     first = np.stack([np.einsum("ij,kjc->kic", across, grid), np.einsum("ij,jkc->ikc", down, grid)], -1)
-    second = np.stack([np.einsum("ij,kjc->kic", bend_across, grid), np.einsum("ij,jkc->ikc", bend_down, grid)], -1)
+    second = 2.0 * np.stack([np.einsum("ij,kjc->kic", bend_across, grid), np.einsum("ij,jkc->ikc", bend_down, grid)], -1)
     return first, second
 
 
@@ -91,39 +122,6 @@ def _curvatures(first: Float[np.ndarray, "n 2 2"], second: Float[np.ndarray, "n 
     """Signed curvature (1/px) of both edges, positive towards the normal (-t_v, t_u) of their tangents +x and -y."""
     cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     return np.array([1.0, -1.0]) * cross / np.sum(first**2, 1) ** 1.5
-
-
-def _patches(
-    image: np.ndarray,
-    corners: Float[np.ndarray, "n 2"],
-    squares: Float[np.ndarray, "n 2 2"],
-    plain: Float[np.ndarray, "n 2 2"] | None,
-) -> _Patches:
-    """Windows of the image that reach WINDOW_SQUARES into each adjoining square, at most MAX_HALF_WINDOW_PX.
-
-    `plain` as in `fit_corners`.
-    """
-    reach = WINDOW_SQUARES * np.abs(squares).sum(2).max()
-    half = int(np.clip(np.ceil(reach), 3, MAX_HALF_WINDOW_PX))
-    offsets = np.stack(np.meshgrid(np.arange(-half, half + 1), np.arange(-half, half + 1)), -1).reshape(-1, 2)
-    pixels = np.rint(corners).astype(np.int64)[:, None] + offsets
-    height, width = image.shape
-    inside = (pixels >= 0).all(2) & (pixels[..., 0] < width) & (pixels[..., 1] < height)
-    grey = image[np.clip(pixels[..., 1], 0, height - 1), np.clip(pixels[..., 0], 0, width - 1)].astype(np.float64)
-    offset = pixels - corners[:, None]
-    in_squares = np.einsum("nij,nkj->nki", np.linalg.inv(squares), offset)
-    near = (np.abs(in_squares) < WINDOW_SQUARES).all(2) & (np.sum(offset**2, 2) < (half + 0.5) ** 2)
-    # A window of fewer pixels than a fit needs is widened to the 5 x 5 around the corner.
-    few = near.sum(1, keepdims=True) < 2 * PARAMETERS
-    near |= few & (np.abs(offset) < 2.51).all(2)
-    if plain is not None:
-        row, column = (in_squares[..., 1] > 0).astype(np.int64), (in_squares[..., 0] > 0).astype(np.int64)
-        near &= np.abs(in_squares).min(2) < plain[np.arange(len(corners))[:, None], row, column]
-    near &= inside
-    # Only the pixels of the windows, as many as the largest holds: the fit's time goes with their number.
-    kept = np.argsort(~near, axis=1, kind="stable")[:, : max(int(near.sum(1).max(initial=0)), 1)]
-    columns = np.take_along_axis(pixels, kept[..., None], 1)
-    return _Patches(columns.astype(np.float64), np.take_along_axis(grey, kept, 1), np.take_along_axis(near, kept, 1))
 
 
 def _start(
@@ -138,22 +136,31 @@ def _start(
     return parameters
 
 
+def narrowest(squares: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
+    """The smaller singular value: by how many pixels a step of one square moves the least."""
+    determinant = np.abs(squares[:, 0, 0] * squares[:, 1, 1] - squares[:, 0, 1] * squares[:, 1, 0])
+    total = np.sum(squares**2, (1, 2))
+    larger = np.sqrt(0.5 * (total + np.sqrt(np.maximum(total**2 - 4.0 * determinant**2, 0.0))))
+    return determinant / np.maximum(larger, 1e-300)
+
+
 def fit_saddles(
-    image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], start_blur_px: float = 1.0, max_steps: int = MAX_STEPS
+    image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], sigma_px: float, start_blur_px: float = 1.0, *, hasty: bool = False
 ) -> SaddleFit:
-    """Refine a grid of checkerboard corners known to within about twice `start_blur_px` + 1 px.
+    """Refine a grid of checkerboard corners known to `sigma_px`, at worst to within about twice `start_blur_px` + 1 px.
 
     `image`: (h, w) grey, any depth. Corners whose window holds too few pixels or whose fit ran away come back unmoved with
     `converged` false and infinite `sigma_px`.
     """
-    first, second = grid_derivatives(grid)
+    first, second = grid_derivatives(grid, sigma_px)
     fit = fit_corners(
         image,
         grid.reshape(-1, 2),
         first.reshape(-1, 2, 2),
         second.reshape(-1, 2, 2),
         start_blur_px=start_blur_px,
-        max_steps=max_steps,
+        settled_px=SETTLED_GRID_PX,
+        hasty=hasty,
     )
     return fit.reshaped(*grid.shape[:2])
 
@@ -167,30 +174,38 @@ def fit_corners(
     plain: Float[np.ndarray, "n 2 2"] | None = None,
     start_blur_px: float = 1.0,
     max_steps: int = MAX_STEPS,
+    settled_px: float = SETTLED_PX,
+    hasty: bool = False,
 ) -> SaddleFit:
     """Refine scattered corners: `fit_saddles` for corners that need not form a grid.
 
     `first`, `second`: derivatives of the pixels by board squares as `grid_derivatives` gives them. `plain` limits what of each
-    quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag.
+    quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag. `hasty`:
+    only for another fit to start from.
     """
     squares = first
-    singular = np.linalg.svd(squares, compute_uv=False)[:, -1]
+    singular = narrowest(squares)
     squares = np.where((singular > 0.5)[:, None, None], squares, np.eye(2))
-    patches = _patches(image, corners, squares, plain)
-    max_blur_px = max(0.25 * float(np.median(singular)), 1.5)
-    blur = np.clip(0.2 * singular, 0.5, start_blur_px)
-    parameters = _start(corners, squares, blur)
-    counts = patches.mask.sum(1)
-    cost, normal, settled = fit_all(
-        parameters, _curvatures(squares, second), patches.pixels, patches.grey, counts, max_blur_px, max_steps
+    reach_px = WINDOW_SQUARES * np.abs(squares).sum(2).max()
+    half = int(np.clip(np.ceil(reach_px), MIN_HALF_WINDOW_PX, MAX_HALF_WINDOW_PX))
+    parameters = _start(corners, squares, np.clip(0.2 * singular, 0.5, start_blur_px))
+    counts, cost, spread, settled = fit_all(
+        np.ascontiguousarray(image),
+        parameters,
+        _curvatures(squares, second),
+        np.linalg.inv(squares),
+        np.full((len(corners), 2, 2), np.inf) if plain is None else plain,
+        half,
+        2 if hasty and half >= MIN_THINNED_PX else 1,
+        WINDOW_SQUARES,
+        max(MAX_BLUR_SQUARES * float(np.median(singular)), 1.5),
+        max_steps,
+        HASTY_PX if hasty else settled_px,
     )
 
     freedom = counts - PARAMETERS
     variance = cost / np.maximum(freedom, 1)
-    scale = 1e-6 + np.sqrt(np.einsum("nii->ni", normal))
-    inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(PARAMETERS))
-    position = inverse[:, [0, 1], [0, 1]] / scale[:, :2] ** 2
-    sigma = np.sqrt(variance * position.mean(1) + MODEL_SIGMA_PX**2)
+    sigma = np.sqrt(variance * spread + MODEL_SIGMA_PX**2)
     moved = np.linalg.norm(parameters[:, :2] - corners, axis=1)
     converged = settled & (freedom > 0) & (singular > 0.5) & (moved < 0.5 * singular)
     return SaddleFit(

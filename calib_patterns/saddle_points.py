@@ -13,19 +13,25 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from calib_patterns.saddle_points_kernel import crossings, responses
+
 SCALES_PX = (1.2, 2.0, 3.5)
 """Standard deviations of the smoothing, about a tenth to a quarter of the squares that each finds best."""
-MOST_POINTS = 6000
+MOST_POINTS, MOST_PEAKS = 6000, 18000
+"""Saddle points that are kept, and maxima of the response that are looked at, at each scale, the strongest of both."""
 WEAKEST = 0.02
 """Of the response of a strong corner: weaker saddle points are texture."""
 POINT_SIGMA_PX = 0.7
 """Standard deviation of a saddle point, not fitted yet."""
+LEAST_RESPONSE = 1.6
+"""Of a corner whose colours are four grey levels of 255 apart."""
 SAME_PLACE_PX = 2.5
+BORDER_PX = 3
 CONE = float(np.cos(np.radians(20.0)))
 """A neighbour lies along an edge within this angle."""
 OPPOSITE = -0.6
@@ -34,7 +40,6 @@ NEAREST = 40
 """Points around each that are tried as neighbours."""
 RING = 2.5
 """Radius of the circle that edges are looked for on, in standard deviations of the smoothing."""
-_RING_SAMPLES = 32
 _FIELDS = ("pixels", "hessian", "edges", "response")
 _FROBENIUS = np.array([1.0, 2.0, 1.0])
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
@@ -76,7 +81,7 @@ def saddle_points(grey: np.ndarray) -> SaddlePoints:
     """The strongest saddle points of an 8-bit photo (h, w), one for each place."""
     found = [_at_scale(grey.astype(np.float32), sigma) for sigma in SCALES_PX]
     points = SaddlePoints(*(np.concatenate([getattr(part, name) for part in found]) for name in _FIELDS))
-    order = np.argsort(-points.response)[: 3 * MOST_POINTS]
+    order = np.argsort(-points.response)[:MOST_PEAKS]
     if not order.size:
         return points
     # Of the same corner at several scales the strongest response is kept.
@@ -88,53 +93,24 @@ def saddle_points(grey: np.ndarray) -> SaddlePoints:
 
 
 def _at_scale(grey: np.ndarray, sigma: float) -> SaddlePoints:
-    """The maxima of -sigma^4 det H that four quadrants of alternating brightness surround."""
-    smooth = cv2.GaussianBlur(grey, (0, 0), sigma)
-    # Sobel's kernels of size 3 sum to 4 for second derivatives and for the mixed one.
-    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
-    response = sigma**4 * (uv * uv - uu * vv)
-    peak = (response == cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response > 0)
-    peak[:3], peak[-3:], peak[:, :3], peak[:, -3:] = False, False, False, False
-    v, u = np.nonzero(peak)
-    slope_u, slope_v = (smooth[v, u + 1] - smooth[v, u - 1]) / 2, (smooth[v + 1, u] - smooth[v - 1, u]) / 2
-    a, b, c = uu[v, u], uv[v, u], vv[v, u]
-    # One Newton step to where the gradient is zero.
-    step = -np.stack([c * slope_u - b * slope_v, a * slope_v - b * slope_u], -1) / (a * c - b * b)[:, None]
-    pixels = np.stack([u, v], -1) + step
-    edges, crossed = _edges(smooth, pixels, RING * sigma)
-    hessian = np.stack([a, b, c], -1) / np.sqrt(a * a + 2 * b * b + c * c)[:, None]
-    kept = (np.abs(step).max(-1) < 1.5) & crossed
-    fields = (values[kept].astype(np.float64) for values in (pixels, hessian, edges, response[v, u]))
-    return SaddlePoints(*fields)
+    """The maxima of -sigma^4 det H that four quadrants of alternating brightness surround, with the directions in which a circle
+    crosses its mean level.
 
-
-def _edges(
-    smooth: np.ndarray, pixels: Float[np.ndarray, "n 2"], radius_px: float
-) -> tuple[Float[np.ndarray, "n 4 2"], Bool[np.ndarray, " n"]]:
-    """Unit directions in which a circle around each point crosses its mean level, and whether there are just four of them.
-
-    The Hessian does not tell them: that of a sharp corner has no trace, whatever the angle between its edges.
+    The Hessian does not tell these: that of a sharp corner has no trace, whatever the angle between its edges.
     """
-    angle = np.linspace(0, 2 * np.pi, _RING_SAMPLES, endpoint=False)
-    circle = pixels[:, None] + radius_px * np.stack([np.cos(angle), np.sin(angle)], -1)
-    # cv2.remap takes at most 32767 rows.
-    level = np.concatenate(
-        [np.zeros((0, _RING_SAMPLES), np.float32)]
-        + [
-            cv2.remap(smooth, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            for part in np.split(circle.astype(np.float32), range(30000, len(circle), 30000))
-            if len(part)
-        ]
-    )
-    level = level - 0.5 * (level.max(1, initial=-np.inf) + level.min(1, initial=np.inf))[:, None]
-    following = np.roll(level, -1, axis=1)
-    crossing = (level < 0) != (following < 0)
-    four = crossing.sum(1) == 4
-    first = np.argsort(~crossing, axis=1, kind="stable")[:, :4]
-    before, after = np.take_along_axis(level, first, 1), np.take_along_axis(following, first, 1)
-    share = before / np.where(before == after, 1.0, before - after)
-    at = 2 * np.pi / _RING_SAMPLES * (first + share)
-    return np.stack([np.cos(at), np.sin(at)], -1), four
+    smooth = cv2.GaussianBlur(grey, (0, 0), sigma)
+    response = responses(smooth, sigma**4)
+    found = crossings(smooth, response, _peaks(response), RING * sigma)
+    return SaddlePoints(found[:, :2], found[:, 2:5], found[:, 5:13].reshape(-1, 4, 2), found[:, 13])
+
+
+def _peaks(response: Float32[np.ndarray, "h w"]) -> Int[np.ndarray, "k 2"]:
+    """Rows and columns of the strongest maxima, each of 5 x 5 pixels, not at the border."""
+    at = np.flatnonzero((response == cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response >= LEAST_RESPONSE))
+    if len(at) > MOST_PEAKS:
+        at = at[np.argpartition(-response.ravel()[at], MOST_PEAKS)[:MOST_PEAKS]]
+    places = np.stack(np.divmod(at, response.shape[1]), -1)
+    return places[((places >= BORDER_PX) & (places < np.array(response.shape) - BORDER_PX)).all(1)]
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,15 @@ from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid
 from calib_patterns._pattern import Detection, Pattern, check_image
+from calib_patterns.board_match import matched
 from calib_patterns.corner_growth import MIN_CORNERS, CornerKind, grow_corners
-from calib_patterns.detection import LEAST_SIDE_PX, grey_of, stretched, why_not
+from calib_patterns.detection import LEAST_SIDE_PX, grey_of, searched, stretched, why_not
 from calib_patterns.local_map import KnownCorners
+from calib_patterns.partial import LEAST_CORNERS, MOST_PIECES
+from calib_patterns.saddle_points import lattices, saddle_points
 from calib_patterns.tags import TagFamily, find_tags, tag_corners
 
-FEW = 0.5
+FEW = 0.9
 """With a smaller share of the corners than this the board is also looked for without reading its tags."""
 
 
@@ -29,6 +32,11 @@ class TagBoard(Pattern):
     @abstractmethod
     def tag_corners_m(self) -> Float[np.ndarray, "tags 4 2"]:
         """Corners of every tag on the board, rows by id, in OpenCV's order."""
+
+    @property
+    @abstractmethod
+    def lines_m(self) -> tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]]:
+        """The x of the lines along y and the y of those along x that the corners are on, and of those around them, ascending."""
 
     @cached_property
     @abstractmethod
@@ -62,7 +70,7 @@ class TagBoard(Pattern):
         seeds = tag_corners(tags, self.tag_corners_m)
         found = grow_corners(grey, self.corner_kind, seeds) if len(tags.ids) else Detection.empty()
         if len(found) < FEW * len(self.points_m):
-            by_look = self.seeds_by_appearance(grey)
+            by_look = self._seeds_by_appearance(grey)
             again = Detection.empty() if by_look is None else grow_corners(grey, self.corner_kind, by_look)
             found = max(found, again, key=len)
         if not len(found):
@@ -72,11 +80,18 @@ class TagBoard(Pattern):
             found = Detection(found.ids, pixels, found.sigma_px, found.blur_px)
         return found, None
 
-    def seeds_by_appearance(self, grey: np.ndarray) -> KnownCorners | None:
-        """Places of the board known without reading a tag, for photos that are too blurred for that; None where there are none.
+    def _seeds_by_appearance(self, grey: np.ndarray) -> KnownCorners | None:
+        """Places of the board known without reading a tag, for photos that are too blurred for that: from pieces of its corners
+        between which the photo looks like some part of it; None where there are none.
 
         `grey`: (h, w) of any depth, not mirrored.
         """
+        search, factors = searched(grey)
+        for piece in lattices(saddle_points(search), LEAST_CORNERS, MOST_PIECES):
+            seeds = matched(search, piece, self, *self.lines_m)
+            if seeds is not None:
+                pixels = (seeds.pixels + 0.5) * factors - 0.5
+                return KnownCorners(seeds.board_m, pixels, seeds.sigma_px * float(factors.max()))
         return None
 
     def _why_not(self, grey: np.ndarray, *, tags_found: bool) -> str:

@@ -1,4 +1,4 @@
-"""Arcs of a room with known lines in any camera: which arc shows which line, with noise, colours, pieces and poses as asked for."""
+"""Arcs of a room with known lines in any camera: which arc shows which line, with noise, colours, pieces and poses as asked."""
 
 import functools
 import math
@@ -25,7 +25,9 @@ def camera_named(name: str) -> tuple[CameraModel, float]:
     """A camera and half of its field of view (rad)."""
     if name == "panorama":
         return Equirectangular([], (1600, 800)), math.pi
-    model, degrees = {"fisheye": ("opencv-fisheye", 190.0), "scaramuzza": ("scaramuzza", 220.0), "pinhole": ("pinhole", 100.0)}[name]
+    model, degrees = {"fisheye": ("opencv-fisheye", 190.0), "scaramuzza": ("scaramuzza", 220.0), "pinhole": ("pinhole", 100.0)}[
+        name
+    ]
     return example_camera(model, degrees, (1280, 960), 5), math.radians(degrees / 2)
 
 
@@ -48,7 +50,7 @@ class MatchingScene:
         return np.bincount(pairs // len(self.poses), minlength=len(self.ends_m))
 
     def arcs(self, sigma_px: float, seed: int, colours: bool = False, poses: Pose | None = None) -> ViewedArcs:
-        """The arcs with noise, their ends in random order; colours are those of two sides for each line, with a gain and noise."""
+        """The arcs with noise, their ends in random order; colours are those of two sides of each line, with a gain and noise."""
         rng = np.random.default_rng(seed)
         pixels = self.pixels.numpy() + sigma_px * rng.standard_normal(self.pixels.shape)
         turned = rng.random(len(pixels)) < 0.5
@@ -97,6 +99,10 @@ def viewed(
     return ViewedArcs(image, poses, bearings.numpy(), by_pixel.numpy(), covariance, colours)
 
 
+def every_neighbour(photos: int) -> np.ndarray:
+    return ~np.eye(photos, dtype=bool)
+
+
 def looking(centres: np.ndarray, axes: np.ndarray) -> Pose:
     z = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
     x = np.cross(z, np.array([0.0, 0.1, 1.0]))
@@ -127,7 +133,9 @@ def seen_ends(camera: CameraModel, half_rad: float, poses: Pose, ends_m: torch.T
     both = torch.stack([first, last.clamp_min(0)], -1)
     ends = torch.gather(in_camera, 2, both[..., None].expand(*both.shape, 3))
     unit = ends / ends.norm(dim=-1, keepdim=True)
-    angle = torch.atan2(torch.linalg.cross(unit[..., 0, :], unit[..., 1, :]).norm(dim=-1), (unit[..., 0, :] * unit[..., 1, :]).sum(-1))
+    angle = torch.atan2(
+        torch.linalg.cross(unit[..., 0, :], unit[..., 1, :]).norm(dim=-1), (unit[..., 0, :] * unit[..., 1, :]).sum(-1)
+    )
     used = (last > first) & (angle > SHORTEST_RAD) & (angle < LONGEST_RAD)
     return torch.gather(pixels, 2, both[..., None].expand(*both.shape, 2)), used
 

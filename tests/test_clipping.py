@@ -1,5 +1,6 @@
 """Where lines begin and end: supported stretches, agreed ends, gaps, and how often a stated end lies beyond the true one."""
 
+import itertools
 import math
 
 import numpy as np
@@ -29,7 +30,7 @@ def plain_cover(low: np.ndarray, high: np.ndarray, image: np.ndarray, least: int
     """Between neighbouring ends: how many photos show the middle."""
     cuts = np.unique(np.concatenate([low, high]))
     found: list[list[float]] = []
-    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for begin, end in itertools.pairwise(cuts):
         middle = 0.5 * (begin + end)
         if len(set(image[(low < middle) & (high > middle)].tolist())) >= least:
             if found and begin - found[-1][1] <= gap:

@@ -71,7 +71,7 @@ def test_sides_have_their_colours_in_order(name: str) -> None:
 
 @pytest.mark.parametrize("turn_deg", [-90.0, -89.9999, 0.0, 30.0, 89.9999, 90.0])
 def test_arcs_at_and_across_the_seam_of_a_panorama(turn_deg: float) -> None:
-    """Circles through the bearing behind the camera, from upright ones, which run along the seam, to level ones, which cross it."""
+    """Circles through the bearing behind the camera, from upright ones, along the seam, to level ones, which cross it."""
     model, behind = camera("panorama"), np.array([0.0, 0.0, -1.0])
     turn = math.radians(turn_deg)
     along = np.array([math.cos(turn), math.sin(turn), 0.0])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from matching_scenes import VIEWS, room
+from matching_scenes import VIEWS, every_neighbour, room
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching import hypotheses
@@ -20,16 +20,12 @@ from omnilines.matching.track_kernel import claim, near_lines, united
 CAMERAS = list(VIEWS)
 
 
-def every_neighbour(count: int) -> np.ndarray:
-    return ~np.eye(count, dtype=bool)
-
-
 def some(arcs: ViewedArcs, count: int, seed: int = 0) -> ViewedArcs:
     return arcs.rows(np.sort(np.random.default_rng(seed).permutation(len(arcs))[:count]))
 
 
 def true_depths(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> tuple[torch.Tensor, ...]:
-    """Inverse depths of pairs from the line of their planes, by from_planes and position_seen; allowed but for the noise; flipped."""
+    """Inverse depths of pairs from the line of their planes, by from_planes and position_seen; whether there is one; flipped."""
     normal, centre = packed[:, 6:9], packed[:, 9:12]
     s = -(normal * centre).sum(-1)
     lines = PlueckerLines.from_planes(normal[i], s[i], normal[j], s[j])
@@ -208,7 +204,7 @@ def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.Monke
         monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
         monkeypatch.setattr(hypotheses, "AT_ONCE", portion)
         steps = []
-        found = find_hypotheses(arcs, near, progress=lambda done, total: steps.append((done, total)))
+        found = find_hypotheses(arcs, near, progress=lambda done, total, to=steps: to.append((done, total)))
         assert steps == [(k + 1, math.ceil(500 / portion)) for k in range(math.ceil(500 / portion))]
         every = found if every is None else every
         for one, other in zip(vars(every).values(), vars(found).values(), strict=True):
@@ -234,10 +230,14 @@ def test_lines_near_arcs_are_those_of_a_plain_search(name: str) -> None:
     centre, bearings = arcs.planes.centre[rows], torch.as_tensor(arcs.packed[rows, :6]).unflatten(1, (2, 3))
     moment = truth[None].moment_about(centre[:, None].expand(120, len(ends), 3))
     angle = torch.asin((bearings @ (moment / moment.norm(dim=-1, keepdim=True)).mT).abs().clamp_max(1)).amax(1)
-    lines = PlueckerLines(truth.direction[None, :, None].expand(120, -1, 2, -1), truth.moment[None, :, None].expand(120, -1, 2, -1))
+    lines = PlueckerLines(
+        truth.direction[None, :, None].expand(120, -1, 2, -1), truth.moment[None, :, None].expand(120, -1, 2, -1)
+    )
     expand = (120, len(ends), 2, 3)
     place, front, _ = lines.position_seen(centre[:, None, None].expand(expand), bearings[:, None].expand(expand))
-    meets = torch.minimum(place.amax(-1), torch.as_tensor(spans[:, 1])) > torch.maximum(place.amin(-1), torch.as_tensor(spans[:, 0]))
+    meets = torch.minimum(place.amax(-1), torch.as_tensor(spans[:, 1])) > torch.maximum(
+        place.amin(-1), torch.as_tensor(spans[:, 0])
+    )
     expected = (angle <= torch.as_tensor(gate[rows])[:, None]) & front.all(-1) & meets
     pairs = np.argwhere(expected.numpy())
     np.testing.assert_array_equal(np.stack([arc, line], -1), np.stack([rows[pairs[:, 0]], pairs[:, 1]], -1))

@@ -210,17 +210,20 @@ def test_features_keep_away_from_the_surround_and_from_angles_without_support():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "fov"), CAMERAS)
-def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov):
+@pytest.mark.parametrize(
+    ("model", "fov", "views"),
+    # A pinhole camera needs photos that overlap more: 18 degrees from one to the next.
+    [*((model, fov, 12) for model, fov in CAMERAS[:3]), pytest.param("pinhole", 100.0, 20, marks=pytest.mark.full)],
+)
+def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov, views):
     size = (1000, 500) if model == "equirectangular" else (640, 640)
-    scene = write_scene(tmp_path, scene="room", model=model, fov_deg=fov, views=12, size=size, noise=2.0, blur=0.5, seed=5)
+    scene = write_scene(tmp_path, scene="room", model=model, fov_deg=fov, views=views, size=size, noise=2.0, blur=0.5, seed=5)
     names = list(scene.poses.images)
     found = sfm_poses(
         names, lambda name: read_photo(tmp_path / name), {"cam0": scene.model}, dict.fromkeys(names, "cam0"), tmp_path / "work"
     )
-    # A pinhole camera of 80 degrees turned by 30 degrees from photo to photo shares little with the next.
-    assert len(found.poses) >= (6 if model == "pinhole" else 11)
-    assert len(found.poses) + len(found.left_out) == 12
+    assert len(found.poses) >= 0.9 * views
+    assert len(found.poses) + len(found.left_out) == views
     position, rotation = errors(found.poses, scene.poses.cam_from_world, names)
     assert np.median(position) < 0.03
     assert np.median(rotation) < 0.8

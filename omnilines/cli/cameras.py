@@ -9,14 +9,11 @@ from camera_models.errors import InputError
 from camera_models.formats import FORMATS
 from omnilines.cli._shared import (
     BlurPx,
-    FovDeg,
     Json,
     LossName,
     Mirror,
-    Model,
     NoiseGrey,
     Out,
-    PatternSpec,
     Photos,
     Seed,
     Size,
@@ -127,24 +124,45 @@ def convert(
 @app.command()
 def validate(
     out: Out,
-    model: Model = "opencv-fisheye",
-    fov_deg: FovDeg = 190.0,
+    scene: Annotated[str | None, typer.Option("--scene", help="room or street: rebuild its lines, with no target.")] = None,
+    model: Annotated[
+        str, typer.Option("--model", help="Camera model; with --scene any, else one that can be calibrated.")
+    ] = "opencv-fisheye",
+    fov_deg: Annotated[
+        float | None,
+        typer.Option("--fov-deg", help="Field of view, degrees; default 190, with --scene of a pinhole camera 80."),
+    ] = None,
     views: Views = 20,
     size: Size = "1280x960",
     noise: NoiseGrey = 2.0,
     blur: BlurPx = 0.5,
     seed: Seed = 0,
-    pattern: PatternSpec = "checkerboard:8x6:30mm",
+    mirror: Annotated[bool, typer.Option("--mirror", help="With --scene: the camera looks into a mirror (a0 < 0).")] = False,
+    pattern: Annotated[
+        str | None, typer.Option("--pattern", help="Target without --scene; default checkerboard:8x6:30mm.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Render photos with a known camera, calibrate and reconstruct from the files, compare with the truth."""
-    from omnilines.commands.validate import validate as command
-
     image_size = parse_size(size, "--size")
-    run(
-        lambda progress: command(
-            out, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur, seed=seed,
-            pattern_spec=pattern, progress=progress,
-        ),
-        as_json,
-    )  # fmt: skip
+    if scene is None and mirror:
+        raise InputError("--mirror was expected with --scene only, found it without; name a scene, or leave it out.")
+    if scene is not None and pattern is not None:
+        raise InputError(f"--pattern is for photos of a target, found it with --scene {scene}; leave one of them out.")
+
+    def command(progress: "ProgressCallback") -> "CommandResult":
+        if scene is not None:
+            from omnilines.commands.validate_scene import validate_scene
+
+            return validate_scene(
+                out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
+                seed=seed, mirror=mirror, progress=progress,
+            )  # fmt: skip
+        from omnilines.commands.validate import validate
+
+        return validate(
+            out, model=model, fov_deg=190.0 if fov_deg is None else fov_deg, views=views, size=image_size, noise=noise,
+            blur=blur, seed=seed, pattern_spec=pattern or "checkerboard:8x6:30mm", progress=progress,
+        )  # fmt: skip
+
+    run(command, as_json)

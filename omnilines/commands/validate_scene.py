@@ -1,0 +1,67 @@
+"""omnilines validate --scene: render a line scene, rebuild its lines from the photo files, compare with the truth."""
+
+from pathlib import Path
+
+from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._scene_validation import compare_scene, read_rebuilt
+from omnilines.commands._scene_validation_report import (
+    scene_validation_data,
+    scene_validation_sections,
+    scene_validation_summaries,
+)
+from omnilines.commands.reconstruct_photos import reconstruct_photos
+from omnilines.commands.render_scene import write_scene
+from omnilines.commands.validate import PHOTOS
+from omnilines.report import write_report
+
+SCENE = "scene"
+"""Folder of the rebuilt lines, inside the output folder."""
+
+
+def validate_scene(
+    out: str | Path,
+    *,
+    scene: str = "room",
+    model: str = "opencv-fisheye",
+    fov_deg: float | None = None,
+    views: int = 20,
+    size: tuple[int, int] = (1280, 960),
+    noise: float = 2.0,
+    blur: float = 0.5,
+    seed: int = 0,
+    mirror: bool = False,
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Check that the lines of a scene are rebuilt from its photos, with the calibration and poses they were rendered with.
+
+    Renders a room or a street (see `render_scene` for the options), finds arcs, matches, triangulates and adjusts lines as
+    `omnilines reconstruct` does with its defaults, and compares what it wrote with the truth. docs/scenes.md lists the checks
+    and why their limits are what they are. The result holds when every check does.
+
+    Writes `photos/` (photos and truth), `scene/` (the scene folder) and report.html into `out`. Raises InputError for options out
+    of range and GeometryError naming the stage where no line is left, or where no edge is seen by enough photos.
+    """
+    folder = output_folder(out)
+    truth = write_scene(
+        folder / PHOTOS,
+        scene=scene,
+        model=model,
+        fov_deg=fov_deg,
+        views=views,
+        size=size,
+        noise=noise,
+        blur=blur,
+        seed=seed,
+        mirror=mirror,
+        progress=progress,
+    )
+    photos = [folder / PHOTOS / name for name in truth.poses.images]
+    tables = [folder / PHOTOS / name for name in ("calibration.yaml", "poses.csv")]
+    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, seed=seed, progress=progress)
+    progress("comparing with the truth", 0, 0)
+    validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
+    summaries = scene_validation_summaries(validation, scene, seed)
+    sections = scene_validation_sections(validation, summaries, folder / PHOTOS)
+    page = write_report(folder / "report.html", f"Validation on a rendered {scene}", sections)
+    data = scene_validation_data(validation, scene, seed)
+    return CommandResult(summaries, data, validation.checks, (*truth.files, *done.files, page), page, done.warnings)

@@ -1,0 +1,324 @@
+"""Arcs of photos put into tracks, against rooms of known lines in four kinds of cameras."""
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from matching_scenes import (
+    VIEWS,
+    MatchingScene,
+    camera_named,
+    every_neighbour,
+    from_views,
+    random_arcs,
+    room,
+    score,
+    shaken,
+)
+
+from camera_models.errors import GeometryError, InputError
+from camera_models.pose import Pose
+from omnilines.geometry.sphere import points_on_arc
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypotheses import find_hypotheses, neighbouring_photos
+from omnilines.matching.match import NEIGHBOURS, SLACKS_PX, Matched, chosen_slack, match_arcs
+from omnilines.matching.tracks import build_tracks
+
+CAMERAS = list(VIEWS)
+MOST_ARCS_RANDOMLY_IN_TRACKS = 0.03
+
+
+def assert_consistent(found: Matched, least_views: int = 4) -> None:
+    """What the tracks say of themselves: numbers, photos, lines and the arcs that they rest on."""
+    arcs, tracks = found.arcs, found.tracks
+    member = tracks.track >= 0
+    assert len(tracks.track) == len(arcs) and set(tracks.track[member].tolist()) == set(range(len(tracks)))
+    views = np.unique(np.stack([tracks.track[member], arcs.image[member]]), axis=1)[0]
+    assert bool((np.bincount(views, minlength=len(tracks)) >= least_views).all())
+    assert bool(tracks.lines.known.all()) and tracks.merged >= 0 and tracks.inconsistent >= 0
+    np.testing.assert_array_equal(tracks.rows, np.flatnonzero(member))
+    np.testing.assert_array_equal(tracks.lines.observations.track.numpy(), tracks.track[member])
+    assert torch.equal(tracks.lines.observations.normal, arcs.planes.normal[tracks.rows])
+
+
+def line_errors(scene: MatchingScene, found: Matched) -> np.ndarray:
+    """Larger distance (m) of both true ends from the line of each track, the line being that of most of its arcs."""
+    track = found.tracks.track
+    table = np.zeros((len(found.tracks), len(scene.ends_m)), dtype=np.int64)
+    np.add.at(table, (track[track >= 0], scene.line[track >= 0]), 1)
+    ends = scene.ends_m[table.argmax(1)]
+    return torch.stack([found.tracks.lines.lines.distance_to(ends[:, k]) for k in range(2)]).amax(0).numpy()
+
+
+def same_partition(one: np.ndarray, other: np.ndarray) -> bool:
+    pairs = set(zip(one.tolist(), other.tolist(), strict=True))
+    return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) and all((a < 0) == (b < 0) for a, b in pairs)
+
+
+@functools.cache
+def matched(name: str) -> Matched:
+    """The room's arcs with noise of 0.3 px, without colours."""
+    return match_arcs(room(name).arcs(0.3, 3))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_nearly_all_arcs_find_their_line(name: str) -> None:
+    scene = room(name)
+    lines = int((scene.views_of_lines() >= 4).sum())
+    for colours, purity, completeness in ((False, 0.985, 0.985), (True, 0.998, 0.995)):
+        found = match_arcs(scene.arcs(0.3, 3, colours)) if colours else matched(name)
+        assert_consistent(found)
+        got = score(scene, found.tracks.track)
+        assert got.purity > purity and got.completeness > completeness and got.found > 0.985
+        assert abs(len(found.tracks) - lines) <= 2 and found.slack_px <= SLACKS_PX[1]
+        assert float(np.median(line_errors(scene, found))) < 0.006
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_arcs_in_pieces_find_their_line(name: str) -> None:
+    scene = room(name).cut(4)
+    found = match_arcs(scene.arcs(0.3, 5))
+    assert_consistent(found)
+    got = score(scene, found.tracks.track)
+    assert len(scene.image) > 1.8 * len(room(name).image)
+    assert got.purity > 0.985 and got.completeness > 0.97 and got.found > 0.98
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_arcs_beyond_90_degrees_and_across_a_seam_are_matched(name: str) -> None:
+    """As completely as the others; a pinhole camera has no such arcs."""
+    scene, found = room(name), matched(name)
+    bearings = scene.camera.unproject(scene.pixels)[0]
+    pixels, _ = scene.camera.project(points_on_arc(bearings[:, 0], bearings[:, 1], torch.linspace(0, 1, 64, dtype=torch.float64)))
+    jump = (pixels[:, 1:, 0] - pixels[:, :-1, 0]).abs().amax(1).numpy() > 0.5 * scene.camera.image_size[0]
+    beyond = (bearings[..., 2] < 0).any(-1).numpy()
+    expected = {"fisheye": (20, 0), "scaramuzza": (100, 0), "panorama": (400, 40), "pinhole": (0, 0)}[name]
+    assert beyond.sum() >= expected[0] and jump.sum() >= expected[1]
+    if name != "panorama":
+        assert not jump.any()
+    for chosen in (beyond, jump):
+        if chosen.any():
+            tracks = found.tracks.track[chosen]
+            assert float((tracks >= 0).mean()) > 0.97
+            part = replace(scene, image=scene.image[chosen], line=scene.line[chosen])
+            assert score(part, tracks, 1).purity > 0.985
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_arcs_of_no_common_lines_give_next_to_no_tracks(name: str) -> None:
+    for seed in (2, 3):
+        arcs = random_arcs(name, VIEWS[name], 40, seed)
+        assert len(arcs) > 300
+        found = match_arcs(arcs)
+        assert_consistent(found)
+        # Nothing stands out, so nothing asks for tolerance; a line in a hundred arcs would be one track in 25.
+        assert found.slack_px == SLACKS_PX[0] and len(found.tracks) <= 4
+        assert float((found.tracks.track >= 0).mean()) < MOST_ARCS_RANDOMLY_IN_TRACKS
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_errors_of_poses_widen_the_slack(name: str) -> None:
+    scene = room(name)
+    poor, good = (scene.arcs(0.3, 3, poses=shaken(scene.poses, *errors, 9)) for errors in ((0.2, 10.0), (0.05, 2.0)))
+    near = neighbouring_photos(good.poses.centre.numpy(), good.poses.rotation[:, 2].numpy(), NEIGHBOURS)
+    slack = chosen_slack(good, near, 0)
+    for arcs, slack_px, share in ((good, slack, 0.95), (poor, None, 0.9)):
+        found = match_arcs(arcs, slack_px=slack_px)
+        assert_consistent(found)
+        got = score(scene, found.tracks.track)
+        assert got.found > share and got.purity > 0.94
+    assert matched(name).slack_px < slack < found.slack_px
+
+
+def test_too_little_tolerance_costs_tracks() -> None:
+    scene = room("fisheye")
+    arcs = scene.arcs(0.3, 3, poses=shaken(scene.poses, 0.2, 10.0, 9))
+    assert score(scene, match_arcs(arcs, slack_px=0.1).tracks.track).found < 0.7
+
+
+def with_twins(name: str, gap_m: float) -> tuple[MatchingScene, np.ndarray]:
+    """A room in which every sixth line has a second one beside it, and which lines (k, 2) are pairs."""
+    scene = room(name)
+    direction = scene.truth().direction[::6]
+    side = torch.linalg.cross(direction, torch.tensor([0.3, 0.5, 1.0], dtype=torch.float64).expand_as(direction))
+    twins = scene.ends_m[::6] + gap_m * (side / side.norm(dim=-1, keepdim=True))[:, None]
+    both = from_views(*camera_named(name), scene.poses, torch.cat([scene.ends_m, twins]))
+    count = len(scene.ends_m)
+    return both, np.stack([np.arange(0, count, 6), count + np.arange(len(twins))], -1)
+
+
+def separation_px(scene: MatchingScene, arcs: ViewedArcs, line: int, other: int) -> float:
+    """How far one line lies from another in the middle one of the photos that see it, at its farther end."""
+    rows = np.flatnonzero(scene.line == line)
+    truth = scene.truth()
+    normal = truth.moment[other] - torch.linalg.cross(arcs.planes.centre[rows], truth.direction[other].expand(len(rows), 3))
+    off = (torch.as_tensor(arcs.packed[rows, :6]).unflatten(1, (2, 3)) @ normal[..., None]).squeeze(-1) / normal.norm(dim=-1)[
+        :, None
+    ]
+    return float(np.median(off.abs().amax(-1).numpy() / arcs.px_rad[rows]))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_parallel_edges_two_centimetres_apart_stay_two_lines(name: str) -> None:
+    """Those that the photos tell apart: by five standard deviations in the middle one of them."""
+    scene, pairs = with_twins(name, 0.02)
+    arcs = scene.arcs(0.15, 3)
+    track = match_arcs(arcs).tracks.track
+    table = np.zeros((track.max() + 1, len(scene.ends_m)), dtype=np.int64)
+    np.add.at(table, (track[track >= 0], scene.line[track >= 0]), 1)
+    total = np.bincount(scene.line, minlength=len(scene.ends_m))
+    kept, tried = 0, 0
+    for pair in pairs:
+        apart = min(separation_px(scene, arcs, *pair), separation_px(scene, arcs, *pair[::-1]))
+        if apart < 5 * math.hypot(0.15, SLACKS_PX[0]) or total[pair].min() < 4:
+            continue
+        tried += 1
+        best = table[:, pair].argmax(0)
+        own = table[best, pair] / np.maximum(total[pair], table[best].sum(1))
+        kept += best[0] != best[1] and own.min() > 0.6
+    assert tried >= 6 and kept >= 0.85 * tried
+
+
+def test_few_neighbours_find_most_lines_in_less_work() -> None:
+    scene = room("pinhole")
+    arcs = scene.arcs(0.3, 3)
+    every, few = matched("pinhole"), match_arcs(arcs, slack_px=0.1, neighbours=8)
+    assert few.hypotheses.candidates.sum() < 0.6 * every.hypotheses.candidates.sum()
+    got = score(scene, few.tracks.track)
+    assert got.purity > 0.985 and got.found > 0.9
+
+
+def test_neighbours_are_the_nearest_that_look_the_same_way() -> None:
+    rng = np.random.default_rng(7)
+    centres = rng.uniform(0.0, 10.0, (40, 3))
+    axes = rng.standard_normal((40, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    near = neighbouring_photos(centres, axes, 6)
+    assert bool((near == near.T).all()) and not near.diagonal().any() and int(near.sum(1).min()) >= 6
+    for k in range(40):
+        cost = [
+            np.linalg.norm(centres[k] - centres[j]) * (2.5 - 1.5 * axes[k] @ axes[j]) if j != k else math.inf for j in range(40)
+        ]
+        assert bool(near[k, np.argsort(cost)[:6]].all())
+    # Nobody is one's neighbour but by the own choice of one of the two.
+    assert int(near.sum()) <= 2 * 40 * 6
+    np.testing.assert_array_equal(neighbouring_photos(centres, axes, 39), every_neighbour(40))
+    np.testing.assert_array_equal(neighbouring_photos(centres[:5], axes[:5], NEIGHBOURS), every_neighbour(5))
+
+
+def test_tracks_do_not_depend_on_the_frame_or_on_the_direction_of_arcs() -> None:
+    """The world moved far away and turned; every other arc from its other end; the same arcs twice."""
+    scene = room("scaramuzza")
+    arcs = scene.arcs(0.3, 3, colours=True)
+    expected = match_arcs(arcs, slack_px=0.2)
+    assert same_partition(match_arcs(arcs, slack_px=0.2).tracks.track, expected.tracks.track)
+    moved = Pose.exp(torch.tensor([[0.3, -1.0, 0.5, 3000.0, -2e4, 500.0]], dtype=torch.float64))[
+        torch.zeros(12, dtype=torch.int64)
+    ]
+    elsewhere = match_arcs(arcs.with_poses(arcs.poses @ moved), slack_px=0.2)
+    assert same_partition(elsewhere.tracks.track, expected.tracks.track)
+    turn = np.arange(len(arcs)) % 2 == 0
+
+    def turned(values: np.ndarray) -> np.ndarray:
+        return np.where(turn.reshape(-1, *[1] * (values.ndim - 1)), values[:, ::-1], values)
+
+    other = replace(
+        arcs,
+        bearings=turned(arcs.bearings),
+        by_pixel=turned(arcs.by_pixel),
+        covariance_px2=turned(arcs.covariance_px2),
+        colours=turned(arcs.colours),
+    )
+    assert same_partition(match_arcs(other, slack_px=0.2).tracks.track, expected.tracks.track)
+
+
+def test_scale_of_the_world_does_not_matter() -> None:
+    scene = room("fisheye")
+    arcs = scene.arcs(0.3, 3)
+    expected = matched("fisheye")
+    for scale in (1e-3, 1e4):
+        poses = Pose(arcs.poses.rotation, scale * arcs.poses.translation)
+        found = match_arcs(arcs.with_poses(poses), slack_px=expected.slack_px)
+        assert same_partition(found.tracks.track, expected.tracks.track)
+        errors_m = line_errors(replace(scene, ends_m=scale * scene.ends_m), found)
+        np.testing.assert_allclose(errors_m, scale * line_errors(scene, expected), rtol=1e-4, atol=scale * 1e-6)
+
+
+def test_photos_and_arcs_that_are_not_there() -> None:
+    """Photos without arcs, arcs without partners, and no arcs at all."""
+    scene = room("fisheye")
+    arcs = scene.arcs(0.3, 3)
+    some = arcs.rows(np.flatnonzero((arcs.image % 3 != 0) & (arcs.image != 11)))
+    found = match_arcs(some, least_views=3)
+    assert_consistent(found, 3)
+    assert len(found.tracks) > 60
+    lonely = arcs.rows(np.array([np.flatnonzero(arcs.image == k)[k] for k in range(0, 12, 4)]))
+    nothing = match_arcs(lonely)
+    assert_consistent(nothing)
+    assert len(nothing.tracks) == 0 and bool((nothing.tracks.track == -1).all()) and nothing.slack_px == SLACKS_PX[0]
+    assert nothing.tracks.lines.ends_m.shape == (0, 2, 3)
+    none = arcs.rows(np.zeros(0, dtype=np.int64))
+    assert none.packed.shape == (0, 14) and none.px_rad.shape == (0,) and none.starts.tolist() == [0] * 13
+    hypotheses = find_hypotheses(none, every_neighbour(12))
+    assert hypotheses.support.shape[0] == len(hypotheses.score) == 0
+    assert len(build_tracks(none, hypotheses, 4)) == 0
+    places, sigma, usable = arcs.places(scene.truth(), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    assert places.shape == sigma.shape == (0, 2) and usable.shape == (0,)
+
+
+def test_positions_are_where_the_ends_meet_the_line() -> None:
+    """Exact arcs of exact lines: between the true ends, and the stated deviation is that of an end moved by a pixel along it."""
+    scene = room("scaramuzza")
+    arcs, truth = scene.arcs(0.0, 0), scene.truth()
+    rows = np.arange(len(arcs))
+    places, sigma, usable = arcs.places(truth, rows, scene.line)
+    np.testing.assert_array_equal(places, arcs.positions(truth, rows, scene.line)[0])
+    assert bool(usable.all()) and bool((places[:, 0] < places[:, 1]).all())
+    own = truth[torch.as_tensor(scene.line)]
+    for k in range(2):
+        points = own.point_at(torch.as_tensor(np.ascontiguousarray(places[:, k])))
+        seen, _ = scene.camera.project(scene.poses[torch.as_tensor(scene.image)].transform(points[:, None])[:, 0])
+        assert float((seen[:, None] - scene.pixels).norm(dim=-1).amin(1).max()) < 1e-3
+    ends = torch.einsum("tkx,tx->tk", scene.ends_m - truth.foot[:, None], truth.direction).numpy()[scene.line]
+    assert float((ends.min(1) - places[:, 0]).max()) < 1e-6 and float((places[:, 1] - ends.max(1)).max()) < 1e-6
+    moved = points_on_arc(
+        torch.as_tensor(arcs.bearings[:, 0]), torch.as_tensor(arcs.bearings[:, 1]), torch.tensor([1e-4], dtype=torch.float64)
+    )
+    angle = torch.acos((moved[:, 0] * torch.as_tensor(arcs.bearings[:, 0])).sum(-1).clamp_max(1)).numpy()
+    shifted = replace(arcs, bearings=np.stack([moved[:, 0].numpy(), arcs.bearings[:, 1]], 1))
+    after, _, _ = shifted.places(truth, rows, scene.line)
+    change = np.abs(after - places).max(1)
+    end = np.abs(after - places).argmax(1)
+    rate = sigma[rows, end] / arcs.px_rad
+    np.testing.assert_allclose(change, rate * angle, rtol=0.02)
+
+
+def test_wrong_options_and_photos_are_refused_in_one_sentence() -> None:
+    arcs = room("fisheye").arcs(0.3, 3)
+    for options in ({"least_views": 2}, {"neighbours": 1}, {"slack_px": 0.0}, {"slack_px": -1.0}, {"slack_px": float("nan")}):
+        with pytest.raises(InputError, match="at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found"):
+            match_arcs(arcs, **options)
+    with pytest.raises(GeometryError, match="in at least 3 photos with poses were expected to match lines, found 2;"):
+        match_arcs(arcs.rows(np.flatnonzero(arcs.image < 2)))
+    with pytest.raises(GeometryError, match="found 0; give more photos"):
+        match_arcs(arcs.rows(np.zeros(0, dtype=np.int64)))
+    centre = torch.tensor([1e3, 2e3, -5.0], dtype=torch.float64)
+    together = Pose(arcs.poses.rotation, -(arcs.poses.rotation @ centre))
+    with pytest.raises(GeometryError, match="found all 12 at one place"):
+        match_arcs(arcs.with_poses(together))
+
+
+def test_the_slack_is_the_same_for_the_same_seed() -> None:
+    scene = room("fisheye")
+    arcs = scene.arcs(0.3, 3)
+    near = every_neighbour(12)
+    first = chosen_slack(arcs, near, 5)
+    assert first == chosen_slack(arcs, near, 5) and first in SLACKS_PX
+    steps = []
+    match_arcs(arcs, slack_px=first, progress=lambda stage, done, total: steps.append((stage, done, total)))
+    for stage in ("matching arcs", "building tracks"):
+        own = [(done, total) for name, done, total in steps if name == stage]
+        assert own and own[-1][0] == own[-1][1] and [done for done, _ in own] == sorted(done for done, _ in own)
