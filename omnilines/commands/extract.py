@@ -79,6 +79,7 @@ def extract(
 
 
 def camera_of_photo(photo: PhotoRef, cameras: Calibration) -> str:
+    """The only camera, or the one that a folder of the photo's path is named like; raises InputError where none is."""
     if len(cameras) == 1:
         return next(iter(cameras))
     folders = [part for part in reversed(photo.path.parent.parts) if part in cameras]
@@ -91,6 +92,7 @@ def camera_of_photo(photo: PhotoRef, cameras: Calibration) -> str:
 
 
 def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
+    """Where an image is white; raises InputError where it has not the size of the photos of all cameras."""
     image = read_photo(path)
     for camera in cameras:
         if image.shape[1::-1] != camera.image_size:
