@@ -224,6 +224,22 @@ def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov, views):
     )
     assert len(found.poses) >= 0.9 * views
     assert len(found.poses) + len(found.left_out) == views
+    assert not any("doubtful" in note for note in found.notes)
     position, rotation = errors(found.poses, scene.poses.cam_from_world, names)
     assert np.median(position) < 0.03
     assert np.median(rotation) < 0.8
+
+
+@pytest.mark.slow
+def test_poses_of_photos_that_share_little_are_called_doubtful(tmp_path):
+    """80 degrees, 30 from photo to photo: a third is left out, and half of the others are 15 cm off with good residuals."""
+    scene = write_scene(
+        tmp_path, scene="room", model="pinhole", fov_deg=None, views=12, size=(640, 640), noise=2.0, blur=0.5, seed=5
+    )
+    names = list(scene.poses.images)
+    found = sfm_poses(
+        names, lambda name: read_photo(tmp_path / name), {"cam0": scene.model}, dict.fromkeys(names, "cam0"), tmp_path / "work"
+    )
+    position, _ = errors(found.poses, scene.poses.cam_from_world, names)
+    said = [note for note in found.notes if "doubtful" in note]
+    assert np.median(position) < 0.03 or (len(said) == 1 and f"{len(found.left_out)} of 12 photos" in said[0])

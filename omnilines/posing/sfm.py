@@ -26,6 +26,9 @@ from omnilines.posing.point_adjustment import Frames
 from omnilines.records import ImagePoses
 
 Progress = Callable[[str, int, int], None]
+MOST_LEFT_OUT = 0.25
+"""Share of the photos without a pose from which on those of the others are called doubtful: they share too few features for
+residuals to tell a wrong pose."""
 LEAST_SEEN = 10
 """Points that a photo must see in the end."""
 LEAST_FEATURES = 20
@@ -143,13 +146,24 @@ def _result(
     )
     first = grown.rig_from_world[grown.frames.of_photo[kept[0]]]
     note = f"{len(grown.points)} points, {len(grown.seen)} observations, standard deviation {grown.scale:.2f} times that assumed."
+    notes = (note, *_doubt(len(lost), len(photos)))
     if grown.frames.has_scale:
-        return PhotoPoses(moved_poses(table, 1.0, first), tuple(lost), ("Lengths are metres, by the rig.", note))
+        return PhotoPoses(moved_poses(table, 1.0, first), tuple(lost), ("Lengths are metres, by the rig.", *notes))
     centre = table.cam_from_world.centre
     spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
     metric = "The scale is not known: the cameras' root mean square distance from their middle is taken as 1."
     return PhotoPoses(
-        moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), tuple(lost), (metric, note)
+        moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), tuple(lost), (metric, *notes)
+    )
+
+
+def _doubt(lost: int, photos: int) -> tuple[str, ...]:
+    """What is said of the poses found where many could not be."""
+    if lost < MOST_LEFT_OUT * photos:
+        return ()
+    return (
+        f"{lost} of {photos} photos have no pose: they share little with the others, and the poses found are doubtful too, far "
+        "more than their covariance says; take photos that overlap by more than half, or give poses.",
     )
 
 
