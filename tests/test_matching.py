@@ -13,6 +13,7 @@ from matching_scenes import (
     camera_named,
     every_neighbour,
     from_views,
+    looking,
     random_arcs,
     room,
     score,
@@ -22,6 +23,7 @@ from matching_scenes import (
 from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.geometry.sphere import points_on_arc
+from omnilines.matching import tracks as tracks_module
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import find_hypotheses, neighbouring_photos
 from omnilines.matching.match import NEIGHBOURS, SLACKS_PX, Matched, chosen_slack, match_arcs
@@ -180,6 +182,39 @@ def test_parallel_edges_two_centimetres_apart_stay_two_lines(name: str) -> None:
         own = table[best, pair] / np.maximum(total[pair], table[best].sum(1))
         kept += best[0] != best[1] and own.min() > 0.6
     assert tried >= 6 and kept >= 0.85 * tried
+
+
+def shutters(seed: int) -> MatchingScene:
+    """Four shutters of 30 slats, 10 cm apart, seen by a fisheye that moves along; photos show 40 percent of them."""
+    rng = np.random.default_rng(seed)
+    first = np.array([[1.6 * column, 0.0, 0.1 * row] for column in range(4) for row in range(30)])
+    ends_m = torch.as_tensor(np.stack([first, first + np.array([1.0, 0.0, 0.0])], 1))
+    camera, half_rad = camera_named("fisheye")
+    centres = np.stack([rng.uniform(0.0, 6.4, 14), rng.uniform(-4.0, -2.0, 14), rng.uniform(0.0, 3.0, 14)], -1)
+    axes = np.array([0.0, 1.0, 0.0]) + 0.2 * rng.standard_normal((14, 3))
+    whole = from_views(camera, half_rad, looking(centres, axes), ends_m)
+    seen = rng.random(len(whole.image)) < 0.4
+    return replace(whole, image=whole.image[seen], line=whole.line[seen], pixels=whole.pixels[seen])
+
+
+def test_lines_that_others_explain_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Among equal edges arcs of several of them meet in lines that are not there."""
+    wrong, right, explained = np.zeros(2, dtype=int), np.zeros(2, dtype=int), 0
+    for seed in range(3):
+        scene = shutters(seed)
+        arcs = scene.arcs(0.3, seed)
+        for k in range(2):
+            with monkeypatch.context() as patch:
+                if k == 0:
+                    patch.setattr(tracks_module, "needed", lambda order, *rest: np.ones(len(order), dtype=bool))
+                found = match_arcs(arcs, slack_px=SLACKS_PX[0])
+            assert_consistent(found)
+            off = line_errors(scene, found)
+            wrong[k] += int((off > 0.03).sum())
+            right[k] += int((off <= 0.03).sum())
+            explained += k * found.tracks.explained
+    assert wrong[0] >= 12 and explained >= 10
+    assert wrong[1] <= 0.75 * wrong[0] and right[1] >= 0.96 * right[0]
 
 
 def test_few_neighbours_find_most_lines_in_less_work() -> None:

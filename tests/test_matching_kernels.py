@@ -15,7 +15,7 @@ from omnilines.matching import hypotheses
 from omnilines.matching import hypothesis_kernel as kernel
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import find_hypotheses
-from omnilines.matching.track_kernel import claim, near_lines, united
+from omnilines.matching.track_kernel import claim, near_lines, needed, united
 
 CAMERAS = list(VIEWS)
 
@@ -292,3 +292,40 @@ def test_claimed_and_united_sets_are_those_of_plain_python() -> None:
         assert [{k for k in range(count) if root[k] == root[i]} for i in range(count)] == sets
         assert bool((root[root] == root).all())
     assert most >= 3
+
+
+def plain_needed(order: list, members: list, image: list, explaining: list, least_views: int) -> list:
+    kept: set[int] = set()
+    for track in order:
+        own = {image[i] for i in members[track] if not kept & set(explaining[i])}
+        if len(own) >= least_views:
+            kept.add(track)
+    return [k in kept for k in range(len(order))]
+
+
+def test_needed_tracks_are_those_of_plain_python() -> None:
+    rng = np.random.default_rng(6)
+    dropped = kept = 0
+    for _ in range(60):
+        arcs, images, tracks = int(rng.integers(1, 60)), int(rng.integers(1, 8)), int(rng.integers(1, 9))
+        image, own = np.sort(rng.integers(0, images, arcs)), rng.integers(0, tracks, arcs)
+        members = [np.flatnonzero(own == k) for k in range(tracks)]
+        # The line of an arc explains it too: it must not stand in its own way.
+        explaining = [np.unique(np.append(rng.integers(0, tracks, rng.integers(0, 3)), own[i])) for i in range(arcs)]
+        order = rng.permutation(tracks)
+        found = needed(
+            order,
+            np.cumsum([0, *map(len, members)]),
+            np.concatenate(members),
+            image,
+            images,
+            np.cumsum([0, *map(len, explaining)]),
+            np.concatenate(explaining),
+            2,
+        )
+        expected = plain_needed(
+            order.tolist(), [m.tolist() for m in members], image.tolist(), [e.tolist() for e in explaining], 2
+        )
+        assert found.tolist() == expected
+        kept, dropped = kept + sum(expected), dropped + tracks - sum(expected)
+    assert kept >= 20 and dropped >= 20

@@ -219,7 +219,11 @@ def _arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched
             member,
             _counted([("did not fit the others of a track, or too few photos see it", max(int(several.sum()) - member, 0))]),
         ),
-        StageCount("tracks triangulated", len(tracks), _counted([("parts of other tracks", tracks.merged)])),
+        StageCount(
+            "tracks triangulated",
+            len(tracks),
+            _counted([("parts of other tracks", tracks.merged), ("other lines explain what they show", tracks.explained)]),
+        ),
     )
 
 

@@ -116,3 +116,39 @@ def united(part: np.ndarray, whole: np.ndarray, count: int) -> np.ndarray:
             a = root[a]
         root[k] = a
     return root
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def needed(
+    order: np.ndarray,
+    starts: np.ndarray,
+    member: np.ndarray,
+    image: np.ndarray,
+    images: int,
+    line_starts: np.ndarray,
+    lines: np.ndarray,
+    least_views: int,
+) -> np.ndarray:
+    """Which tracks keep `least_views` photos with an arc that no track kept before it, in this order, explains.
+
+    The arcs of track t are member[starts[t] : starts[t + 1]], the tracks that explain arc i lines[line_starts[i] :
+    line_starts[i + 1]].
+    """
+    kept = np.zeros(len(order), dtype=np.bool_)
+    seen = np.full(images, -1, dtype=np.int64)
+    for track in order:
+        views = 0
+        for i in member[starts[track] : starts[track + 1]]:
+            if seen[image[i]] == track:
+                continue
+            free = True
+            for line in lines[line_starts[i] : line_starts[i + 1]]:
+                if kept[line]:
+                    free = False
+                    break
+            if free:
+                seen[image[i]] = track
+                views += 1
+        kept[track] = views >= least_views
+    return kept

@@ -15,7 +15,7 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses
 from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
-from omnilines.matching.track_kernel import claim, near_lines, united
+from omnilines.matching.track_kernel import claim, near_lines, needed, united
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import robust_triangulate
@@ -45,6 +45,8 @@ class Tracks:
     """Tracks that turned out to be parts of others."""
     inconsistent: int
     """Arcs that were left out because they do not fit the others of their track."""
+    explained: int
+    """Tracks of which other lines explain all but the arcs of too few photos."""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -68,16 +70,40 @@ def build_tracks(
         more, extra = claim(free, support, arcs.image, arcs.images, FIRST_VIEWS)
         track = np.where(more >= 0, more + count, track)
         track, count = _with_views(arcs, track, count + extra, FIRST_VIEWS)
+    explained = 0
     while True:
         # A track that loses members may have too few photos, and one without a line has none.
         track, lines, out = _triangulated(arcs, track, count)
         wrong, before = wrong + out, count
         track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
         track, count = _with_views(arcs, track, count, least_views)
-        if count == before:
+        if count < before:
+            continue
+        own = _needed(arcs, track, lines, least_views)
+        if own.all():
             break
+        explained += int((~own).sum())
+        track, count = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), int(own.sum())
     progress(ROUNDS + 1, ROUNDS + 1)
-    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained)
+
+
+def _needed(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, least_views: int) -> Bool[np.ndarray, " t"]:
+    """The tracks that at least `least_views` photos show by arcs which no line with more photos explains.
+
+    Among edges that repeat themselves arcs of several of them meet in lines that are not there, and most of those arcs fit a
+    line that is.
+    """
+    count = len(lines)
+    _, candidates = _nearest_lines(arcs, track, lines)
+    member = np.flatnonzero(track >= 0)
+    member = member[np.argsort(track[member], kind="stable")]
+    starts = np.searchsorted(track[member], np.arange(count + 1))
+    seen = np.unique(track[member] * arcs.images + arcs.image[member]) // arcs.images
+    by_views = np.lexsort((-np.diff(starts), -np.bincount(seen, minlength=count)))
+    by_arc = np.argsort(candidates.arc, kind="stable")
+    line_starts = np.searchsorted(candidates.arc[by_arc], np.arange(len(track) + 1))
+    return needed(by_views, starts, member, arcs.image, arcs.images, line_starts, candidates.track[by_arc], least_views)
 
 
 def _triangulated(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> tuple[np.ndarray, Triangulation, int]:
