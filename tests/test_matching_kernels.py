@@ -150,7 +150,7 @@ def test_likeness_is_a_gaussian_with_a_common_gain() -> None:
 
 
 @pytest.mark.parametrize("span", [0.01, 0.5, 1.7, 2.8])
-def test_cross_sigma_is_that_of_the_circle_through_both_ends(span: float) -> None:
+def test_cross_variance_is_that_of_the_circle_through_both_ends(span: float) -> None:
     """Derivatives of the angle of a point from the circle by moves of both ends across it."""
 
     def off(moved: torch.Tensor, along: float) -> torch.Tensor:
@@ -163,7 +163,10 @@ def test_cross_sigma_is_that_of_the_circle_through_both_ends(span: float) -> Non
     for along in (-0.4, 0.0, 0.3 * span, span, span + 0.7):
         jacobian = torch.func.jacrev(off)(torch.zeros(2, dtype=torch.float64), along)
         expected = float((jacobian * torch.tensor([0.002, 0.005], dtype=torch.float64)).norm())
-        assert kernel.cross_sigma(along, span, 0.002, 0.005) == pytest.approx(expected, rel=1e-6)
+        for far in (1.0, 3.7):
+            ends = (math.cos(span), math.sin(span), 0.002, 0.005)
+            variance = kernel.cross_variance(far * math.cos(along), far * math.sin(along), *ends)
+            assert variance == pytest.approx((far * expected) ** 2, rel=1e-6)
 
 
 def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:

@@ -24,7 +24,7 @@ ONE_SIDE = 5.0
 LEAST_LIKENESS = 0.05
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
     """exp(-chi-square / 2) per degree of freedom of the colours (side, channel) of two arcs, in (0, 1]; 0.3 if unknown.
@@ -57,15 +57,18 @@ def likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
     return math.exp(-0.5 * best)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def cross_sigma(along: float, span: float, first: float, second: float) -> float:
-    """Standard deviation (rad) across an arc, at an angle from its first end, of the circle through two uncertain ends."""
-    sine = max(math.sin(span), 1e-9)
-    return math.hypot(math.sin(span - along) * first, math.sin(along) * second) / sine
+def cross_variance(x: float, y: float, cosine: float, sine: float, first: float, second: float) -> float:
+    """Variance across an arc, at the point (x, y) of its plane, of the circle through two ends with standard deviations (rad).
+
+    One end lies at (1, 0), the other at (cosine, sine). At the angle t and the distance r the circle moves by
+    r (sin(span - t) first + sin(t) second) / sin(span).
+    """
+    return ((sine * x - cosine * y) ** 2 * first**2 + y * y * second**2) / max(sine * sine, 1e-18)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 @no_type_check
 def depths(i: int, j: int, packed: np.ndarray, out: np.ndarray) -> bool:
     """The line of arcs i and j: inverse depths at both ends of i and their standard deviations into `out`; false if none.
@@ -87,43 +90,45 @@ def depths(i: int, j: int, packed: np.ndarray, out: np.ndarray) -> bool:
     m2 = q[6] * p[3] + q[7] * p[4] + q[8] * p[5]
     if mb * m1 <= 0.0 or mb * m2 <= 0.0:
         return False
-    u1, u2, far1, far2 = m1 / mb, m2 / mb, -nb / n1, -nb / n2
-    # The line is (V1 / u1, V2 / u2), seen from centre i.
-    x, y, z = p[0] / u1, p[1] / u1, p[2] / u1
-    dx, dy, dz = p[3] / u2 - x, p[4] / u2 - y, p[5] / u2 - z
+    near1, near2, far1, far2 = mb / m1, mb / m2, -nb / n1, -nb / n2
+    # The line is (near1 V1, near2 V2), seen from centre i.
+    x, y, z = p[0] * near1, p[1] * near1, p[2] * near1
+    dx, dy, dz = p[3] * near2 - x, p[4] * near2 - y, p[5] * near2 - z
     low = (bx + far1 * q[0] - x) * dx + (by + far1 * q[1] - y) * dy + (bz + far1 * q[2] - z) * dz
     high = (bx + far2 * q[3] - x) * dx + (by + far2 * q[4] - y) * dy + (bz + far2 * q[5] - z) * dz
     length = dx * dx + dy * dy + dz * dz
-    out[4] = 1.0 if high < low else 0.0
-    low, high = min(low, high) / length, max(low, high) / length
-    if min(high, 1.0) - max(low, 0.0) < LEAST_OVERLAP * min(high - low, 1.0):
+    flipped = high < low
+    if flipped:
+        low, high = high, low
+    if min(high, length) - max(low, 0.0) < LEAST_OVERLAP * min(high - low, length):
         return False
-    out[0], out[1] = u1, u2
-    return _depth_sigmas(p, q, bx, by, bz, abs(mb), out)
+    out[0], out[1] = m1 / mb, m2 / mb
+    out[4] = 1.0 if flipped else 0.0
+    return _depth_sigmas(p, q, bx, by, bz, mb, out)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 @no_type_check
 def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float, mb: float, out: np.ndarray) -> bool:
     """Standard deviations of the inverse depths in `out`; false where they say nothing.
 
-    du = dm . (V - u b) / m.b, and V - u b points from centre j to the point that is seen.
+    du = dm . (V - u b) / m.b, and V - u b points from centre j to the point that is seen, in the plane of j.
     """
     mn = p[6] * q[6] + p[7] * q[7] + p[8] * q[8]
     fx, fy, fz = q[7] * q[2] - q[8] * q[1], q[8] * q[0] - q[6] * q[2], q[6] * q[1] - q[7] * q[0]
-    span = math.atan2(q[3] * fx + q[4] * fy + q[5] * fz, q[3] * q[0] + q[4] * q[1] + q[5] * q[2])
+    cosine, sine = q[3] * q[0] + q[4] * q[1] + q[5] * q[2], q[3] * fx + q[4] * fy + q[5] * fz
     for end in range(2):
         u = out[end]
         x, y, z = p[3 * end] - u * bx, p[3 * end + 1] - u * by, p[3 * end + 2] - u * bz
-        along = math.atan2(x * fx + y * fy + z * fz, x * q[0] + y * q[1] + z * q[2])
-        across = cross_sigma(along, span, q[12], q[13])
-        out[2 + end] = math.sqrt((x * x + y * y + z * z) * across**2 + (mn * p[12 + end]) ** 2) / mb
-        if out[2 + end] > MOST_SIGMA * u:
+        ahead, beside = x * q[0] + y * q[1] + z * q[2], x * fx + y * fy + z * fz
+        variance = cross_variance(ahead, beside, cosine, sine, q[12], q[13]) + (mn * p[12 + end]) ** 2
+        if variance > (MOST_SIGMA * u * mb) ** 2:
             return False
+        out[2 + end] = math.sqrt(variance) / abs(mb)
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def partners(
     i: int,
@@ -152,7 +157,7 @@ def partners(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _square(one: np.ndarray, at: int, other: np.ndarray, k: int) -> float:
     """Chi-square between two pairs of depths, of the variance of the other and at most as much again; infinite beyond GATE."""
@@ -166,35 +171,33 @@ def _square(one: np.ndarray, at: int, other: np.ndarray, k: int) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _best(found: np.ndarray, weight: np.ndarray, seen: np.ndarray, images: int) -> tuple[int, float, float]:
     """Which pair of depths, sorted by the first, the other photos agree on most, its score, and that of its best rival."""
-    scores = np.zeros(len(found))
-    votes, stamp = np.zeros(images), np.full(images, -1, dtype=np.int64)
-    reach = found[:, 2].max() * math.sqrt(2.0) * GATE
-    first, best, score = 0, -1, 0.0
-    for h in range(len(found)):
-        while found[first, 0] < found[h, 0] - reach:
-            first += 1
-        total = 0.0
-        for k in range(first, len(found)):
-            if found[k, 0] > found[h, 0] + reach:
+    count = len(found)
+    near = found[:, 0].copy()
+    column, photos = np.full(images, -1, dtype=np.int64), 0
+    for photo in seen:
+        if column[photo] < 0:
+            column[photo] = photos
+            photos += 1
+    votes = np.zeros((count, photos))
+    for k in range(count):
+        # A pair votes within its own standard deviation: most of them are small, and so is what they are compared with.
+        reach = math.sqrt(2.0) * GATE * found[k, 2]
+        for h in range(np.searchsorted(near, near[k] - reach), count):
+            if near[h] > near[k] + reach:
                 break
             square = _square(found, h, found, k)
-            if square == np.inf:
-                continue
-            vote = weight[k] * math.exp(-0.25 * square)
-            photo = seen[k]
-            if stamp[photo] != h:
-                stamp[photo] = h
-                votes[photo] = 0.0
-            if vote > votes[photo]:
-                total += vote - votes[photo]
-                votes[photo] = vote
-        scores[h] = total
-        if total > score:
-            score, best = total, h
+            if square < np.inf:
+                vote = weight[k] * math.exp(-0.25 * square)
+                votes[h, column[seen[k]]] = max(vote, votes[h, column[seen[k]]])
+    best, score = -1, 0.0
+    scores = votes.sum(1)
+    for h in range(count):
+        if scores[h] > score:
+            score, best = scores[h], h
     rival = 0.0
     for h in range(len(found)):
         if best >= 0 and scores[h] > rival and _square(found, best, found, h) == np.inf:
@@ -202,7 +205,7 @@ def _best(found: np.ndarray, weight: np.ndarray, seen: np.ndarray, images: int) 
     return best, score, rival
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def best_lines(
     rows: np.ndarray,
@@ -234,7 +237,7 @@ def best_lines(
     return depth, score, support, tried
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _gather(best: int, arcs: np.ndarray, found: np.ndarray, weight: np.ndarray, depth: np.ndarray, support: np.ndarray) -> None:
     """The arcs that agree with the best pair of depths, and the weighted mean of their depths."""
@@ -253,7 +256,7 @@ def _gather(best: int, arcs: np.ndarray, found: np.ndarray, weight: np.ndarray, 
         depth[end] = sums[end] / weights[end]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def likenesses(first: np.ndarray, second: np.ndarray, one: np.ndarray, other: np.ndarray, flipped: np.ndarray) -> np.ndarray:
     """`likeness` of rows of two tables of colours."""

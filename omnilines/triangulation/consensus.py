@@ -10,7 +10,7 @@ line is found without it, over the standard deviation of that: with h, J of the 
 both are chi-square with two degrees of freedom, to first order. A row whose arc faces away from the line does not belong to it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -102,27 +102,40 @@ def least_majority_square(
 
 def find_consensus(
     observations: PlaneObservations,
-    rows: Int[Tensor, "g k"],
+    groups: Sequence[Int[Tensor, "_ _"]],
     variance: float,
     budget: int,
     seed: int,
     hypotheses: int = HYPOTHESES,
-) -> Consensus:
-    """The consensus of tracks of k >= 3 rows each, `variance` that of a residual."""
-    count, views = rows.shape
+) -> list[Consensus]:
+    """The consensus of tracks with k >= 3 rows each, of each group of tracks with equally many; `variance` is that of a residual.
+
+    All groups are refined together.
+    """
+    starts = [_first_lines(observations, rows, variance, budget, seed, hypotheses) for rows in groups]
+    repeated = [rows[:, None].expand(-1, hypotheses, -1) for rows in groups]
+    views = torch.cat([torch.full((len(rows) * hypotheses,), rows.shape[1], device=rows.device) for rows in groups])
+    each = torch.arange(len(views), device=views.device).repeat_interleave(views)
+    table = observations.take(torch.cat([rows.flatten() for rows in repeated]), each, len(views))
+    lines = PlueckerLines(torch.cat([at.direction for at, _ in starts]), torch.cat([at.moment for at, _ in starts]))
+    lines, inlier, judged = _settle(table, lines, torch.cat([members for _, members in starts]), variance)
+    plain = end_distances(table, lines[each].moment_about(table.centre)).square().sum(-1) / variance
+    truncated = torch.where(inlier, plain.nan_to_num(nan=torch.inf), torch.inf).clamp(max=ROW_LIMIT)
+    sizes = [rows.numel() for rows in repeated]
+    found = zip(repeated, truncated.split(sizes), inlier.split(sizes), judged.split(sizes), strict=True)
+    return [_resolve(cost.view(r.shape).sum(-1), own.view(r.shape), s.view(r.shape)) for r, cost, own, s in found]
+
+
+def _first_lines(
+    observations: PlaneObservations, rows: Int[Tensor, "g k"], variance: float, budget: int, seed: int, hypotheses: int
+) -> tuple[PlueckerLines, Bool[Tensor, " n"]]:
+    """The best candidates of each track, one after the other, and which rows of each they rest on."""
     parts = [
         _best_candidates(pairs, lines, square / variance, hypotheses)
         for pairs, _, lines, square in candidate_batches(observations, rows, budget, seed)
     ]
-    lines = PlueckerLines(*(torch.cat([getattr(p[0], name) for p in parts]).flatten(0, 1) for name in ("direction", "moment")))
-    inlier = torch.cat([p[1] for p in parts]).flatten()
-    each = torch.arange(count * hypotheses, device=rows.device).repeat_interleave(views)
-    table = observations.take(rows[:, None].expand(-1, hypotheses, -1).flatten(), each, count * hypotheses)
-    lines, inlier, judged = _settle(table, lines, inlier, variance)
-    plain = end_distances(table, lines[each].moment_about(table.centre)).square().sum(-1) / variance
-    truncated = torch.where(inlier, plain.nan_to_num(nan=torch.inf), torch.inf).clamp(max=ROW_LIMIT)
-    shape = (count, hypotheses, views)
-    return _resolve(truncated.view(shape).sum(-1), inlier.view(shape), judged.view(shape))
+    direction, moment = (torch.cat([getattr(at, name) for at, _ in parts]).flatten(0, 1) for name in ("direction", "moment"))
+    return PlueckerLines(direction, moment), torch.cat([members for _, members in parts]).flatten()
 
 
 def _best_candidates(

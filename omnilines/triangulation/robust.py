@@ -5,6 +5,7 @@ takes a majority, three members at least: a track of three views with a wrong on
 named `inconsistent`. Whether arcs overlap along the line is not judged: parts of one line seen apart from each other are common.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -78,15 +79,29 @@ def robust_triangulate(
     unsolved = torch.zeros(observations.tracks, dtype=torch.bool, device=inlier.device)
     suspects = torch.nonzero(_suspects(observations, variance)).squeeze(-1)
     some, kept = observations.of_tracks(suspects)
-    for tracks, rows in some.by_view_count():
-        at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
-        for part, own in zip(rows.split(at_once), tracks.split(at_once), strict=True):
-            found = find_consensus(some, part, variance, budget, seed)
-            inlier[kept[part]] = found.inlier | ~found.solved[:, None]
-            unsolved[suspects[own]] = ~found.solved
+    for portion in _portions(some):
+        found = find_consensus(some, [rows for _, rows in portion], variance, budget, seed)
+        for (tracks, rows), each in zip(portion, found, strict=True):
+            inlier[kept[rows]] = each.inlier | ~each.solved[:, None]
+            unsolved[suspects[tracks]] = ~each.solved
     result = triangulate(method, observations.rows(inlier), **options)
     status = torch.where(unsolved, LINE_STATUSES.index("inconsistent"), result.status)
     return RobustTriangulation(hidden(replace(result, status=status)), inlier, level)
+
+
+def _portions(observations: PlaneObservations) -> Iterator[list[tuple[Tensor, Tensor]]]:
+    """The groups of tracks with equally many rows, large ones cut, put together to at most ROWS_AT_ONCE rows."""
+    portion, held = [], 0
+    for tracks, rows in observations.by_view_count():
+        at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
+        for own, part in zip(tracks.split(at_once), rows.split(at_once), strict=True):
+            if portion and held + part.numel() > ROWS_AT_ONCE:
+                yield portion
+                portion, held = [], 0
+            portion.append((own, part))
+            held += part.numel()
+    if portion:
+        yield portion
 
 
 def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int = 128) -> float:
@@ -107,7 +122,7 @@ def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int =
     # because it takes the members of neighbouring lines together.
     variance = max(0.5 * float(first.median().nan_to_num(posinf=0.0)), floor)
     for _ in range(NOISE_ROUNDS):
-        found = [find_consensus(sample, rows, variance, budget, seed, hypotheses=1) for rows in groups]
+        found = find_consensus(sample, groups, variance, budget, seed, hypotheses=1)
         squares = torch.cat([each.squared[each.inlier & each.solved[:, None]] for each in found])
         if not len(squares):
             break
