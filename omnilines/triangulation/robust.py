@@ -91,7 +91,8 @@ def robust_triangulate(
 
 def _portions(observations: PlaneObservations) -> Iterator[list[tuple[Tensor, Tensor]]]:
     """The groups of tracks with equally many rows, large ones cut, put together to at most ROWS_AT_ONCE rows."""
-    portion, held = [], 0
+    portion: list[tuple[Tensor, Tensor]] = []
+    held = 0
     for tracks, rows in observations.by_view_count():
         at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
         for own, part in zip(tracks.split(at_once), rows.split(at_once), strict=True):
