@@ -1,4 +1,4 @@
-"""Arcs of great circles, and points along them in the photo."""
+"""Arcs of great circles, and how they lie in the photo."""
 
 from dataclasses import dataclass
 
@@ -7,10 +7,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
+from omnilines.extraction.curve_kernel import rays_beside
 
-_COARSE = 16
+COARSE = 16
 """Intervals of an arc from which its length in pixels is known."""
-_STEP_RAD = 1e-4
+STEP_RAD = 1e-4
 """Of the differences that give directions in the photo."""
 LONGEST_RAD = 2.6
 """An arc ends there: the plane of two ends that are nearly opposite is ill defined."""
@@ -80,22 +81,6 @@ def inverse_2x2(matrix: Float[np.ndarray, "*n 2 2"]) -> Float[np.ndarray, "*n 2 
     return np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2) / determinant[..., None, None]
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Points along arcs about a pixel apart, arc after arc."""
-
-    owner: Int[np.ndarray, " m"]
-    starts: Int[np.ndarray, " n1"]
-    """Where each arc begins, and one more."""
-    angle: Float[np.ndarray, " m"]
-    pixel: Float[np.ndarray, "m 2"]
-    across: Float[np.ndarray, "m 2"]
-    """Unit vector across the curve in the photo, towards the side of the normal."""
-    rate: Float[np.ndarray, " m"]
-    """Pixels along `across` per radian that the circle moves towards its normal."""
-    valid: Bool[np.ndarray, " m"]
-
-
 def steps(model: CameraModel, pixel: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k1 2"]:
     """Differences of neighbouring points, the shorter way round where the image closes."""
     step = np.diff(pixel, axis=1)
@@ -104,62 +89,34 @@ def steps(model: CameraModel, pixel: Float[np.ndarray, "n k 2"]) -> Float[np.nda
     return step
 
 
-def _coarse(model: CameraModel, arcs: Arcs, low: Float[np.ndarray, " n"], high: Float[np.ndarray, " n"]) -> tuple:
-    """Angles (n, k + 1) and the lengths in pixels between them (n, k)."""
-    angle = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _COARSE + 1)
-    rays = arcs.bearings(np.repeat(np.arange(len(arcs)), _COARSE + 1), angle.ravel())
-    with torch.no_grad():
-        pixel, _ = model.project(rays)
-    return angle, np.linalg.norm(steps(model, pixel.reshape(len(arcs), _COARSE + 1, 2)), axis=-1)
-
-
 def lengths_px(model: CameraModel, arcs: Arcs) -> Float[np.ndarray, " n"]:
     """Lengths of arcs in the photo."""
-    return _coarse(model, arcs, arcs.low, arcs.high)[1].sum(-1)
+    angle = arcs.low[:, None] + (arcs.high - arcs.low)[:, None] * np.linspace(0.0, 1.0, COARSE + 1)
+    with torch.no_grad():
+        pixel, _ = model.project(arcs.bearings(np.repeat(np.arange(len(arcs)), COARSE + 1), angle.ravel()))
+    return np.linalg.norm(steps(model, pixel.reshape(*angle.shape, 2)), axis=-1).sum(-1)
 
 
-def samples(model: CameraModel, arcs: Arcs, beyond_px: float) -> Samples:
-    """Points a pixel apart along arcs (at least one) and some pixels beyond either end, as far as LONGEST_RAD allows."""
-    _, length = _coarse(model, arcs, arcs.low, arcs.high)
-    interval = (arcs.high - arcs.low) / _COARSE
-    most = np.maximum(0.5 * (LONGEST_RAD - (arcs.high - arcs.low)), 0.0)
-    reach = [np.minimum(beyond_px * interval / np.maximum(length[:, k], 1e-9), most) for k in (0, -1)]
-    angle, length = _coarse(model, arcs, arcs.low - reach[0], arcs.high + reach[1])
-    run = np.concatenate([np.zeros((len(arcs), 1)), np.cumsum(np.maximum(length, 1e-6), -1)], -1)
-    count = np.maximum(np.ceil(run[:, -1]), 2).astype(np.int64)
-    starts = np.concatenate([[0], np.cumsum(count)])
-    owner = np.repeat(np.arange(len(arcs)), count)
-    place = (np.arange(len(owner)) - starts[owner] + 0.5) / count[owner] * run[owner, -1]
-    # All arcs in one interpolation: each is moved beyond the one before.
-    shift = np.concatenate([[0.0], np.cumsum(run[:, -1] + 1.0)])[:-1]
-    angles = np.interp(place + shift[owner], (run + shift[:, None]).ravel(), angle.ravel())
-    return _measured(model, arcs, owner, starts, angles)
-
-
-def _measured(
-    model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], starts: Int[np.ndarray, " n1"], angle: Float[np.ndarray, " m"]
-) -> Samples:
-    pixel, across, rate, valid = across_px(model, arcs, owner, angle)
+def changes(
+    model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
+    """Pixels at angles on circles, their changes per radian along the circle and towards its normal, and valid."""
+    with torch.no_grad():
+        found, seen = model.project(rays_beside(arcs.frame, owner, angle, STEP_RAD))
+    step = np.stack([found[1] - found[0], found[2] - found[0]])
     if model.PERIODIC:
-        pixel[:, 0] = np.mod(pixel[:, 0] + 0.5, model.image_size[0]) - 0.5
-    return Samples(owner, starts, angle, pixel, across, rate, valid)
+        step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
+    return found[0], step[0] / STEP_RAD, step[1] / STEP_RAD, seen.all(0)
 
 
 def across_px(
     model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
     """Pixels at angles on circles, the unit vector across the curve, pixels along it per radian of the circle, and valid."""
-    ray = arcs.bearings(owner, angle)
-    ahead = arcs.bearings(owner, angle + _STEP_RAD)
-    with torch.no_grad():
-        found, seen = model.project(np.stack([ray, ahead, ray + _STEP_RAD * arcs.normal[owner]]))
-    step = np.stack([found[1] - found[0], found[2] - found[0]])
-    if model.PERIODIC:
-        step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
-    along, side = step
+    pixel, along, side, valid = changes(model, arcs, owner, angle)
     across = np.stack([-along[:, 1], along[:, 0]], -1)
     length = np.linalg.norm(across, axis=-1)
     across /= np.maximum(length, 1e-12)[:, None]
-    rate = (across * side).sum(-1) / _STEP_RAD
+    rate = (across * side).sum(-1)
     across, rate = np.where(rate[:, None] < 0, -across, across), np.abs(rate)
-    return found[0], across, rate, seen.all(0) & (length > 0) & (rate > 0)
+    return pixel, across, rate, valid & (length > 0) & (rate > 0)

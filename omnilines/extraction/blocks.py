@@ -1,15 +1,20 @@
 """Mean profiles of colour across pieces of arcs, and the blurred steps that explain them: one for each edge beside the arc."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from omnilines.extraction.arcs import Arcs, Samples, samples
+from camera_models import CameraModel
+from omnilines.extraction.arcs import Arcs, across_px
+from omnilines.extraction.crossing_kernel import crossings
+from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.profile_kernel import sharp_profiles
-from omnilines.extraction.refit import Photo
-from omnilines.extraction.step_kernel import crossings, fit_steps
+from omnilines.extraction.profile_kernel import mean_profiles
+from omnilines.extraction.refit import Photo, joined
+from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
 
 OFFSETS_PX = np.arange(-12, 13) * 0.5
 BLOCK_PX = 5
@@ -17,107 +22,162 @@ BLOCK_PX = 5
 REACH_PX = 6.0
 LEAST_COSINE = 0.95
 """Between an arc and an edge beside it: 18 degrees."""
-BEYOND_PX = 3.0
+BEYOND_PX = 3
 """Edges are taken to go on beyond the ends of their arcs."""
 STIFF_PX = np.array([1.0, 0.3])
 """Standard deviations of the own step's place and of the others' about where their arcs are."""
 LEAST_WEIGHT = 0.03
 """Of the outermost value of a profile in a fit."""
-_PIECES = 40_000
-"""Whose profiles are read at a time."""
+_LANES = 8
+"""The kernel sums over so many values of a profile at a time."""
 
 
-def pieces(at: Samples, wanted: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """First sample and number of samples of the pieces that each arc is cut into, at least one each."""
+def pieces(at: Samples, wanted: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m1"]:
+    """Where the pieces begin that each arc is cut into, at least one each, and one more: numbers of samples."""
     number = np.arange(len(at.owner)) - at.starts[at.owner]
     count = np.maximum(wanted, 1)[at.owner]
     piece = number * count // np.diff(at.starts)[at.owner]
     begins = np.flatnonzero((np.diff(at.owner, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
-    return begins, np.diff(np.append(begins, len(at.owner)))
+    return np.append(begins, len(at.owner))
 
 
 @dataclass(frozen=True)
 class Blocks:
     """Pieces of arcs of BLOCK_PX, arc after arc."""
 
+    arcs: int
+    """How many there are."""
     owner: Int[np.ndarray, " m"]
-    starts: Int[np.ndarray, " n1"]
     length: Int[np.ndarray, " m"]
     whole: Bool[np.ndarray, " m"]
     """All of its profiles lie in the image."""
     angle: Float[np.ndarray, " m"]
     rate: Float[np.ndarray, " m"]
-    profile: Float[np.ndarray, "m k c"]
+    pixel: Float[np.ndarray, "m 2"]
+    """In the middle, as the direction across."""
+    across: Float[np.ndarray, "m 2"]
+    profile: Float[np.ndarray, "m c k"]
     """Mean grey levels of 255 at OFFSETS_PX."""
+    sigma: Float[np.ndarray, " m"]
     place: Float[np.ndarray, "m s"]
     """Where its profile is crossed: by its own arc at 0, then by its neighbours."""
     count: Int[np.ndarray, " m"]
-    sigma: Float[np.ndarray, " m"]
 
-    def keep(self, arcs: Int[np.ndarray, " k"]) -> "Blocks":
+    @cached_property
+    def starts(self) -> Int[np.ndarray, " n1"]:
+        """Where the blocks of each arc begin, and one more."""
+        return np.searchsorted(self.owner, np.arange(self.arcs + 1))
+
+    def keep(self, rows: Int[np.ndarray, " k"]) -> "Blocks":
         """Those of some arcs, in order, numbered anew."""
-        number = np.full(len(self.starts) - 1, -1)
-        number[arcs] = np.arange(len(arcs))
-        rows = np.flatnonzero(number[self.owner] >= 0)
-        owner = number[self.owner[rows]]
-        names = ("length", "whole", "angle", "rate", "profile", "place", "count", "sigma")
-        return Blocks(owner, np.searchsorted(owner, np.arange(len(arcs) + 1)), *(getattr(self, name)[rows] for name in names))
+        return _kept(self, rows)
 
-    def mean(self, values: Float[np.ndarray, " m"], arcs: int) -> Float[np.ndarray, " n"]:
+    def mean(self, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
         """Of each arc's blocks."""
-        return np.bincount(self.owner, values, arcs) / np.maximum(np.diff(self.starts), 1)
+        return np.bincount(self.owner, values, self.arcs) / np.maximum(np.diff(self.starts), 1)
 
 
-def blocks_along(photo: Photo, arcs: Arcs, noise: float) -> Blocks:
-    """Profiles across arcs and where other arcs cross them."""
+@dataclass(frozen=True)
+class Path:
+    """Points a pixel apart along arcs and BEYOND_PX beyond their ends."""
+
+    arcs: int
+    owner: Int[np.ndarray, " m"]
+    pixel: Float[np.ndarray, "m 2"]
+    across: Float[np.ndarray, "m 2"]
+
+
+_Table = TypeVar("_Table", Blocks, Path)
+
+
+def _kept(table: _Table, arcs: Int[np.ndarray, " k"]) -> _Table:
+    number = np.full(table.arcs, -1)
+    number[arcs] = np.arange(len(arcs))
+    rows = np.flatnonzero(number[table.owner] >= 0)
+    return type(table)(len(arcs), number[table.owner[rows]], *(getattr(table, field.name)[rows] for field in fields(table)[2:]))
+
+
+def _appended(table: _Table, more: _Table) -> _Table:
+    owner = np.concatenate([table.owner, table.arcs + more.owner])
+    names = [field.name for field in fields(table)[2:]]
+    columns = (np.concatenate([getattr(table, name), getattr(more, name)]) for name in names)
+    return type(table)(table.arcs + more.arcs, owner, *columns)
+
+
+@dataclass(frozen=True)
+class Profiled:
+    """Arcs with the profiles across them, read once, and where they pass."""
+
+    arcs: Arcs
+    blocks: Blocks
+    """Without neighbours."""
+    path: Path
+
+    def keep(self, rows: Int[np.ndarray, " k"]) -> "Profiled":
+        """Some of the arcs, in order."""
+        return Profiled(self.arcs.keep(rows), _kept(self.blocks, rows), _kept(self.path, rows))
+
+    def with_more(self, more: "Profiled") -> "Profiled":
+        """These arcs, and others after them."""
+        return Profiled(joined([self.arcs, more.arcs]), _appended(self.blocks, more.blocks), _appended(self.path, more.path))
+
+    def crossed(self, model: CameraModel, rows: Int[np.ndarray, " k"]) -> Blocks:
+        """The blocks of some of the arcs, and where all others cross them."""
+        blocks, path = _kept(self.blocks, rows), self.path
+        width, height = model.image_size
+        place, count = crossings(
+            blocks.pixel,
+            blocks.across,
+            rows[blocks.owner],
+            path.pixel,
+            path.across,
+            path.owner,
+            height,
+            width,
+            model.PERIODIC,
+            REACH_PX,
+            LEAST_COSINE,
+        )
+        return replace(blocks, place=place, count=count)
+
+
+def profiled(photo: Photo, arcs: Arcs, noise: float) -> Profiled:
+    """Profiles across arcs in a photo whose grey levels of 255 have `noise`."""
     at = samples(photo.model, arcs, 0.0)
-    closed = photo.model.PERIODIC
-    begins, length = pieces(at, np.diff(at.starts) // BLOCK_PX)
-    mean, whole = _means(photo, at, begins, length)
-    owner, middle = at.owner[begins], begins + length // 2
-    beside = samples(photo.model, arcs, BEYOND_PX)
-    width, height = photo.model.image_size
-    place, count = crossings(
-        at.pixel[middle],
-        at.across[middle],
-        owner,
-        beside.pixel,
-        beside.across,
-        beside.owner,
-        height,
-        width,
-        closed,
-        REACH_PX,
-        LEAST_COSINE,
-    )
-    return Blocks(
-        owner,
-        np.searchsorted(owner, np.arange(len(arcs) + 1)),
+    starts = pieces(at, np.diff(at.starts) // BLOCK_PX)
+    begins, length = starts[:-1], np.diff(starts)
+    unit, closed = grey_unit(photo.image), photo.model.PERIODIC
+    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, OFFSETS_PX, closed)
+    middle, count = begins + length // 2, len(begins)
+    blocks = Blocks(
+        len(arcs),
+        at.owner[begins],
         length,
         whole,
         np.add.reduceat(at.angle, begins) / length,
         np.add.reduceat(at.rate, begins) / length,
+        at.pixel[middle],
+        at.across[middle],
         mean,
-        place,
-        count,
         noise / np.sqrt(length),
+        np.zeros((count, MOST_STEPS)),
+        np.ones(count, dtype=np.int64),
     )
+    return Profiled(arcs, blocks, _path(photo.model, arcs, at))
 
 
-def _means(
-    photo: Photo, at: Samples, begins: Int[np.ndarray, " m"], length: Int[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, "m k c"], Bool[np.ndarray, " m"]]:
-    """Mean profiles of pieces, and whether all of each lies in the image."""
-    count, closed = len(begins), photo.model.PERIODIC
-    mean, whole = np.zeros((count, len(OFFSETS_PX), photo.image.shape[2])), np.zeros(count, dtype=bool)
-    for low in range(0, count, _PIECES):
-        part = slice(low, low + _PIECES)
-        first, last = begins[low], begins[part][-1] + length[part][-1]
-        pixel, across = at.pixel[first:last], at.across[first:last]
-        grey, imaged = sharp_profiles(photo.image, grey_unit(photo.image), pixel, across, OFFSETS_PX, closed)
-        mean[part] = np.add.reduceat(grey, begins[part] - first, axis=0) / length[part, None, None]
-        whole[part] = np.minimum.reduceat((imaged & at.valid[first:last]).astype(np.int8), begins[part] - first) > 0
-    return mean, whole
+def _path(model: CameraModel, arcs: Arcs, at: Samples) -> Path:
+    """The samples, and as many pixels beyond either end at the same steps."""
+    number = np.arange(1, BEYOND_PX + 1)
+    first, last = at.starts[:-1], at.starts[1:] - 1
+    before = at.angle[first, None] - number * (at.angle[first + 1] - at.angle[first])[:, None]
+    after = at.angle[last, None] + number * (at.angle[last] - at.angle[last - 1])[:, None]
+    owner = np.repeat(np.arange(len(arcs)), 2 * BEYOND_PX)
+    pixel, across, _, _ = across_px(model, arcs, owner, np.concatenate([before, after], 1).ravel())
+    if model.PERIODIC:
+        pixel[:, 0] = np.mod(pixel[:, 0] + 0.5, model.image_size[0]) - 0.5
+    names = (np.concatenate(pair) for pair in ((at.owner, owner), (at.pixel, pixel), (at.across, across)))
+    return Path(len(arcs), *names)
 
 
 def fit_places(
@@ -125,14 +185,9 @@ def fit_places(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """`fit_steps` of the profiles of blocks in a window of `taper_px`, the standard deviation of its weights."""
     weight = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
-    near = weight >= LEAST_WEIGHT
-    return fit_steps(
-        np.ascontiguousarray(blocks.profile[:, near]),
-        OFFSETS_PX[near],
-        weight[near],
-        start,
-        blocks.count,
-        STIFF_PX,
-        blocks.sigma,
-        np.full(len(blocks.owner), blur_px),
-    )
+    near = np.flatnonzero(weight >= LEAST_WEIGHT)
+    # Rounded up to whole lanes by values of no weight.
+    missing = -len(near) % _LANES
+    profile = np.ascontiguousarray(np.pad(blocks.profile[:, :, near[0] : near[-1] + 1], ((0, 0), (0, 0), (0, missing))))
+    offsets, weight = (np.pad(values[near], (0, missing)) for values in (OFFSETS_PX, weight))
+    return fit_steps(profile, offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px)

@@ -30,7 +30,7 @@ def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: boo
     count = len(cells)
     best = np.full((count, 2), -1, dtype=np.int32)
     for k in range(count):
-        costs = np.full(2, np.inf)
+        costs = (np.inf, np.inf)
         u, v, x, y = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
         for i in range(max(cells[k, 0] - REACH, 0), min(cells[k, 0] + REACH + 1, height)):
             for column in range(cells[k, 1] - REACH, cells[k, 1] + REACH + 1):
@@ -48,11 +48,13 @@ def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: boo
                 along, across = x * dv - y * du, abs(x * du + y * dv)
                 if abs(along) < 0.3 or across > 0.75 * abs(along):
                     continue
-                side = 1 if along > 0 else 0
                 cost = abs(along) + 2.0 * across
-                if cost < costs[side]:
-                    costs[side] = cost
-                    best[k, side] = other
+                if along > 0 and cost < costs[1]:
+                    costs = (costs[0], cost)
+                    best[k, 1] = other
+                elif along <= 0 and cost < costs[0]:
+                    costs = (cost, costs[1])
+                    best[k, 0] = other
     mutual = np.full((count, 2), -1, dtype=np.int32)
     for k in range(count):
         for side in range(2):
@@ -92,43 +94,59 @@ def chains(link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _begin_frame(a: np.ndarray, b: np.ndarray, frame: np.ndarray) -> bool:
+    """Fill the frame (rows n, e1, e2) with the unit normal of bearings a and b, a, and n x a; false where they are parallel."""
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 1e-12:
+        return False
+    x, y, z = x / length, y / length, z / length
+    frame[0, 0], frame[0, 1], frame[0, 2] = x, y, z
+    frame[1, 0], frame[1, 1], frame[1, 2] = a[0], a[1], a[2]
+    frame[2, 0], frame[2, 1], frame[2, 2] = y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]
+    return True
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _distance_px(bearing: np.ndarray, across: np.ndarray, normal: np.ndarray) -> float:
-    """Of an edge point from a circle along its gradient: 0 = (bearing + distance across) . normal. Infinite where the gradient
+def _distance_px(k: int, bearings: np.ndarray, acrosses: np.ndarray, normal: np.ndarray) -> float:
+    """Of edge point k from a circle along its gradient: 0 = (bearing + distance across) . normal. Infinite where the gradient
     nearly runs along the circle."""
-    by_px = across[0] * normal[0] + across[1] * normal[1] + across[2] * normal[2]
-    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
-    if abs(by_px) < 0.5 * length:
+    x, y, z = acrosses[k, 0], acrosses[k, 1], acrosses[k, 2]
+    by_px = x * normal[0] + y * normal[1] + z * normal[2]
+    if 4.0 * by_px * by_px < x * x + y * y + z * z:
         return np.inf
-    return (bearing[0] * normal[0] + bearing[1] * normal[1] + bearing[2] * normal[2]) / by_px
+    return (bearings[k, 0] * normal[0] + bearings[k, 1] * normal[1] + bearings[k, 2] * normal[2]) / by_px
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _add(sums: np.ndarray, frame: np.ndarray, bearing: np.ndarray, across: np.ndarray) -> None:
-    """Of the least squares over a, b of (bearing . (n + a e1 + b e2) / pace)^2, with frame = (n, e1, e2)."""
-    pace2 = across[0] ** 2 + across[1] ** 2 + across[2] ** 2
-    r, x, y = frame[0] @ bearing, frame[1] @ bearing, frame[2] @ bearing
-    sums[0] += x * x / pace2
-    sums[1] += x * y / pace2
-    sums[2] += y * y / pace2
-    sums[3] += x * r / pace2
-    sums[4] += y * r / pace2
+def _add(sums: np.ndarray, frame: np.ndarray, k: int, bearings: np.ndarray, acrosses: np.ndarray) -> None:
+    """Of the least squares over a, b of (bearing . (n + a e1 + b e2) / pace)^2, with frame = (n, e1, e2), edge point k."""
+    weight = 1.0 / (acrosses[k, 0] ** 2 + acrosses[k, 1] ** 2 + acrosses[k, 2] ** 2)
+    u, v, w = bearings[k, 0], bearings[k, 1], bearings[k, 2]
+    r = frame[0, 0] * u + frame[0, 1] * v + frame[0, 2] * w
+    x = frame[1, 0] * u + frame[1, 1] * v + frame[1, 2] * w
+    y = frame[2, 0] * u + frame[2, 1] * v + frame[2, 2] * w
+    sums[0] += x * x * weight
+    sums[1] += x * y * weight
+    sums[2] += y * y * weight
+    sums[3] += x * r * weight
+    sums[4] += y * r * weight
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _solved(sums: np.ndarray, frame: np.ndarray) -> np.ndarray:
+def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
+    """Their solution, as a unit normal."""
     determinant = sums[0] * sums[2] - sums[1] * sums[1]
     a = (-sums[3] * sums[2] + sums[4] * sums[1]) / determinant
     b = (-sums[4] * sums[0] + sums[3] * sums[1]) / determinant
-    normal = frame[0] + a * frame[1] + b * frame[2]
-    return normal / math.sqrt(normal @ normal)
+    for c in range(3):
+        normal[c] = frame[0, c] + a * frame[1, c] + b * frame[2, c]
+    length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    for c in range(3):
+        normal[c] /= length
 
 
 @njit(cache=True, nogil=True)
@@ -151,36 +169,34 @@ def circles(
     room = 1024
     normals, ends, information = np.empty((room, 3)), np.empty((room, 2, 3)), np.empty((room, 3, 3))
     count = 0
-    frame, sums = np.empty((3, 3)), np.empty(5)
+    frame, sums, normal = np.empty((3, 3)), np.empty(5), np.empty(3)
     for chain in range(len(starts) - 1):
         begin, stop = starts[chain], starts[chain + 1]
         while begin + least <= stop:
-            first, last = bearings[order[begin]], bearings[order[begin + least - 1]]
-            normal = _cross(first, last)
-            length = math.sqrt(normal @ normal)
-            if length < 1e-12:
+            if not _begin_frame(bearings[order[begin]], bearings[order[begin + least - 1]], frame):
                 begin += 1
                 continue
-            frame[0] = normal / length
-            frame[1] = first
-            frame[2] = _cross(frame[0], first)
             sums[:] = 0.0
             for k in range(begin, begin + least):
-                _add(sums, frame, bearings[order[k]], acrosses[order[k]])
-            normal = _solved(sums, frame)
+                _add(sums, frame, order[k], bearings, acrosses)
+            _solve(sums, frame, normal)
             worst = 0.0
             for k in range(begin, begin + least):
-                worst = max(worst, abs(_distance_px(bearings[order[k]], acrosses[order[k]], normal)))
+                worst = max(worst, abs(_distance_px(order[k], bearings, acrosses, normal)))
             if worst > 0.8 * within_px:
                 begin += 1
                 continue
             end, missed = begin + least - 1, 0
             for k in range(begin + least, stop):
-                if bearings[order[k]] @ first < LEAST_COSINE_ALONG:
+                j = order[k]
+                if (
+                    frame[1, 0] * bearings[j, 0] + frame[1, 1] * bearings[j, 1] + frame[1, 2] * bearings[j, 2]
+                    < LEAST_COSINE_ALONG
+                ):
                     break
-                if abs(_distance_px(bearings[order[k]], acrosses[order[k]], normal)) <= within_px:
-                    _add(sums, frame, bearings[order[k]], acrosses[order[k]])
-                    normal = _solved(sums, frame)
+                if abs(_distance_px(order[k], bearings, acrosses, normal)) <= within_px:
+                    _add(sums, frame, j, bearings, acrosses)
+                    _solve(sums, frame, normal)
                     end, missed = k, 0
                 else:
                     missed += 1
@@ -190,14 +206,14 @@ def circles(
                 room *= 2
                 normals, ends, information = _grown(normals, room), _grown(ends, room), _grown(information, room)
             normals[count] = normal
-            ends[count, 0], ends[count, 1] = first, bearings[order[end]]
+            ends[count, 0], ends[count, 1] = frame[1], bearings[order[end]]
             information[count] = 0.0
             for k in range(begin, end + 1):
-                b, a = bearings[order[k]], acrosses[order[k]]
-                weight = 1.0 / ((a @ a) * NOISE_PX * NOISE_PX)
+                j = order[k]
+                weight = 1.0 / ((acrosses[j, 0] ** 2 + acrosses[j, 1] ** 2 + acrosses[j, 2] ** 2) * NOISE_PX * NOISE_PX)
                 for p in range(3):
                     for q in range(3):
-                        information[count, p, q] += weight * b[p] * b[q]
+                        information[count, p, q] += weight * bearings[j, p] * bearings[j, q]
             count += 1
             begin = end + 1
     return normals[:count].copy(), ends[:count].copy(), information[:count].copy()

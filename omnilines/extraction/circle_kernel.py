@@ -29,13 +29,31 @@ def _chosen(begin: int, end: int, shift: np.ndarray, usable: np.ndarray, most_sh
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _leftover(chosen: np.ndarray, angle: np.ndarray, rate: np.ndarray, shift: np.ndarray, a: float, b: float) -> np.ndarray:
-    """Residuals of the chosen samples about the circle changed by (a, b)."""
-    left = np.empty(len(chosen))
-    for i in range(len(chosen)):
-        n = chosen[i]
-        left[i] = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
-    return left
+def _leftover(way: np.ndarray, shift: np.ndarray, a: float, b: float, left: np.ndarray) -> None:
+    """Residuals of shifts about the circle changed by (a, b), for the way (n, 2) that a point goes with either."""
+    for i in range(len(shift)):
+        left[i] = shift[i] - a * way[i, 0] - b * way[i, 1]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _normal_matrix(
+    way: np.ndarray, shift: np.ndarray, share: np.ndarray, a: float, b: float, scale: float, weight: np.ndarray
+) -> tuple[float, float, float, float, float]:
+    """Matrix (m00, m01, m11) and right side of the least squares for (a, b). Their weights are the shares times Tukey's of the
+    residuals about the circle changed by (a, b) as they are."""
+    m00, m01, m11, r0, r1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(shift)):
+        x, y = way[i, 0], way[i, 1]
+        ratio = (shift[i] - a * x - b * y) / (4.7 * scale)
+        w = (1.0 - ratio * ratio) ** 2 * share[i] if abs(ratio) < 1.0 else 0.0
+        weight[i] = w
+        m00 += w * x * x
+        m01 += w * x * y
+        m11 += w * y * y
+        r0 += w * x * shift[i]
+        r1 += w * y * shift[i]
+    return m00, m01, m11, r0, r1
 
 
 @njit(cache=True, nogil=True)
@@ -59,53 +77,39 @@ def fit_circles(
     change, inverse, variance = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2)), np.zeros(arcs)
     used = np.zeros(arcs)
     residual = np.full(len(angle), np.nan)
-    weight = np.zeros(len(angle))
     for arc in range(arcs):
-        begin, end = starts[arc], starts[arc + 1]
-        chosen = _chosen(begin, end, shift, usable, most_shift_px)
+        chosen = _chosen(starts[arc], starts[arc + 1], shift, usable, most_shift_px)
         count = len(chosen)
         if count < 3:
             continue
-        typical = np.median(strength[chosen])
-        a, b = 0.0, 0.0
-        scale = 1e9
+        share, off = strength[chosen], shift[chosen]
+        share /= share + np.median(share)
+        way, left, weight = np.empty((count, 2)), np.empty(count), np.empty(count)
+        for i in range(count):
+            n = chosen[i]
+            way[i, 0], way[i, 1] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
+        a, b, scale = 0.0, 0.0, 1e9
         m00, m01, m11 = 0.0, 0.0, 0.0
         for _ in range(ROUNDS):
-            m00, m01, m11, r0, r1 = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(count):
-                n = chosen[i]
-                x, y = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
-                r = shift[n] - a * x - b * y
-                ratio = r / (4.7 * scale)
-                w = 0.0
-                if abs(ratio) < 1.0:
-                    w = (1.0 - ratio * ratio) ** 2 * strength[n] / (strength[n] + typical)
-                weight[n] = w
-                m00 += w * x * x
-                m01 += w * x * y
-                m11 += w * y * y
-                r0 += w * x * shift[n]
-                r1 += w * y * shift[n]
+            m00, m01, m11, r0, r1 = _normal_matrix(way, off, share, a, b, scale, weight)
             determinant = m00 * m11 - m01 * m01
             if determinant <= 1e-12 * m00 * m11:
                 break
             a, b = (m11 * r0 - m01 * r1) / determinant, (m00 * r1 - m01 * r0) / determinant
-            distances = np.abs(_leftover(chosen, angle, rate, shift, a, b))
-            scale = max(1.4826 * np.median(distances), LEAST_SCALE_PX)
+            _leftover(way, off, a, b, left)
+            scale = max(1.4826 * np.median(np.abs(left)), LEAST_SCALE_PX)
         determinant = m00 * m11 - m01 * m01
         if determinant <= 1e-12 * m00 * m11:
             continue
         change[arc, 0], change[arc, 1] = a, b
         inverse[arc, 0, 0], inverse[arc, 1, 1] = m11 / determinant, m00 / determinant
         inverse[arc, 0, 1] = inverse[arc, 1, 0] = -m01 / determinant
-        left = _leftover(chosen, angle, rate, shift, a, b)
         total, squares, kept = 0.0, 0.0, 0
         for i in range(count):
-            n, r = chosen[i], left[i]
-            residual[n] = r
-            if weight[n] > 0.0:
-                total += weight[n]
-                squares += weight[n] * weight[n] * r * r
+            residual[chosen[i]] = left[i]
+            if weight[i] > 0.0:
+                total += weight[i]
+                squares += (weight[i] * left[i]) ** 2
                 kept += 1
         # Sum of w^2 r^2 over sum of w: the variance that the inverse of sum w x x' is to be multiplied by, for residuals
         # whose variance is not 1 / w.

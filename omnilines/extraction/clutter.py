@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnilines.extraction.arcs import samples
 from omnilines.extraction.blocks import pieces
+from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.profile_kernel import profiles
+from omnilines.extraction.profile_kernel import piece_means, profiles
 from omnilines.extraction.refit import Photo, Refitted
 
 STRONG_GREY = 16.0
@@ -41,8 +41,9 @@ def stands_out(photo: Photo, fitted: Refitted) -> Bool[np.ndarray, " n"]:
     # Where the image is stretched along the arc, as at the poles of a panorama, its pixels tell less.
     rate = np.bincount(at.owner, at.rate, len(arcs)) / each
     length_px = np.minimum(fitted.length_px, (arcs.high - arcs.low) * rate)
-    begins, length = pieces(at, np.minimum(length_px, each).astype(np.int64) // BLOCK_PX)
-    mean = np.add.reduceat(grey, begins, axis=0).astype(np.float64) / length[:, None, None]
+    starts = pieces(at, np.minimum(length_px, each).astype(np.int64) // BLOCK_PX)
+    begins, length = starts[:-1], np.diff(starts)
+    mean = piece_means(grey, starts)
     owner = at.owner[begins]
     count = np.bincount(owner, length, len(arcs))
 
@@ -56,8 +57,8 @@ def stands_out(photo: Photo, fitted: Refitted) -> Bool[np.ndarray, " n"]:
     return (here >= STRONG_GREY) | (evident & alone)
 
 
-def _step(mean: Float[np.ndarray, "m k c"], moved: int) -> Float[np.ndarray, " m"]:
+def _step(mean: Float[np.ndarray, "m c k"], moved: int) -> Float[np.ndarray, " m"]:
     """Squared difference in colour between the two pixels on either side of the arc moved across."""
     k = moved + len(_OFFSETS_PX) // 2
-    step = 0.5 * (mean[:, k + 1] + mean[:, k + 2] - mean[:, k - 1] - mean[:, k - 2])
+    step = 0.5 * (mean[..., k + 1] + mean[..., k + 2] - mean[..., k - 1] - mean[..., k - 2])
     return (step**2).sum(-1)

@@ -9,36 +9,45 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.profile_kernel import REORDERED
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def add_products(by_u: np.ndarray, by_v: np.ndarray, tensor: np.ndarray) -> None:
+    """Add those of the derivatives (h, w) of one channel to J = sum over channels of grad grad', as (uu, uv, vv) (3, h, w)."""
+    height, width = by_u.shape
+    for i in range(height):
+        for j in range(width):
+            tensor[0, i, j] += by_u[i, j] * by_u[i, j]
+            tensor[1, i, j] += by_u[i, j] * by_v[i, j]
+            tensor[2, i, j] += by_v[i, j] * by_v[i, j]
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def strengths(tensor: np.ndarray, strength: np.ndarray) -> None:
+    """The steepest change of colour: the square root of the largest eigenvalue of J (S. Di Zenzo 1986, A note on the gradient of
+    a multi-image)."""
+    height, width = strength.shape
+    for i in range(height):
+        for j in range(width):
+            half = np.float32(0.5) * (tensor[0, i, j] - tensor[2, i, j])
+            root = np.sqrt(half * half + tensor[1, i, j] * tensor[1, i, j])
+            strength[i, j] = np.sqrt(np.float32(0.5) * (tensor[0, i, j] + tensor[2, i, j]) + root)
+
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def colour_gradient(by_u: np.ndarray, by_v: np.ndarray, strength: np.ndarray, direction: np.ndarray) -> None:
-    """Strength and direction of the steepest change of colour, from the derivatives (h, w, c) of its channels.
-
-    They are the square root of the largest eigenvalue of J = sum over channels of grad grad' and its eigenvector (S. Di Zenzo
-    1986, A note on the gradient of a multi-image). The direction (h, w, 2) has no sign: it is one of two.
-    """
-    height, width, channels = by_u.shape
-    for i in range(height):
-        for j in range(width):
-            uu, uv, vv = 0.0, 0.0, 0.0
-            for c in range(channels):
-                gu, gv = by_u[i, j, c], by_v[i, j, c]
-                uu += gu * gu
-                uv += gu * gv
-                vv += gv * gv
-            half = 0.5 * (uu - vv)
-            root = math.sqrt(half * half + uv * uv)
-            strength[i, j] = math.sqrt(0.5 * (uu + vv) + root)
-            # The eigenvector, from whichever of its two forms does not cancel.
-            x, y = (half + root, uv) if half >= 0 else (uv, root - half)
-            length = math.sqrt(x * x + y * y)
-            if length > 0.0:
-                direction[i, j, 0] = x / length
-                direction[i, j, 1] = y / length
-            else:
-                direction[i, j, 0] = 1.0
-                direction[i, j, 1] = 0.0
+def _direction(tensor: np.ndarray, i: int, j: int) -> tuple[float, float]:
+    """Of the steepest change, one of two: the eigenvector of J, from whichever of its two forms does not cancel."""
+    half, uv = 0.5 * (tensor[0, i, j] - tensor[2, i, j]), tensor[1, i, j]
+    root = math.sqrt(half * half + uv * uv)
+    x, y = (half + root, uv) if half >= 0 else (uv, root - half)
+    length = math.sqrt(x * x + y * y)
+    if length > 0.0:
+        return x / length, y / length
+    return 1.0, 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -54,7 +63,7 @@ def _at(image: np.ndarray, u: float, v: float) -> float:
 @njit(cache=True, nogil=True)
 @no_type_check
 def ridge_points(
-    strength: np.ndarray, direction: np.ndarray, allowed: np.ndarray, threshold: float, first: int, last: int
+    strength: np.ndarray, tensor: np.ndarray, allowed: np.ndarray, threshold: float, first: int, last: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (row, column) in rows `first` to `last` whose strength is at least the threshold and largest across the edge, and
     their points (u, v, direction u, direction v): the top of a parabola through the strength there and a pixel to either side.
@@ -68,7 +77,7 @@ def ridge_points(
             here = strength[i, j]
             if here < threshold or not allowed[i, j]:
                 continue
-            x, y = direction[i, j, 0], direction[i, j, 1]
+            x, y = _direction(tensor, i, j)
             before, after = _at(strength, j - x, i - y), _at(strength, j + x, i + y)
             if here <= before or here < after:
                 continue
@@ -85,3 +94,25 @@ def ridge_points(
             points[count, 2], points[count, 3] = x, y
             count += 1
     return cells[:count].copy(), points[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def second_differences(image: np.ndarray, allowed: np.ndarray, tops: np.ndarray, rows: int, counts: np.ndarray) -> None:
+    """Count the values of |the mask (1 -2 1)' (1 -2 1)| on the first channel of an image at pixels allowed, in bands of `rows`
+    rows from `tops` on; pixels beyond a band are mirrored at its border pixels."""
+    height, width = image.shape[:2]
+    for top in tops:
+        last = min(top + rows, height) - 1
+        for i in range(top, last + 1):
+            above = min(i + 1, last) if i == top else i - 1
+            below = max(i - 1, top) if i == last else i + 1
+            for j in range(width):
+                if not allowed[i, j]:
+                    continue
+                left = min(j + 1, width - 1) if j == 0 else j - 1
+                right = max(j - 1, 0) if j == width - 1 else j + 1
+                value = np.int64(0)
+                for row, share in ((above, 1), (i, -2), (below, 1)):
+                    value += share * (np.int64(image[row, left, 0]) + image[row, right, 0] - 2 * np.int64(image[row, j, 0]))
+                counts[abs(value)] += 1

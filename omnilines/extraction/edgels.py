@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Float32, Int32, UInt
 
 from camera_models import CameraModel
-from omnilines.extraction.edgel_kernel import colour_gradient, ridge_points
+from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.edgel_kernel import add_products, ridge_points, second_differences, strengths
 
 SMOOTHING_PX = 0.6
 """Standard deviation of the Gaussian before differences are taken."""
@@ -23,8 +23,6 @@ LEAST_STRENGTH = 1.2
 _BAND_ROWS = 256
 _MARGIN = 8
 _NOISE_ROWS = 64
-_POINTS = 400_000
-"""Bearings worked out at a time."""
 
 
 @dataclass(frozen=True)
@@ -57,75 +55,81 @@ def grey_unit(image: UInt[np.ndarray, "h w *channels"]) -> float:
 
 def noise_level(image: UInt[np.ndarray, "h w *channels"], allowed: Bool[np.ndarray, "h w"]) -> float:
     """Standard deviation of the noise in a channel, in grey levels of 255: the median of what a mask blind to planes leaves
-    (J. Immerkaer 1996, Fast noise variance estimation), over bands of rows spread over the image."""
-    height = image.shape[0]
-    kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0
-    kept = []
-    for top in np.unique(np.linspace(0, max(height - _NOISE_ROWS, 0), 8).astype(int)):
-        band = slice(int(top), int(top) + _NOISE_ROWS)
-        left = np.abs(cv2.filter2D(image[band].astype(np.float32), -1, kernel))
-        kept.append(left[allowed[band]].ravel()[::3])
-    values = np.concatenate(kept)
-    return float(np.median(values)) / 0.6745 / grey_unit(image) if len(values) else 0.0
+    (J. Immerkaer 1996, Fast noise variance estimation), in the first channel, over bands of rows spread over the image."""
+    height, width = image.shape[:2]
+    tops = np.unique(np.linspace(0, max(height - _NOISE_ROWS, 0), 8).astype(int))
+    counts = np.zeros(16 * np.iinfo(image.dtype).max + 1, dtype=np.int64)
+    second_differences(image.reshape(height, width, -1), allowed, tops, _NOISE_ROWS, counts)
+    below = np.cumsum(counts)
+    if below[-1] == 0:
+        return 0.0
+    middle = np.searchsorted(below, [(below[-1] + 1) // 2, below[-1] // 2 + 1])
+    # The mask leaves noise six times as large as it is.
+    return float(middle.mean()) / 6.0 / 0.6745 / grey_unit(image)
 
 
-def _derivatives(band: Float32[np.ndarray, "h w c"]) -> tuple[Float32[np.ndarray, "h w c"], Float32[np.ndarray, "h w c"]]:
-    """Along u and v, per pixel (Scharr's masks on the smoothed image)."""
-    smooth = cv2.GaussianBlur(band, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
-    by = [cv2.Scharr(smooth, cv2.CV_32F, *order, scale=1 / 32) for order in ((1, 0), (0, 1))]
-    return by[0].reshape(band.shape), by[1].reshape(band.shape)
+def _derivatives(plane: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Along u and v, per pixel (Scharr's masks on the smoothed channel)."""
+    smooth = cv2.GaussianBlur(plane, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
+    return cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
 
 
 def derivative_sigma() -> float:
     """Standard deviation of a derivative in white noise of 1."""
-    impulse = np.zeros((21, 21, 1), dtype=np.float32)
+    impulse = np.zeros((21, 21), dtype=np.float32)
     impulse[10, 10] = 1.0
     return float(np.sqrt(np.square(_derivatives(impulse)[0].astype(np.float64)).sum()))
 
 
-def find_edgels(image: UInt[np.ndarray, "h w *channels"], model: CameraModel, allowed: Bool[np.ndarray, "h w"]) -> Edgels:
-    """The edge points of the pixels allowed that the camera model sees, found in bands of rows one after another.
+def find_points(
+    image: UInt[np.ndarray, "h w *channels"], closed: bool, allowed: Bool[np.ndarray, "h w"], noise: float
+) -> tuple[Int32[np.ndarray, "n 2"], Float32[np.ndarray, "n 4"]]:
+    """`cells` and `points` of the edge points at the pixels allowed, found in bands of rows one after another.
 
-    Where the model is PERIODIC the image goes on around its seam.
+    `noise` is the standard deviation of the grey levels of 255; `closed`: the image goes on around its seam.
     """
     height, width = image.shape[:2]
-    unit = grey_unit(image)
-    threshold = max(LEAST_STRENGTH, LEAST_SIGMAS * derivative_sigma() * noise_level(image, allowed))
-    side = _MARGIN if model.PERIODIC else 0
+    image = image.reshape(height, width, -1)
+    threshold = max(LEAST_STRENGTH, LEAST_SIGMAS * derivative_sigma() * noise)
+    side = _MARGIN if closed else 0
     cells, points = [], []
     for top in range(0, height, _BAND_ROWS):
         low, high = max(top - _MARGIN, 0), min(top + _BAND_ROWS + _MARGIN, height)
-        band = _around(image[low:high], side).astype(np.float32) / np.float32(unit)
-        by_u, by_v = _derivatives(band.reshape(*band.shape[:2], -1))
-        strength, direction = np.empty(band.shape[:2], np.float32), np.empty((*band.shape[:2], 2), np.float32)
-        colour_gradient(by_u, by_v, strength, direction)
+        band = _around(image[low:high], side)
+        tensor = np.zeros((3, *band.shape[:2]), dtype=np.float32)
+        for channel in range(band.shape[2]):
+            plane = band[..., channel].astype(np.float32) / np.float32(grey_unit(image))
+            add_products(*_derivatives(plane), tensor)
+        strength = np.empty(band.shape[:2], dtype=np.float32)
+        strengths(tensor, strength)
         last = min(_BAND_ROWS, height - top) + top - low
-        cell, point = ridge_points(strength, direction, _around(allowed[low:high], side), threshold, top - low, last)
+        cell, point = ridge_points(strength, tensor, _around(allowed[low:high], side), threshold, top - low, last)
         cell += np.array([low, -side], dtype=np.int32)
         point[:, :2] += np.array([-side, low], dtype=np.float32)
         own = (cell[:, 1] >= 0) & (cell[:, 1] < width)
         cells.append(cell[own])
         points.append(point[own])
-    return _seen(model, np.concatenate(cells), np.concatenate(points))
+    return np.concatenate(cells), np.concatenate(points)
 
 
 def _around(rows: np.ndarray, side: int) -> np.ndarray:
     return np.concatenate([rows[:, -side:], rows, rows[:, :side]], 1) if side else rows
 
 
-def _seen(model: CameraModel, cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
-    bearings, acrosses = np.empty((len(cells), 3)), np.empty((len(cells), 3))
-    seen = np.zeros(len(cells), dtype=bool)
-    for start in range(0, len(cells), _POINTS):
-        part = slice(start, start + _POINTS)
-        place, across = points[part, :2].astype(np.float64), points[part, 2:].astype(np.float64)
-        with torch.no_grad():
-            rays, valid = model.unproject(np.stack([place - 0.5 * across, place + 0.5 * across]))
-        middle = rays.sum(0)
-        bearings[part] = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-12)
-        acrosses[part] = rays[1] - rays[0]
-        seen[part] = valid.all(0) & (np.linalg.norm(acrosses[part], axis=-1) > 0)
+def seen_edgels(model: CameraModel, cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
+    """The edge points that the camera model sees, with their bearings."""
+    place, half = points[:, :2].astype(np.float64), 0.5 * points[:, 2:].astype(np.float64)
+    (before, seen), (after, also) = bearings_at(model, place - half), bearings_at(model, place + half)
+    acrosses, bearings = after - before, before + after
+    bearings /= np.maximum(_length(bearings), 1e-12)[:, None]
+    seen &= also & (_length(acrosses) > 0)
+    if seen.all():
+        return _numbered(model.image_size, cells, points, bearings, acrosses)
     return _numbered(model.image_size, cells[seen], points[seen], bearings[seen], acrosses[seen])
+
+
+def _length(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
 def _numbered(

@@ -14,14 +14,15 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
+from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.chain_kernel import chains, circles, links
 from omnilines.extraction.clutter import stands_out
-from omnilines.extraction.edgels import find_edgels, noise_level
+from omnilines.extraction.edgels import find_points, noise_level, seen_edgels
 from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
 from omnilines.extraction.merging import duplicates, merged
 from omnilines.extraction.neighbours import fit_together, photo_blur
-from omnilines.extraction.refit import Photo, Refitted, joined, refit
+from omnilines.extraction.refit import Photo, Refitted, refit
 
 LEAST_PX = 25.0
 """Shorter arcs are not given back, unless they are asked for."""
@@ -87,11 +88,15 @@ def extract_arcs(
                 f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
                 f"{size[0]}x{size[1]} px; give the one that the calibration is of."
             )
+    image = np.ascontiguousarray(image)
     circle = image_circle(image, model)
     allowed = usable_pixels((height, width), circle, mask)
-    edgels = find_edgels(image, model, allowed)
+    noise = noise_level(image, allowed)
+    cells, points = find_points(image, model.PERIODIC, allowed, noise)
     if circle is not None:
-        edgels = edgels.keep(~follows_rim(image, circle, edgels.points.astype(np.float64)))
+        scene = ~follows_rim(image, circle, points.astype(np.float64))
+        cells, points = cells[scene], points[scene]
+    edgels = seen_edgels(model, cells, points)
     if least_angle_rad > 0.0:
         axis = model.unproject(model.centre_px.detach().numpy())[0]
         edgels = edgels.keep(edgels.bearings @ axis < np.cos(least_angle_rad))
@@ -104,15 +109,15 @@ def extract_arcs(
         fitted = refit(photo, arcs, BEYOND_PX)
         good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
         arcs = merged(photo, fitted.arcs.keep(good), fitted.length_px[good])
-    noise = max(noise_level(image, allowed), LEAST_NOISE)
-    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX), noise, least_px)
+    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX), max(noise, LEAST_NOISE), least_px)
 
 
 def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> ExtractedArcs:
     kept = (fitted.length_px >= least_px) & (fitted.support >= LEAST_SUPPORT) & stands_out(photo, fitted)
     arcs = fitted.arcs.keep(kept)
-    blur_px = photo_blur(photo, arcs, fitted.contrast[kept], noise)
-    arcs = fit_together(photo, _with_hidden(photo, arcs, blur_px, noise), blur_px, noise)
+    known = profiled(photo, arcs, noise)
+    blur_px = photo_blur(photo.model, known, fitted.contrast[kept])
+    arcs = fit_together(photo.model, _with_hidden(photo, known, blur_px, noise), blur_px)
     length_px = lengths_px(photo.model, arcs)
     single = ~duplicates(photo, arcs, length_px, np.arange(len(arcs)), _SAME_PX) & (length_px >= least_px)
     order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
@@ -121,25 +126,25 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> 
     return ExtractedArcs(arcs, ends, covariance, length_px[order])
 
 
-def _with_hidden(photo: Photo, arcs: Arcs, blur_px: float, noise: float) -> Arcs:
+def _with_hidden(photo: Photo, known: Profiled, blur_px: float, noise: float) -> Profiled:
     """The arcs and those that only the profiles of their neighbours show; again beside what was found."""
-    rows = np.arange(len(arcs))
+    rows = np.arange(len(known.arcs))
     for _ in range(HIDDEN_ROUNDS):
         if not len(rows):
             break
-        hidden = hidden_arcs(photo, arcs, rows, blur_px, noise)
+        hidden = hidden_arcs(photo.model, known, rows, blur_px, noise)
         if not len(hidden.arcs):
             break
-        known = len(arcs)
-        arcs = joined([arcs, hidden.arcs])
+        before = len(known.arcs)
+        known = known.with_more(profiled(photo, hidden.arcs, noise))
+        number = np.arange(len(known.arcs))
         # What is known already stays: it counts as the longer one.
-        rank = lengths_px(photo.model, arcs) + np.where(np.arange(len(arcs)) < known, 1e6, 0.0)
-        kin = np.maximum(np.arange(len(arcs)) - known, -1)
-        single = ~duplicates(photo, arcs, rank, kin, _SAME_PX)
-        again = np.zeros(len(arcs), dtype=bool)
-        again[known:], again[hidden.beside] = True, True
-        arcs, rows = arcs.keep(single), np.flatnonzero(again[single])
-    return arcs
+        rank = lengths_px(photo.model, known.arcs) + np.where(number < before, 1e6, 0.0)
+        single = np.flatnonzero(~duplicates(photo, known.arcs, rank, np.maximum(number - before, -1), _SAME_PX))
+        again = np.zeros(len(known.arcs), dtype=bool)
+        again[before:], again[hidden.beside] = True, True
+        known, rows = known.keep(single), np.flatnonzero(again[single])
+    return known
 
 
 def _end_points(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2 2 2"]]:

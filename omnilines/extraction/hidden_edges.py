@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import OFFSETS_PX, Blocks, blocks_along, fit_places
+from omnilines.extraction.blocks import OFFSETS_PX, Blocks, Profiled, fit_places
 from omnilines.extraction.circle_kernel import fit_circles
 from omnilines.extraction.hidden_kernel import one_more_step
 from omnilines.extraction.neighbours import FLOOR_PX, SCATTER_PX, WIDE_TAPER_PX
-from omnilines.extraction.refit import Photo, floor_covariance, moved
+from omnilines.extraction.refit import floor_covariance, moved
 from omnilines.extraction.step_kernel import MOST_STEPS
 
 CANDIDATES_PX = np.arange(-8, 9) * 0.5
@@ -41,11 +42,10 @@ class Hidden:
     """The arc that each was found beside."""
 
 
-def hidden_arcs(photo: Photo, arcs: Arcs, rows: Int[np.ndarray, " k"], blur_px: float, noise: float) -> Hidden:
+def hidden_arcs(model: CameraModel, known: Profiled, rows: Int[np.ndarray, " k"], blur_px: float, noise: float) -> Hidden:
     """Edges beside some of the arcs that one more step in their profiles shows."""
     count = len(rows)
-    whole = blocks_along(photo, arcs, noise)
-    base, blocks = arcs.keep(rows), whole.keep(rows)
+    base, blocks = known.arcs.keep(rows), known.crossed(model, rows)
     place, _, heights, _ = fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px)
     weight = np.exp(-0.25 * (OFFSETS_PX / WIDE_TAPER_PX) ** 2)
     gain, square, left = one_more_step(
@@ -56,19 +56,19 @@ def hidden_arcs(photo: Photo, arcs: Arcs, rows: Int[np.ndarray, " k"], blur_px: 
         blocks.count,
         blocks.starts,
         blocks.whole,
-        np.full(count, blur_px),
+        blur_px,
         CANDIDATES_PX,
         LEAST_APART_PX,
     )
     best = gain.argmax(-1)
     row = np.arange(count)
     height = np.sqrt(square[row, best])
-    own = np.sqrt(blocks.mean((heights[:, 0] ** 2).sum(-1), count))
+    own = np.sqrt(blocks.mean((heights[:, 0] ** 2).sum(-1)))
     tried = (gain[row, best] > LEAST_GAIN * left) & (height > np.maximum(LEAST_RATIO * own, LEAST_SIGMAS * noise))
     tried &= np.maximum.reduceat(np.append(blocks.count, 0), blocks.starts[:-1]) < MOST_STEPS if count else tried
     kept = np.flatnonzero(tried)
-    known = replace(blocks, place=place).keep(kept)
-    found, edge = _settled(base.keep(kept), known, CANDIDATES_PX[best[kept]], blur_px, noise)
+    tried_blocks = replace(blocks, place=place).keep(kept)
+    found, edge = _settled(base.keep(kept), tried_blocks, CANDIDATES_PX[best[kept]], blur_px, noise)
     return Hidden(found.keep(edge), rows[kept[edge]])
 
 
@@ -76,7 +76,6 @@ def _settled(
     arcs: Arcs, blocks: Blocks, offset: Float[np.ndarray, " n"], blur_px: float, noise: float
 ) -> tuple[Arcs, Bool[np.ndarray, " n"]]:
     """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges."""
-    count = len(arcs)
     start = np.concatenate([offset[blocks.owner, None], blocks.place[:, :-1]], -1)
     more = replace(blocks, count=blocks.count + 1)
     place, variance, heights, _ = fit_places(more, start, WIDE_TAPER_PX, blur_px)
@@ -85,11 +84,11 @@ def _settled(
     change, inverse, scatter, used, _ = fit_circles(
         blocks.starts, blocks.angle, blocks.rate, shift, weight, blocks.whole, MOST_HIDDEN_PX
     )
-    unsteady = np.sqrt(blocks.mean((shift - blocks.mean(shift, count)[blocks.owner]) ** 2, count))
+    unsteady = np.sqrt(blocks.mean((shift - blocks.mean(shift)[blocks.owner]) ** 2))
     # Averaged with its sign, so that noise does not count.
-    height = np.linalg.norm([blocks.mean(channel.copy(), count) for channel in heights[:, 0].T], axis=0)
+    height = np.linalg.norm([blocks.mean(channel.copy()) for channel in heights[:, 0].T], axis=0)
     evidence = np.diff(blocks.starts) * height / noise / (unsteady + SCATTER_PX) ** 2
-    own = np.linalg.norm([blocks.mean(channel.copy(), count) for channel in heights[:, 1].T], axis=0)
+    own = np.linalg.norm([blocks.mean(channel.copy()) for channel in heights[:, 1].T], axis=0)
     edge = (used >= LEAST_HIDDEN_BLOCKS) & (evidence > LEAST_EVIDENCE) & (height > LEAST_RATIO * own)
     edge &= (unsteady < MOST_UNSTEADY_PX) & (np.sqrt(scatter) < MOST_SCATTER_PX)
     floor = floor_covariance(arcs, blocks.owner, blocks.rate, FLOOR_PX)

@@ -1,17 +1,22 @@
 """The image circle of a lens or mirror, found in the photo: beyond it all is dark."""
 
+import functools
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.edgels import grey_unit
+from omnilines.extraction.rim_kernel import first_light
 
 RAYS = 360
 DARK_GREY = 40.0
 """Grey level of 255 that what lies outside does not exceed."""
 STEP_GREY = 6.0
 """Above what lies outside: light."""
+DARK_PX = 8
+"""From the border inwards, without light on a ray that begins in the dark."""
 SAME_SHARE = 0.01
 """Of the radius, to which rays agree."""
 LEAST_RAYS = 0.15
@@ -38,7 +43,6 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     in the dark find it on one circle (the best of random triples), that is the rim; others met a dark part of the scene.
     """
     height, width = image.shape[:2]
-    bright = image if image.ndim == 2 else image.max(-1)
     centre = model.centre_px.detach().numpy()
     if model.PERIODIC or not (0 < centre[0] < width - 1 and 0 < centre[1] < height - 1):
         return None
@@ -46,18 +50,23 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     way = np.stack([np.cos(turn), np.sin(turn)], -1)
     room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
     border = room.min(-1) - 1.0
-    depth = np.arange(int(border.max()))
-    radius = border[:, None] - depth
-    places = centre + np.maximum(radius, 0.0)[..., None] * way[:, None]
-    place = places.astype(np.float32)
-    level = cv2.remap(bright, place[..., 0], place[..., 1], cv2.INTER_NEAREST) / grey_unit(image)
-    dark = np.percentile(level[:, :4], 2)
-    light = cv2.blur((level > dark + STEP_GREY).astype(np.float32), (4, 1)) > 0.7
-    begins_dark = ~light[:, :8].any(-1) & (dark < DARK_GREY) & light.any(-1)
-    if begins_dark.mean() < LEAST_RAYS:
+    outermost = centre + np.maximum(border[:, None] - np.arange(4), 0.0)[..., None] * way[:, None]
+    dark = float(np.percentile(_brightest(image, outermost) / grey_unit(image), 2))
+    depths, threshold = int(border.max()), (dark + STEP_GREY) * grey_unit(image)
+    light = first_light(image.reshape(height, width, -1), centre, way, border, depths, threshold)
+    begins_dark = (light >= DARK_PX) & (light < depths)
+    if dark >= DARK_GREY or begins_dark.mean() < LEAST_RAYS:
         return None
-    rim = centre + (border - light.argmax(-1))[begins_dark, None] * way[begins_dark]
+    rim = centre + (border - light)[begins_dark, None] * way[begins_dark]
     return _common_circle(rim)
+
+
+def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarray, "*n 2"]) -> UInt[np.ndarray, "*n"]:
+    """The largest of the channels at the pixels nearest to places (u, v); beyond the border that of the border."""
+    column, row = (np.rint(places[..., k]).astype(np.int64) for k in (0, 1))
+    height, width = image.shape[:2]
+    grey = image.reshape(height * width, -1)[row.clip(0, height - 1) * width + column.clip(0, width - 1)]
+    return functools.reduce(np.maximum, np.moveaxis(grey, -1, 0))
 
 
 def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, float] | None:
@@ -109,9 +118,7 @@ def rim_width(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, flo
     inside = ((place >= 0) & (place <= np.array([width, height]) - 1.0)).all((0, 2))
     if not inside.any():
         return float(depth[-1])
-    column, row = np.moveaxis(np.rint(place[:, inside]).astype(np.int64), -1, 0)
-    bright = image if image.ndim == 2 else image.max(-1)
-    light = np.median(bright[row, column].astype(np.float64), axis=1)
+    light = np.median(_brightest(image, place[:, inside]).astype(np.float64), axis=1)
     full = light >= FULL_LIGHT * light[-1]
     return float(full.argmax())
 
@@ -130,10 +137,7 @@ def follows_rim(
     outwards /= distance[:, None]
     along = np.abs((outwards * points[:, 2:]).sum(-1)) > RIM_COSINE
     rows = np.flatnonzero((distance > rim) & along)
-    bright = image if image.ndim == 2 else image.max(-1)
-    places = [np.rint(points[rows, :2] + side * _BESIDE_PX * outwards[rows]).astype(np.int64) for side in (-1, 1)]
-    height, width = bright.shape
-    inner, outer = (bright[p[:, 1].clip(0, height - 1), p[:, 0].clip(0, width - 1)] for p in places)
+    inner, outer = (_brightest(image, points[rows, :2] + side * _BESIDE_PX * outwards[rows]) for side in (-1, 1))
     result = np.zeros(len(points), dtype=bool)
     result[rows] = outer < inner
     return result

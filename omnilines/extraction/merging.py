@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from omnilines.extraction.arcs import LONGEST_RAD, Arcs, Samples, across_px, inverse_2x2
+from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2
+from omnilines.extraction.curves import Samples
+from omnilines.extraction.pair_kernel import near_pairs
 from omnilines.extraction.refit import Photo, support_of
 
 NEAR_RAD = 0.08
@@ -21,7 +22,7 @@ MOST_CHI2 = 20.0
 """Of two degrees of freedom; exceeded once in 22000 pairs of one edge."""
 BLIND_PX = 5.0
 """A gap that is crossed without support."""
-MOST_GAP_PX = 60.0
+MOST_GAP_PX, MOST_GAP_RAD = 60.0, 0.35
 GAP_SUPPORT = 0.8
 """Share of a longer gap beside which there must be edge points."""
 SAME_PX = 1.0
@@ -43,7 +44,7 @@ class _Pairs:
     after: Bool[np.ndarray, " k"]
     """Whether b follows a's high end."""
 
-    def keep(self, rows: Bool[np.ndarray, " k"]) -> "_Pairs":
+    def keep(self, rows: Bool[np.ndarray, " k"] | Int[np.ndarray, " m"]) -> "_Pairs":
         return _Pairs(self.a[rows], self.b[rows], self.angles[rows], self.gap[rows], self.after[rows])
 
 
@@ -52,16 +53,20 @@ def merged(photo: Photo, arcs: Arcs, length_px: Float[np.ndarray, " n"]) -> Arcs
     if len(arcs) < 2:
         return arcs
     pairs = _pairs(arcs, length_px)
-    if not len(pairs.a):
-        return arcs
     pixels_per_rad = length_px / np.maximum(arcs.high - arcs.low, 1e-9)
-    agree = _chi2(arcs, pairs, pixels_per_rad) < MOST_CHI2
-    near, doubled = _beside(photo, arcs, pairs)
     gap_px = pairs.gap * np.minimum(pixels_per_rad[pairs.a], pixels_per_rad[pairs.b])
-    allowed = near & agree & (gap_px < np.minimum(MOST_GAP_PX, 0.5 * (length_px[pairs.a] + length_px[pairs.b])))
+    follows = gap_px < np.minimum(MOST_GAP_PX, 0.5 * (length_px[pairs.a] + length_px[pairs.b]))
+    overlaps = _overlaps(arcs, pairs)
+    rows = np.flatnonzero(follows | overlaps)
+    if not len(rows):
+        return arcs
+    pairs, gap_px, follows, overlaps = pairs.keep(rows), gap_px[rows], follows[rows], overlaps[rows]
+    offset = _offsets(photo, arcs, pairs)
+    allowed = follows & (offset.min(-1) < 1.0) & (offset.max(-1) < 2.0)
+    allowed[allowed] = _chi2(arcs, pairs.keep(allowed), pixels_per_rad) < MOST_CHI2
     joins = pairs.keep(allowed)
     joins = joins.keep((gap_px[allowed] <= BLIND_PX) | _filled(photo, arcs, joins, gap_px[allowed]))
-    twice = pairs.keep(doubled & ~allowed)
+    twice = pairs.keep(overlaps & (offset.max(-1) < SAME_PX) & ~allowed)
     dropped = np.zeros(len(arcs), dtype=bool)
     dropped[np.where(length_px[twice.a] < length_px[twice.b], twice.a, twice.b)] = True
     return _joined(arcs, length_px, joins.keep(~dropped[joins.a] & ~dropped[joins.b]), dropped)
@@ -75,29 +80,19 @@ def duplicates(
     if len(arcs) < 2:
         return dropped
     pairs = _pairs(arcs, length_px)
-    pairs = pairs.keep(kin[pairs.a] != kin[pairs.b])
+    pairs = pairs.keep((kin[pairs.a] != kin[pairs.b]) & _overlaps(arcs, pairs))
     if len(pairs.a):
-        dropped[pairs.b[_beside(photo, arcs, pairs, same_px)[1]]] = True
+        dropped[pairs.b[_offsets(photo, arcs, pairs).max(-1) < same_px]] = True
     return dropped
 
 
 def _pairs(arcs: Arcs, length_px: Float[np.ndarray, " n"]) -> _Pairs:
     """Each pair once, the longer arc first."""
-    count = len(arcs)
-    tree = cKDTree(np.concatenate([arcs.normal, -arcs.normal]))
-    found = tree.query_pairs(NEAR_RAD, output_type="ndarray") % count
-    found = np.unique(np.sort(found, -1), axis=0).reshape(-1, 2)
-    swap = length_px[found[:, 0]] < length_px[found[:, 1]]
-    a, b = np.where(swap, found[:, 1], found[:, 0]), np.where(swap, found[:, 0], found[:, 1])
-    ends = np.stack([arcs.bearings(b, arcs.low[b]), arcs.bearings(b, arcs.high[b])], 1)
-    first, second = arcs.first[a], arcs.second[a]
-    angles = np.sort(np.arctan2((ends * second[:, None]).sum(-1), (ends * first[:, None]).sum(-1)), -1)
-    gaps = np.stack([angles[:, 0] - arcs.high[a], arcs.low[a] - angles[:, 1]], -1)
-    # An arc that straddles the far side of a's circle has its ends on both sides of pi.
-    sane = angles[:, 1] - angles[:, 0] < np.pi
-    total = np.maximum(angles[:, 1], arcs.high[a]) - np.minimum(angles[:, 0], arcs.low[a])
-    pairs = _Pairs(a, b, angles, gaps.max(-1), gaps[:, 0] >= gaps[:, 1])
-    return pairs.keep(sane & (total < LONGEST_RAD) & (pairs.gap < 0.35))
+    order = np.argsort(np.abs(arcs.normal[:, 2]), kind="stable")
+    found, values = near_pairs(arcs.frame, arcs.low, arcs.high, length_px, order, NEAR_RAD, MOST_GAP_RAD, LONGEST_RAD)
+    rows = np.lexsort((found.max(-1), found.min(-1)))
+    found, values = found[rows], values[rows]
+    return _Pairs(found[:, 0], found[:, 1], values[:, :2], values[:, 2], values[:, 3] > 0)
 
 
 def _seen_from(arcs: Arcs, a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
@@ -120,22 +115,20 @@ def _chi2(arcs: Arcs, pairs: _Pairs, pixels_per_rad: Float[np.ndarray, " n"]) ->
     return np.einsum("ki,kij,kj->k", difference, information, difference)
 
 
-def _beside(
-    photo: Photo, arcs: Arcs, pairs: _Pairs, same_px: float = SAME_PX
-) -> tuple[Bool[np.ndarray, " k"], Bool[np.ndarray, " k"]]:
-    """Pairs of which one end of the shorter arc lies on the longer one's circle to 1 px and the other to 2 px; and pairs of
-    which the shorter one lies `same_px` beside the longer one over most of its length."""
-    rays = [arcs.bearings(pairs.b, angle[pairs.b]) for angle in (arcs.low, arcs.high)]
-    offsets = []
-    for ray in rays:
-        angle = np.arctan2((ray * arcs.second[pairs.a]).sum(-1), (ray * arcs.first[pairs.a]).sum(-1))
-        _, _, rate, valid = across_px(photo.model, arcs, pairs.a, angle)
-        offset = np.arcsin(np.clip((ray * arcs.normal[pairs.a]).sum(-1), -1.0, 1.0)) * rate
-        offsets.append(np.where(valid, np.abs(offset), np.inf))
-    offset = np.stack(offsets, -1)
+def _overlaps(arcs: Arcs, pairs: _Pairs) -> Bool[np.ndarray, " k"]:
+    """Pairs of which the shorter arc lies beside the longer one over most of its length."""
     low, high = np.maximum(pairs.angles[:, 0], arcs.low[pairs.a]), np.minimum(pairs.angles[:, 1], arcs.high[pairs.a])
-    overlap = (high - low) / np.maximum(pairs.angles[:, 1] - pairs.angles[:, 0], 1e-9)
-    return (offset.min(-1) < 1.0) & (offset.max(-1) < 2.0), (offset.max(-1) < same_px) & (overlap > 0.5)
+    return high - low > 0.5 * np.maximum(pairs.angles[:, 1] - pairs.angles[:, 0], 1e-9)
+
+
+def _offsets(photo: Photo, arcs: Arcs, pairs: _Pairs) -> Float[np.ndarray, "k 2"]:
+    """Pixels from the ends of the shorter arc to the circle of the longer one, infinite where they are not seen."""
+    row, other = np.repeat(pairs.a, 2), np.repeat(pairs.b, 2)
+    ray = arcs.bearings(other, np.stack([arcs.low[pairs.b], arcs.high[pairs.b]], -1).ravel())
+    along, beside, off = np.einsum("nk,nkj->jn", ray, arcs.frame[row][:, :, [1, 2, 0]])
+    _, _, rate, valid = across_px(photo.model, arcs, row, np.arctan2(beside, along))
+    offset = np.abs(np.arcsin(np.clip(off, -1.0, 1.0)) * rate)
+    return np.where(valid, offset, np.inf).reshape(-1, 2)
 
 
 def _filled(photo: Photo, arcs: Arcs, pairs: _Pairs, gap_px: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as t_distribution
 
+from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import Blocks, blocks_along, fit_places
+from omnilines.extraction.blocks import Blocks, Profiled, fit_places
 from omnilines.extraction.circle_kernel import fit_circles
-from omnilines.extraction.refit import Photo, floor_covariance, moved
+from omnilines.extraction.refit import floor_covariance, moved
 
 TAPER_PX, WIDE_TAPER_PX = 1.0, 2.0
 """Standard deviations of the weights of a profile: to fit an arc, and to see how much that depends on what lies beside it."""
@@ -34,28 +35,32 @@ LEAST_BLOCKS = 4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 TYPICAL_BLUR_PX = 0.7
 """Where no arc tells the blur of the photo."""
-BLUR_ARCS = 40
+BLUR_ARCS, BLUR_STRIDE = 40, 3
 SHARP_CONTRAST = 20.0
 
 
-def photo_blur(photo: Photo, arcs: Arcs, contrast: Float[np.ndarray, " n"], noise: float) -> float:
+def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"]) -> float:
     """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them."""
     strong = np.flatnonzero(contrast >= SHARP_CONTRAST)
-    if not len(strong):
-        return TYPICAL_BLUR_PX
-    whole = blocks_along(photo, arcs, noise)
-    lone = strong[whole.mean((whole.count > 1).astype(np.float64), len(arcs))[strong] < CROWDED]
+    blocks = known.crossed(model, strong)
+    lone = np.flatnonzero(blocks.mean((blocks.count > 1).astype(np.float64)) < CROWDED)
     # Longest first.
-    lone = np.sort(lone[np.argsort(-np.diff(whole.starts)[lone], kind="stable")[:BLUR_ARCS]])
+    lone = np.sort(lone[np.argsort(-np.diff(blocks.starts)[lone], kind="stable")[:BLUR_ARCS]])
     if not len(lone):
         return TYPICAL_BLUR_PX
-    blocks = whole.keep(lone)
-    blocks = replace(blocks, count=np.ones(len(blocks.owner), dtype=np.int64))
-    left = []
-    for blur_px in BLURS_PX:
-        rest = fit_places(blocks, blocks.place, TAPER_PX, float(blur_px))[3]
-        left.append(blocks.mean((rest**2).sum((1, 2)), len(lone)))
-    return float(np.median(BLURS_PX[np.argmin(left, axis=0)]))
+    blocks = known.blocks.keep(strong[lone])
+    left = np.full((len(BLURS_PX), len(lone)), np.inf)
+    # Some blurs first; then those around the median of the best, on which alone it depends.
+    tried = np.arange(0, len(BLURS_PX), BLUR_STRIDE)
+    for _ in range(2):
+        place = blocks.place
+        for k in tried:
+            place, _, _, rest = fit_places(blocks, place, TAPER_PX, float(BLURS_PX[k]))
+            left[k] = blocks.mean(rest)
+        middle = round(float(np.median(left.argmin(0))))
+        near = np.arange(max(middle - BLUR_STRIDE, 0), min(middle + BLUR_STRIDE + 1, len(BLURS_PX)))
+        tried = near[np.isinf(left[near, 0])]
+    return float(np.median(BLURS_PX[left.argmin(0)]))
 
 
 def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float) -> tuple:
@@ -66,16 +71,17 @@ def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, b
     return (*fit, place, variance)
 
 
-def fit_together(photo: Photo, arcs: Arcs, blur_px: float, noise: float) -> Arcs:
+def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     """Arcs that have others beside them over CROWDED of their length, fitted anew with them; the others are as they were.
 
     The covariance holds the scatter of the places, and how much the arc moves where the window is wider or the blur another:
     the first tells of edges beside it that are not known.
     """
-    if not len(arcs):
+    arcs = known.arcs
+    whole = known.crossed(model, np.arange(len(arcs)))
+    rows = np.flatnonzero(whole.mean((whole.count > 1).astype(np.float64)) >= CROWDED)
+    if not len(rows):
         return arcs
-    whole = blocks_along(photo, arcs, noise)
-    rows = np.flatnonzero(whole.mean((whole.count > 1).astype(np.float64), len(arcs)) >= CROWDED)
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
     change, inverse, scatter, used, residual, place, variance = _circles(blocks, blocks.place, TAPER_PX, blur_px)
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.

@@ -41,25 +41,38 @@ def step_filters(taper_px: float) -> tuple[np.ndarray, np.ndarray]:
 def profiles(
     image: np.ndarray, unit: float, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, closed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Grey levels of 255 (m, k, c) at offsets across samples, bilinear, and whether all of them lie in the image (m)."""
+    """Grey levels of 255 (m, c, k) at offsets across samples, bilinear, and whether all of them lie in the image (m)."""
     height, width, channels = image.shape
     count, size = len(pixel), len(offsets)
-    grey, inside = np.zeros((count, size, channels), dtype=np.float32), np.ones(count, dtype=np.bool_)
+    grey, inside = np.zeros((count, channels, size), dtype=np.float32), np.ones(count, dtype=np.bool_)
+    flat = image.reshape(-1)
+    # The pixels above, their right neighbours, and the shares of these four and of those below: all 0 outside.
+    first, right = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    share = np.zeros((4, size), dtype=np.float32)
+    down, over = np.uintp(width * channels), 1.0 / unit
     for n in range(count):
         for k in range(size):
             u, v = pixel[n, 0] + offsets[k] * across[n, 0], pixel[n, 1] + offsets[k] * across[n, 1]
             if not (v >= 0.0 and v < height - 1 and (closed or (u >= 0.0 and u < width - 1))):
                 inside[n] = False
+                first[k], right[k] = 0, 0
+                share[:, k] = 0.0
                 continue
             j, i = math.floor(u), math.floor(v)
             s, t = u - j, v - i
-            right = j + 1
+            beside = j + 1
             if closed:
-                j, right = j % width, right % width
-            for c in range(channels):
-                above = (1.0 - s) * image[i, j, c] + s * image[i, right, c]
-                below = (1.0 - s) * image[i + 1, j, c] + s * image[i + 1, right, c]
-                grey[n, k, c] = ((1.0 - t) * above + t * below) / unit
+                j, beside = j % width, beside % width
+            first[k], right[k] = (i * width + j) * channels, (i * width + beside) * channels
+            above, below = (1.0 - t) * over, t * over
+            share[0, k], share[1, k] = (1.0 - s) * above, s * above
+            share[2, k], share[3, k] = (1.0 - s) * below, s * below
+        for c in range(channels):
+            for k in range(size):
+                # Indices without a sign: no wrapping round has to be looked for.
+                a, b = np.uintp(first[k] + c), np.uintp(right[k] + c)
+                grey[n, c, k] = share[0, k] * flat[a] + share[1, k] * flat[b]
+                grey[n, c, k] += share[2, k] * flat[a + down] + share[3, k] * flat[b + down]
     return grey, inside
 
 
@@ -102,18 +115,16 @@ def supported(
 @no_type_check
 def side_differences(grey: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Colour of the side of positive offsets minus that of the other (m, c), from 0.75 to 2.5 px."""
-    count, size, channels = grey.shape
+    count, channels, size = grey.shape
+    beside = (np.abs(offsets) >= 0.75) & (np.abs(offsets) <= 2.5)
+    weight = (np.sign(offsets) * beside / np.sum(beside & (offsets > 0))).astype(np.float32)
     result = np.zeros((count, channels), dtype=np.float32)
-    used = 0
-    for k in range(size):
-        if 0.75 <= offsets[k] <= 2.5:
-            used += 1
     for n in range(count):
-        for k in range(size):
-            if 0.75 <= abs(offsets[k]) <= 2.5:
-                sign = 1.0 if offsets[k] > 0 else -1.0
-                for c in range(channels):
-                    result[n, c] += sign * grey[n, k, c] / used
+        for c in range(channels):
+            total = np.float32(0.0)
+            for k in range(size):
+                total += weight[k] * grey[n, c, k]
+            result[n, c] = total
     return result
 
 
@@ -122,56 +133,74 @@ def side_differences(grey: np.ndarray, offsets: np.ndarray) -> np.ndarray:
 def smoothed(difference: np.ndarray, usable: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """The differences averaged along each arc over usable samples (Gaussian of ALONG_PX)."""
     reach = int(2.5 * ALONG_PX)
-    weight = np.exp(-0.5 * (np.arange(reach + 1) / ALONG_PX) ** 2)
+    weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / ALONG_PX) ** 2).astype(np.float32)
     channels = difference.shape[1]
-    result = np.zeros_like(difference)
+    result = np.empty_like(difference)
+    longest = 0
     for arc in range(len(starts) - 1):
-        for n in range(starts[arc], starts[arc + 1]):
-            total = 1e-9
-            for m in range(max(n - reach, starts[arc]), min(n + reach + 1, starts[arc + 1])):
-                if usable[m]:
-                    w = weight[abs(m - n)]
-                    total += w
-                    for c in range(channels):
-                        result[n, c] += w * difference[m, c]
+        longest = max(longest, starts[arc + 1] - starts[arc])
+    # What is usable and its weight, one row each, with `reach` zeros to either side; and the sums.
+    padded, sums = np.zeros((channels + 1, longest + 2 * reach), dtype=np.float32), np.empty(longest, dtype=np.float32)
+    total = np.empty(longest, dtype=np.float32)
+    for arc in range(len(starts) - 1):
+        begin, length = starts[arc], starts[arc + 1] - starts[arc]
+        for n in range(length):
+            padded[channels, reach + n] = usable[begin + n]
             for c in range(channels):
-                result[n, c] /= total
+                padded[c, reach + n] = difference[begin + n, c] if usable[begin + n] else 0.0
+        padded[:, reach + length : 2 * reach + length] = 0.0
+        for row in range(channels, -1, -1):
+            sums[:length] = 0.0
+            for m in range(2 * reach + 1):
+                for n in range(length):
+                    sums[n] += weight[m] * padded[row, n + m]
+            if row == channels:
+                for n in range(length):
+                    total[n] = np.float32(1.0) / (sums[n] + np.float32(1e-9))
+            else:
+                for n in range(length):
+                    result[begin + n, row] = sums[n] * total[n]
     return result
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def shifts(
-    grey: np.ndarray, difference: np.ndarray, usable: np.ndarray, starts: np.ndarray, rows: np.ndarray, left: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the edge lies on each profile (m, px along `across`), the square of its contrast (m), and the blur of each arc.
+def unit_steps(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Profiles (m, k) projected on the difference (m, c) between their sides and divided by it, so that they are unit steps, and
+    the squares of the differences (m)."""
+    count, channels, size = grey.shape
+    step, strength = np.zeros((count, size)), np.empty(count)
+    for n in range(count):
+        square = 1e-6
+        for c in range(channels):
+            square += difference[n, c] * difference[n, c]
+        strength[n] = square
+        for c in range(channels):
+            share = difference[n, c] / square
+            for k in range(size):
+                step[n, k] += share * grey[n, c, k]
+    return step, strength
 
-    Each profile is projected on the difference between its sides and divided by it, so that it is a unit step; the blur that
-    explains the mean profile of the arc best decides how a shift is read from one.
-    """
-    count, size, channels = grey.shape
-    shift, strength = np.zeros(count), np.zeros(count)
-    blur = np.zeros(len(starts) - 1)
-    step = np.empty((count, size))
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def shifts(
+    step: np.ndarray, strength: np.ndarray, usable: np.ndarray, starts: np.ndarray, rows: np.ndarray, left: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the edge lies on each profile (m, px along `across`), and the blur of each arc: which of the filters explains its
+    mean profile best, and so decides how a shift is read from one."""
+    count, size = step.shape
+    shift, blur = np.zeros(count), np.zeros(len(starts) - 1)
     mean = np.empty(size)
     for arc in range(len(starts) - 1):
         mean[:] = 0.0
-        total = 0.0
+        some = False
         for n in range(starts[arc], starts[arc + 1]):
-            square = 1e-6
-            for c in range(channels):
-                square += difference[n, c] * difference[n, c]
-            strength[n] = square
-            for k in range(size):
-                value = 0.0
-                for c in range(channels):
-                    value += grey[n, k, c] * difference[n, c]
-                step[n, k] = value / square
             if usable[n]:
-                total += square
+                some = True
                 for k in range(size):
-                    mean[k] += square * step[n, k]
-        if total == 0.0:
+                    mean[k] += strength[n] * step[n, k]
+        if not some:
             continue
         best, least = 0, np.inf
         for b in range(len(rows)):
@@ -185,41 +214,57 @@ def shifts(
                 best, least = b, misfit
         blur[arc] = best
         for n in range(starts[arc], starts[arc + 1]):
+            total = 0.0
             for k in range(size):
-                shift[n] += rows[best, k] * step[n, k]
-    return shift, strength, blur
+                total += rows[best, k] * step[n, k]
+            shift[n] = total
+    return shift, blur
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def sharp_profiles(
-    image: np.ndarray, unit: float, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, closed: bool
+def mean_profiles(
+    image: np.ndarray,
+    unit: float,
+    pixel: np.ndarray,
+    across: np.ndarray,
+    valid: np.ndarray,
+    starts: np.ndarray,
+    offsets: np.ndarray,
+    closed: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `profiles`, by cubic convolution (R. Keys 1981): bilinear interpolation would blur by how far a point lies from the
-    pixels' centres, and edges a pixel apart are told from each other by what blur is expected."""
+    """Grey levels of 255 (n, c, k) at offsets across samples, averaged over those from starts[n] to starts[n + 1]; and whether
+    all of them are valid and lie in the image (n); what does not counts as 0.
+
+    By cubic convolution (R. Keys 1981): bilinear interpolation would blur by how far a point lies from the pixels' centres, and
+    edges a pixel apart are told from each other by what blur is expected.
+    """
     height, width, channels = image.shape
-    count, size = len(pixel), len(offsets)
-    grey, inside = np.zeros((count, size, channels), dtype=np.float32), np.ones(count, dtype=np.bool_)
+    pieces, size = len(starts) - 1, len(offsets)
+    grey, inside = np.zeros((pieces, channels, size)), np.ones(pieces, dtype=np.bool_)
     wu, wv, columns = np.empty(4), np.empty(4), np.empty(4, dtype=np.int64)
-    for n in range(count):
-        for k in range(size):
-            u, v = pixel[n, 0] + offsets[k] * across[n, 0], pixel[n, 1] + offsets[k] * across[n, 1]
-            if not (v >= 1.0 and v < height - 2 and (closed or (u >= 1.0 and u < width - 2))):
-                inside[n] = False
-                continue
-            j, i = math.floor(u), math.floor(v)
-            _keys(u - j, wu)
-            _keys(v - i, wv)
-            for q in range(4):
-                columns[q] = (j - 1 + q) % width if closed else j - 1 + q
-            for c in range(channels):
-                total = 0.0
-                for p in range(4):
-                    row = 0.0
-                    for q in range(4):
-                        row += wu[q] * image[i - 1 + p, columns[q], c]
-                    total += wv[p] * row
-                grey[n, k, c] = total / unit
+    for piece in range(pieces):
+        share = 1.0 / (unit * (starts[piece + 1] - starts[piece]))
+        for n in range(starts[piece], starts[piece + 1]):
+            inside[piece] = inside[piece] and valid[n]
+            for k in range(size):
+                u, v = pixel[n, 0] + offsets[k] * across[n, 0], pixel[n, 1] + offsets[k] * across[n, 1]
+                if not (v >= 1.0 and v < height - 2 and (closed or (u >= 1.0 and u < width - 2))):
+                    inside[piece] = False
+                    continue
+                j, i = math.floor(u), math.floor(v)
+                _keys(u - j, wu)
+                _keys(v - i, wv)
+                for q in range(4):
+                    columns[q] = (j - 1 + q) % width if closed else j - 1 + q
+                for c in range(channels):
+                    total = 0.0
+                    for p in range(4):
+                        row = 0.0
+                        for q in range(4):
+                            row += wu[q] * image[i - 1 + p, columns[q], c]
+                        total += wv[p] * row
+                    grey[piece, c, k] += total * share
     return grey, inside
 
 
@@ -232,3 +277,17 @@ def _keys(t: float, weight: np.ndarray) -> None:
     weight[3] = -0.5 * s * t * t
     weight[1] = s * (1.0 + t - 1.5 * t * t)
     weight[2] = t * (1.0 + s - 1.5 * s * s)
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def piece_means(grey: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Profiles (m, c, k) averaged over those from starts[n] to starts[n + 1]."""
+    mean = np.zeros((len(starts) - 1, *grey.shape[1:]))
+    for piece in range(len(starts) - 1):
+        share = 1.0 / (starts[piece + 1] - starts[piece])
+        for n in range(starts[piece], starts[piece + 1]):
+            for c in range(grey.shape[1]):
+                for k in range(grey.shape[2]):
+                    mean[piece, c, k] += share * grey[n, c, k]
+    return mean

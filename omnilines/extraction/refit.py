@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from camera_models import CameraModel
-from omnilines.extraction.arcs import Arcs, Samples, samples
+from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.circle_kernel import fit_circles, reach, trim
+from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import Edgels, grey_unit
 from omnilines.extraction.profile_kernel import (
     BLURS_PX,
@@ -21,6 +22,7 @@ from omnilines.extraction.profile_kernel import (
     smoothed,
     step_filters,
     supported,
+    unit_steps,
 )
 
 WITHIN_PX = 0.8
@@ -108,9 +110,10 @@ def _refit(photo: Photo, whole: Arcs, rows: Int[np.ndarray, " n"], beyond_px: fl
     covered = (found[at.owner, 0] >= 0) & (index >= found[at.owner, 0]) & (index <= found[at.owner, 1])
     usable = support & covered
     steady = smoothed(difference, usable, at.starts)
-    shift, strength, blur = shifts(grey, steady, usable, at.starts, *_filters(TAPER_PX))
+    step, strength = unit_steps(grey, steady)
+    shift, blur = shifts(step, strength, usable, at.starts, *_filters(TAPER_PX))
     change, inverse, variance, used, residual = fit_circles(at.starts, at.angle, at.rate, shift, strength, usable, MOST_SHIFT_PX)
-    wide, _, _ = shifts(grey, steady, usable, at.starts, *_filters(WIDE_TAPER_PX))
+    wide, _ = shifts(step, strength, usable, at.starts, *_filters(WIDE_TAPER_PX))
     bias = fit_circles(at.starts, at.angle, at.rate, wide, strength, usable, MOST_SHIFT_PX)[0] - change
     kept = (used >= 6) & (found[:, 0] >= 0) & (found[:, 1] > found[:, 0])
     covariance = inverse * (variance * _correlation(residual, at.owner))[:, None, None]

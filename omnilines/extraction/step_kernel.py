@@ -22,35 +22,88 @@ SETTLED_PX = 0.003
 _MOST_MOVE_PX = 0.5
 
 
+_RIDGE = 1e-6
+"""Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
+_TABLE_REACH, _TABLE_STEPS = 6.0, 32
+"""Of the table of the Gaussian and its integral: standard deviations to either side, and entries in each."""
+_PLACES = np.arange(-_TABLE_REACH * _TABLE_STEPS, _TABLE_REACH * _TABLE_STEPS + 1) / _TABLE_STEPS
+_GAUSS = np.exp(-0.5 * _PLACES**2) / math.sqrt(2.0 * math.pi)
+_HALF_ERF = np.array([0.5 * math.erf(x / math.sqrt(2.0)) for x in _PLACES])
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def _blurred_step(
+    offsets: np.ndarray, weight: np.ndarray, place: float, blur: float, j: int, design: np.ndarray, slope: np.ndarray
+) -> None:
+    """A weighted step of 1 about 0 and its derivative by its place: Hermite's cubics through a table, good to 1e-8."""
+    over = 1.0 / blur
+    for k in range(len(offsets)):
+        x = (min(max((offsets[k] - place) * over, -_TABLE_REACH + 1e-9), _TABLE_REACH - 1e-9) + _TABLE_REACH) * _TABLE_STEPS
+        i = int(x)
+        s = x - i
+        t = 1.0 - s
+        after, left, right = s * s * (3.0 - 2.0 * s), s * t * t / _TABLE_STEPS, -s * s * t / _TABLE_STEPS
+        low, high = _GAUSS[i], _GAUSS[i + 1]
+        half = _HALF_ERF[i] + after * (_HALF_ERF[i + 1] - _HALF_ERF[i]) + left * low + right * high
+        bell = low + after * (high - low) - left * _PLACES[i] * low - right * _PLACES[i + 1] * high
+        design[1 + j, k] = weight[k] * half
+        slope[j, k] = -weight[k] * over * bell
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
+    """Of row i of a and row j of b."""
+    total = 0.0
+    for k in range(a.shape[1]):
+        total += a[i, k] * b[j, k]
+    return total
+
+
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def _factor(matrix: np.ndarray, size: int) -> None:
-    """Cholesky factor in the lower triangle, in place."""
+    """Cholesky factor in the lower triangle, in place; its diagonal is inverse."""
     for i in range(size):
         for j in range(i + 1):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             if i == j:
-                matrix[i, i] = math.sqrt(max(total, 1e-12))
+                matrix[i, i] = 1.0 / math.sqrt(max(total, 1e-12))
             else:
-                matrix[i, j] = total / matrix[j, j]
+                matrix[i, j] = total * matrix[j, j]
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def _solve(factor: np.ndarray, size: int, right: np.ndarray) -> None:
-    """Solution of factor factor' x = right, in place."""
+def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
+    """Solution of factor x = right, in place."""
     for i in range(size):
-        total = right[i]
+        total = right[row, i]
         for k in range(i):
-            total -= factor[i, k] * right[k]
-        right[i] = total / factor[i, i]
+            total -= factor[i, k] * right[row, k]
+        right[row, i] = total * factor[i, i]
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
+    """Solution of factor factor' x = right, in place."""
+    _forward(factor, size, right, row)
+    _backward(factor, size, right, row)
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
+    """Solution of factor' x = right, in place."""
     for i in range(size - 1, -1, -1):
-        total = right[i]
+        total = right[row, i]
         for k in range(i + 1, size):
-            total -= factor[k, i] * right[k]
-        right[i] = total / factor[i, i]
+            total -= factor[k, i] * right[row, k]
+        right[row, i] = total * factor[i, i]
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
@@ -58,74 +111,107 @@ def _solve(factor: np.ndarray, size: int, right: np.ndarray) -> None:
 def _heights(
     offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, steps: int, blur: float, scaled: np.ndarray, work: tuple
 ) -> float:
-    """Fill `work` for steps at these places: design, factor, heights, what is left; its sum of squares."""
-    design, factor, height, left = work[0], work[1], work[2], work[3]
-    size, channels = scaled.shape
-    columns = steps + 1
-    for k in range(size):
-        design[k, 0] = weight[k]
-        for j in range(steps):
-            design[k, 1 + j] = 0.5 * weight[k] * math.erf((offsets[k] - place[j]) / blur * 0.7071067811865476)
-    for p in range(columns):
+    """Fill `work` for steps at these places: design D, slope, factor of N = D'D + R, ridge R, heights h = N^-1 D'y; and the sum
+    of squares that they leave of y, y'y - h'D'y - h'Rh."""
+    design, slope, factor, ridge, height = work[:5]
+    for j in range(steps):
+        _blurred_step(offsets, weight, place[j], blur, j, design, slope)
+    for p in range(steps + 1):
         for q in range(p + 1):
-            total = 0.0
-            for k in range(size):
-                total += design[k, p] * design[k, q]
-            factor[p, q] = total
-        factor[p, p] *= 1.0 + 1e-6
-    _factor(factor, columns)
+            factor[p, q] = _inner(design, p, design, q)
+        ridge[p] = _RIDGE * factor[p, p]
+        factor[p, p] += ridge[p]
+    _factor(factor, steps + 1)
     squares = 0.0
-    for c in range(channels):
-        for p in range(columns):
-            total = 0.0
-            for k in range(size):
-                total += design[k, p] * scaled[k, c]
-            height[c, p] = total
-        _solve(factor, columns, height[c])
-        for k in range(size):
-            total = scaled[k, c]
-            for p in range(columns):
-                total -= design[k, p] * height[c, p]
-            left[c, k] = total
-            squares += total * total
+    for c in range(len(scaled)):
+        # |L^-1 D'y|^2 is h'D'y.
+        for p in range(steps + 1):
+            height[c, p] = _inner(design, p, scaled, c)
+        _forward(factor, steps + 1, height, c)
+        for p in range(steps + 1):
+            squares -= height[c, p] * height[c, p]
+        _backward(factor, steps + 1, height, c)
+        for p in range(steps + 1):
+            squares -= height[c, p] * ridge[p] * height[c, p]
+        squares += _inner(scaled, c, scaled, c)
     return squares
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def _newton(
-    offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, steps: int, blur: float, channels: int, work: tuple
-) -> None:
-    """Normal matrix and right side of the places, with the heights projected out."""
-    design, factor, height, left, slope, hessian, pull, column = work
-    size = len(offsets)
-    for j in range(steps):
-        for k in range(size):
-            a = (offsets[k] - place[j]) / blur
-            slope[j, k] = -weight[k] * 0.3989422804014327 / blur * math.exp(-0.5 * a * a)
-        for p in range(steps + 1):
-            total = 0.0
-            for k in range(size):
-                total += design[k, p] * slope[j, k]
-            column[p] = total
-        _solve(factor, steps + 1, column)
-        for k in range(size):
-            for p in range(steps + 1):
-                slope[j, k] -= design[k, p] * column[p]
+def _newton(steps: int, scaled: np.ndarray, work: tuple) -> None:
+    """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and
+    w = D's, they hold s's - 2 w' N^-1 w + w' N^-1 D'D N^-1 w and s'r - w' N^-1 D'r, where D'r = R h."""
+    design, slope, factor, ridge, height, hessian, pull, column, back = work
     for i in range(steps):
-        pull[i] = 0.0
+        for p in range(steps + 1):
+            column[i, p] = _inner(design, p, slope, i)
+            back[i, p] = column[i, p]
+        _solve(factor, steps + 1, back, i)
+        pull[0, i] = 0.0
+        for c in range(len(scaled)):
+            inner = _inner(slope, i, scaled, c)
+            for p in range(steps + 1):
+                inner -= (column[i, p] + back[i, p] * ridge[p]) * height[c, p]
+            pull[0, i] += height[c, 1 + i] * inner
         for j in range(i + 1):
-            inner, common = 0.0, 0.0
-            for k in range(size):
-                inner += slope[i, k] * slope[j, k]
-            for c in range(channels):
+            common = 0.0
+            for c in range(len(scaled)):
                 common += height[c, 1 + i] * height[c, 1 + j]
+            inner = _inner(slope, i, slope, j)
+            for p in range(steps + 1):
+                inner -= (column[i, p] + back[i, p] * ridge[p]) * back[j, p]
             hessian[i, j] = inner * common
-        for c in range(channels):
-            total = 0.0
-            for k in range(size):
-                total += slope[i, k] * left[c, k]
-            pull[i] += height[c, 1 + i] * total
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def _places(
+    offsets: np.ndarray,
+    weight: np.ndarray,
+    start: np.ndarray,
+    stiff: np.ndarray,
+    square: float,
+    blur: float,
+    scaled: np.ndarray,
+    here: np.ndarray,
+    kept: np.ndarray,
+    work: tuple,
+) -> float:
+    """Gauss and Newton from `start` (s), damped, to the places `kept`; `work` is then as they leave it. The sum of squares that
+    they leave."""
+    steps = len(start)
+    hessian, pull = work[5:7]
+    here[:steps], kept[:steps] = start, start
+    least, left, refused = np.inf, 0.0, False
+    for _ in range(ROUNDS):
+        squares = _heights(offsets, weight, here, steps, blur, scaled, work)
+        cost = squares
+        for j in range(steps):
+            cost += square * ((here[j] - start[j]) / stiff[min(j, 1)]) ** 2
+        refused = cost > least
+        if refused:
+            for j in range(steps):
+                here[j] = 0.5 * (here[j] + kept[j])
+            continue
+        least, left = cost, squares
+        kept[:steps] = here[:steps]
+        _newton(steps, scaled, work)
+        for j in range(steps):
+            hold = square / stiff[min(j, 1)] ** 2
+            hessian[j, j] += hold + 1e-9
+            pull[0, j] += hold * (start[j] - here[j])
+        _factor(hessian, steps)
+        _solve(hessian, steps, pull, 0)
+        farthest = 0.0
+        for j in range(steps):
+            here[j] += min(max(pull[0, j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
+            farthest = max(farthest, abs(pull[0, j]))
+        if farthest < SETTLED_PX:
+            break
+    if refused:
+        left = _heights(offsets, weight, kept, steps, blur, scaled, work)
+    return left
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
@@ -138,144 +224,43 @@ def fit_steps(
     count: np.ndarray,
     stiff: np.ndarray,
     sigma: np.ndarray,
-    blur: np.ndarray,
+    blur: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places (m, s) of the steps of m profiles (m, k, c), begun at `start`; the variance of the first place (m), the heights
-    (m, s, c) and what is left of the weighted profiles (m, k, c).
+    """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
+    (m, s, c) and the sum of squares that is left of the weighted profiles (m).
 
     Profile m has `count` steps and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the
     first place about its start and of the others: a faint step stays where its own arc says.
     """
-    m, size, channels = profile.shape
+    m, channels, size = profile.shape
     place, variance = start.copy(), np.full(m, np.inf)
-    heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros((m, size, channels))
+    heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros(m)
     work = (
-        np.empty((size, MOST_STEPS + 1)),
-        np.empty((MOST_STEPS + 1, MOST_STEPS + 1)),
-        np.empty((channels, MOST_STEPS + 1)),
-        np.empty((channels, size)),
+        np.empty((MOST_STEPS + 1, size)),
         np.empty((MOST_STEPS, size)),
-        np.empty((MOST_STEPS, MOST_STEPS)),
-        np.empty(MOST_STEPS),
+        np.empty((MOST_STEPS + 1, MOST_STEPS + 1)),
         np.empty(MOST_STEPS + 1),
+        np.empty((channels, MOST_STEPS + 1)),
+        np.empty((MOST_STEPS, MOST_STEPS)),
+        np.empty((1, MOST_STEPS)),
+        np.empty((MOST_STEPS, MOST_STEPS + 1)),
+        np.empty((MOST_STEPS, MOST_STEPS + 1)),
     )
-    hessian, pull = work[5], work[6]
-    scaled, here, kept = np.empty((size, channels)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
+    height, hessian, pull = work[4:7]
+    work[0][0] = weight
+    scaled, here, kept = np.empty((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
     for n in range(m):
         steps = count[n]
-        for k in range(size):
-            for c in range(channels):
-                scaled[k, c] = profile[n, k, c] * weight[k]
+        for c in range(channels):
+            for k in range(size):
+                scaled[c, k] = profile[n, c, k] * weight[k]
         square = sigma[n] * sigma[n]
-        here[:steps] = start[n, :steps]
-        kept[:steps] = start[n, :steps]
-        least = np.inf
-        for _ in range(ROUNDS):
-            cost = _heights(offsets, weight, here, steps, blur[n], scaled, work)
-            for j in range(steps):
-                cost += square * ((here[j] - start[n, j]) / stiff[min(j, 1)]) ** 2
-            if cost > least:
-                for j in range(steps):
-                    here[j] = 0.5 * (here[j] + kept[j])
-                continue
-            least = cost
-            kept[:steps] = here[:steps]
-            _newton(offsets, weight, here, steps, blur[n], channels, work)
-            for j in range(steps):
-                hold = square / stiff[min(j, 1)] ** 2
-                hessian[j, j] += hold + 1e-9
-                pull[j] += hold * (start[n, j] - here[j])
-            _factor(hessian, steps)
-            _solve(hessian, steps, pull)
-            farthest = 0.0
-            for j in range(steps):
-                here[j] += min(max(pull[j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
-                farthest = max(farthest, abs(pull[j]))
-            if farthest < SETTLED_PX:
-                break
-        _heights(offsets, weight, kept, steps, blur[n], scaled, work)
-        pull[:steps] = 0.0
-        pull[0] = 1.0
-        _solve(hessian, steps, pull)
-        variance[n] = square * pull[0]
-        for j in range(steps):
-            place[n, j] = kept[j]
-            for c in range(channels):
-                heights[n, j, c] = work[2][c, 1 + j]
-        for k in range(size):
-            for c in range(channels):
-                rest[n, k, c] = work[3][c, k]
+        rest[n] = _places(offsets, weight, start[n, :steps], stiff, square, blur, scaled, here, kept, work)
+        pull[0, :steps] = 0.0
+        pull[0, 0] = 1.0
+        _solve(hessian, steps, pull, 0)
+        variance[n] = square * pull[0, 0]
+        place[n, :steps] = kept[:steps]
+        for c in range(channels):
+            heights[n, :steps, c] = height[c, 1 : steps + 1]
     return place, variance, heights, rest
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED)
-@no_type_check
-def crossings(
-    pixel: np.ndarray,
-    across: np.ndarray,
-    own: np.ndarray,
-    other_pixel: np.ndarray,
-    other_across: np.ndarray,
-    other: np.ndarray,
-    height: int,
-    width: int,
-    closed: bool,
-    reach_px: float,
-    least_cosine: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where the profiles at m pixels are crossed: places (m, s), the first 0 for the arc `own` (m) of the profile itself, then
-    its nearest neighbours among points a pixel apart on arcs `other`; and the number of places."""
-    cell = 8
-    rows, columns = height // cell + 2, width // cell + 2
-    head = np.full((rows, columns), -1, dtype=np.int32)
-    following = np.full(len(other), -1, dtype=np.int32)
-    for n in range(len(other)):
-        i, j = int(other_pixel[n, 1]) // cell, int(other_pixel[n, 0]) // cell
-        if 0 <= i < rows and 0 <= j < columns:
-            following[n] = head[i, j]
-            head[i, j] = n
-    place, count = np.zeros((len(pixel), MOST_STEPS)), np.ones(len(pixel), dtype=np.int64)
-    arcs, along_of, offset_of = np.empty(64, dtype=np.int64), np.empty(64), np.empty(64)
-    last = width // cell
-    for n in range(len(pixel)):
-        u, v, x, y = pixel[n, 0], pixel[n, 1], across[n, 0], across[n, 1]
-        found = 0
-        row, column = int(v) // cell, int(u) // cell
-        for i in range(max(row - 1, 0), min(row + 2, rows)):
-            for shifted in range(column - 2, column + 3):
-                j = shifted
-                if closed:
-                    j = shifted % (last + 1)
-                elif shifted < column - 1 or shifted > column + 1 or shifted < 0 or shifted >= columns:
-                    continue
-                k = head[i, j]
-                while k >= 0:
-                    du, dv = other_pixel[k, 0] - u, other_pixel[k, 1] - v
-                    if closed:
-                        du -= width * round(du / width)
-                    along, offset = -y * du + x * dv, x * du + y * dv
-                    cosine = x * other_across[k, 0] + y * other_across[k, 1]
-                    if other[k] != own[n] and abs(along) <= 1.0 and abs(cosine) >= least_cosine:
-                        # Along the neighbour to where it meets the profile.
-                        sine = -y * other_across[k, 0] + x * other_across[k, 1]
-                        offset += along * sine / cosine
-                        if abs(offset) <= reach_px:
-                            index = 0
-                            while index < found and arcs[index] != other[k]:
-                                index += 1
-                            if index == found and found < 64:
-                                arcs[index], along_of[index] = other[k], np.inf
-                                found += 1
-                            if index < found and abs(along) < along_of[index]:
-                                along_of[index], offset_of[index] = abs(along), offset
-                    k = following[k]
-        while count[n] < MOST_STEPS and found > 0:
-            best = 0
-            for index in range(1, found):
-                if abs(offset_of[index]) < abs(offset_of[best]):
-                    best = index
-            place[n, count[n]] = offset_of[best]
-            count[n] += 1
-            found -= 1
-            arcs[best], offset_of[best] = arcs[found], offset_of[found]
-    return place, count

@@ -1,0 +1,45 @@
+"""Bearings of many places in a photo.
+
+They change smoothly from pixel to pixel: the camera model is asked for nodes STEP_PX apart, and bicubics through them give the
+rest. Where fourth differences of the nodes say that the bicubics are not good enough, the model is asked for every place.
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from camera_models import CameraModel
+from omnilines.extraction.bearing_kernel import read_bearings, smooth_cells
+
+STEP_PX = 16.0
+MOST_ERROR_PX = 3e-4
+_BEYOND = 3
+"""Nodes around the image."""
+_PLACES = 400_000
+"""Of which the model is asked at a time."""
+
+
+def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """`model.unproject` of places in or near the image, to MOST_ERROR_PX; the bearings have a length of 1 to the same share of
+    a pixel's angle."""
+    width, height = model.image_size
+    if len(places) < (width / STEP_PX + 2 * _BEYOND) * (height / STEP_PX + 2 * _BEYOND):
+        return _asked(model, places)
+    origin = -_BEYOND * STEP_PX
+    u, v = (np.arange(origin, side + _BEYOND * STEP_PX, STEP_PX) for side in (width, height))
+    nodes, seen = _asked(model, np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+    node, seen = nodes.reshape(len(v), len(u), 3), seen.reshape(len(v), len(u))
+    good = smooth_cells(node, seen, MOST_ERROR_PX / STEP_PX)
+    bearings, valid = read_bearings(node, good, origin, STEP_PX, places)
+    rows = np.flatnonzero(~valid)
+    bearings[rows], valid[rows] = _asked(model, places[rows])
+    return bearings, valid
+
+
+def _asked(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    bearings, valid = np.empty((len(places), 3)), np.zeros(len(places), dtype=bool)
+    for start in range(0, len(places), _PLACES):
+        part = slice(start, start + _PLACES)
+        with torch.no_grad():
+            bearings[part], valid[part] = model.unproject(places[part])
+    return bearings, valid

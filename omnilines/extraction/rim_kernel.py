@@ -1,0 +1,45 @@
+"""The first light on rays from the border of a photo inwards, compiled.
+
+`no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+WINDOW, LEAST_LIGHT = 4, 3
+"""Light begins where so many of so many pixels in a row are light."""
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _light(image: np.ndarray, u: float, v: float, threshold: float) -> int:
+    """1 where a channel of the nearest pixel is above the threshold, else 0."""
+    i, j = round(v), round(u)
+    for c in range(image.shape[2]):
+        if image[i, j, c] > threshold:
+            return 1
+    return 0
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def first_light(
+    image: np.ndarray, centre: np.ndarray, way: np.ndarray, border: np.ndarray, depths: int, threshold: float
+) -> np.ndarray:
+    """Pixels from the border inwards to the first light on each ray (n), `depths` where there is none.
+
+    Ray n goes from centre + border[n] way[n] to the centre (u, v) and stays there.
+    """
+    found = np.full(len(way), depths)
+    for n in range(len(way)):
+        for depth in range(depths):
+            total = 0
+            for k in range(depth - WINDOW // 2, depth + WINDOW // 2):
+                radius = max(border[n] - min(max(k, 0), depths - 1), 0.0)
+                total += _light(image, centre[0] + radius * way[n, 0], centre[1] + radius * way[n, 1], threshold)
+            if total >= LEAST_LIGHT:
+                found[n] = depth
+                break
+    return found

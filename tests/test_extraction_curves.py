@@ -1,0 +1,238 @@
+"""What extraction reads off smooth curves and grids, against the camera models; its kernels, against closed forms."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+
+from camera_models import MODELS, CameraModel, Cylindrical, Equirectangular, OpenCVFisheye, Scaramuzza, model_class
+from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, arcs_of_ends
+from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.curves import samples
+from omnilines.extraction.edgels import noise_level
+from omnilines.extraction.pair_kernel import near_pairs
+from omnilines.extraction.profile_kernel import mean_profiles, piece_means, profiles
+from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
+
+EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]
+
+
+def arcs_between(ends: np.ndarray) -> Arcs:
+    """Arcs (n) between pairs of unit bearings (n, 2, 3)."""
+    normal = np.cross(ends[:, 0], ends[:, 1])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return arcs_of_ends(normal, ends, np.tile(np.eye(3), (len(ends), 1, 1)))
+
+
+def agrees(model: CameraModel, arcs: Arcs, beyond_px: float) -> int:
+    """Assert that samples are what the model says of their angles; how many are not valid."""
+    at = samples(model, arcs, beyond_px)
+    pixel, across, rate, valid = across_px(model, arcs, at.owner, at.angle)
+    np.testing.assert_array_equal(at.valid, valid)
+    off = at.pixel - pixel
+    if model.PERIODIC:
+        off[:, 0] -= model.image_size[0] * np.round(off[:, 0] / model.image_size[0])
+    assert valid.sum() > 100
+    assert np.abs(off[valid]).max() < 1e-3
+    assert np.abs(at.rate / np.maximum(rate, 1e-300) - 1.0)[valid].max() < 1e-4
+    assert np.abs(at.across - across)[valid].max() < 1e-4
+    assert (np.diff(at.angle)[np.diff(at.owner) == 0] > 0).all()
+    return int((~valid).sum())
+
+
+@pytest.mark.parametrize("model", EXAMPLES)
+def test_samples_lie_where_the_model_says(model: CameraModel) -> None:
+    """Arcs between random pixels, short ones and long ones, and beyond their ends."""
+    rng = np.random.default_rng(0)
+    width, height = model.image_size
+    pixels = rng.uniform(0.0, 1.0, (300, 2, 2)) * np.array([width - 1.0, height - 1.0])
+    pixels[100:, 1] = (pixels[100:, 0] + rng.uniform(-60.0, 60.0, (200, 2))).clip(0.0, [width - 1.0, height - 1.0])
+    rays, seen = model.unproject(pixels)
+    apart = np.arccos(np.clip((rays[:, 0] * rays[:, 1]).sum(-1), -1.0, 1.0))
+    rays = rays[seen.all(-1) & (apart < LONGEST_RAD) & (apart > 1e-3)]
+    assert len(rays) > 100
+    arcs = arcs_between(rays)
+    for beyond_px in (0.0, 12.0):
+        agrees(model, arcs, beyond_px)
+
+
+@pytest.mark.parametrize("model", EXAMPLES)
+def test_samples_at_the_end_of_the_domain(model: CameraModel) -> None:
+    """Arcs that leave the largest angle, that end at it, and that graze it."""
+    most = model.max_angle
+    axis = model.unproject(model.centre_px.numpy())[0]
+    helper = np.eye(3)[np.abs(axis).argmin()]
+    e1 = np.cross(axis, helper) / np.linalg.norm(np.cross(axis, helper))
+    e2 = np.cross(axis, e1)
+
+    def ray(theta: float, turn: float) -> np.ndarray:
+        return math.cos(theta) * axis + math.sin(theta) * (math.cos(turn) * e1 + math.sin(turn) * e2)
+
+    rim, _ = model.project(ray(most - 0.02, 0.3))
+    if most >= math.pi or np.abs(rim).max() > 1e4:
+        most = 0.5 * min(most, 2.0)
+    ends = []
+    for turn in np.linspace(0.0, 6.0, 9):
+        ends += [
+            (ray(most - 0.3, turn), ray(min(most + 0.1, 3.0), turn + 0.4)),
+            (ray(most - 0.2, turn), ray(most - 1e-5, turn + 0.1)),
+        ]
+        # The middle of an arc between two points of a small circle lies farther in or out than they.
+        ends += [(ray(most - depth, turn), ray(most - depth, turn + 0.6)) for depth in (1e-4, 1e-3, 1e-2)]
+    missing = agrees(model, arcs_between(np.array(ends)), 12.0)
+    assert missing > 0 or most < model.max_angle
+
+
+@pytest.mark.parametrize(
+    "model", [Equirectangular([], (2048, 1024)), Cylindrical.examples()[0]], ids=["equirectangular", "cylindrical"]
+)
+def test_samples_near_the_poles_and_across_the_seam(model: CameraModel) -> None:
+    ends = []
+    for turn in np.linspace(0.0, 6.0, 13):
+        for beside in (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.3):
+            side = np.array([math.cos(turn), 0.0, math.sin(turn)])
+            over = np.array([-math.sin(turn), 0.0, math.cos(turn)])
+            pole = np.array([0.0, 1.0 if turn > 3.0 else -1.0, 0.0])
+            ends.append([pole + span * side + beside * over for span in (-0.61, 0.4)])
+    if isinstance(model, Cylindrical):
+        # Its poles are infinitely far out: only what passes beside them.
+        ends = [
+            [a + 0.6 * np.array([0.0, -np.sign(a[1]), 0.0]), b + 0.5 * np.array([0.0, -np.sign(b[1]), 0.0])]
+            for a, b in ends[5::6]
+        ]
+    for height in np.linspace(-0.5, 0.5, 11):
+        ends.append([np.array([-0.5, height, -1.0]), np.array([0.3, 0.2 - height, -1.0])])
+    arcs = arcs_between(np.array([[ray / np.linalg.norm(ray) for ray in pair] for pair in ends]))
+    for beyond_px in (0.0, 12.0):
+        agrees(model, arcs, beyond_px)
+
+
+@pytest.mark.parametrize("model", EXAMPLES)
+def test_bearings_of_many_places_are_those_of_the_model(model: CameraModel) -> None:
+    width, height = model.image_size
+    places = (
+        np.random.default_rng(1).uniform(-1.0, 1.0, (40_000, 2)) * np.array([width, height]) * 0.51
+        + np.array([width, height]) / 2
+    )
+    bearings, valid = bearings_at(model, places)
+    expected, seen = model.unproject(places)
+    np.testing.assert_array_equal(valid, seen)
+    moved, also = model.unproject(places + np.array([1e-3, 0.0]))
+    pace = np.linalg.norm(moved - expected, axis=-1) / 1e-3
+    rows = seen & also & (pace > 0)
+    assert rows.sum() > 10_000
+    off = np.linalg.norm(bearings - expected, axis=-1)
+    assert (off[rows] <= 1e-3 * pace[rows] + 1e-14).all()
+
+
+def test_the_examples_have_domains_that_end_inside_the_image() -> None:
+    """So that the test before meets grids with nodes that have no bearing."""
+    inside = [model for model in (*OpenCVFisheye.examples(), *Scaramuzza.examples()) if model.max_angle < math.pi]
+    assert inside
+    seen = [
+        bearings_at(m, np.random.default_rng(2).uniform(0.0, 1.0, (20_000, 2)) * np.array(m.image_size))[1].mean() for m in inside
+    ]
+    assert min(seen) < 1.0
+
+
+def test_steps_are_found_where_they_are() -> None:
+    """Profiles of one to three blurred steps in three channels, without noise: Gauss and Newton from beside them."""
+    rng = np.random.default_rng(3)
+    offsets = np.append(np.arange(-12, 13) * 0.5, np.zeros(7))
+    weight = np.append(np.exp(-0.25 * (offsets[:25] / 2.0) ** 2), np.zeros(7))
+    count = np.repeat([1, 2, 3], 100)
+    place = np.stack([rng.uniform(-0.3, 0.3, 300), rng.uniform(2.0, 2.6, 300), rng.uniform(-2.8, -2.2, 300)], -1)
+    height = rng.uniform(20.0, 60.0, (300, 3, 3)) * rng.choice([-1.0, 1.0], (300, 1, 3))
+    present = np.arange(3) < count[:, None]
+    steps = ndtr((offsets[None, :, None] - place[:, None]) / 0.7) * present[:, None]
+    profile = 90.0 + np.einsum("nks,nsc->nck", steps, height)
+    start = np.zeros((300, MOST_STEPS))
+    start[:, :3] = place + rng.uniform(-0.2, 0.2, (300, 3))
+    sigma = np.full(300, 0.01)
+    found, variance, heights, left = fit_steps(profile, offsets, weight, start, count, np.array([1.0, 0.3]), sigma, 0.7)
+    assert np.abs(found[:, :3] - place)[present].max() < 4e-3
+    assert np.abs(heights[:, :3] / height - 1.0)[present].max() < 2e-2
+    assert left.max() < 1e-1 and (variance > 0).all()
+    # Of one step: 1 / (sum of squares of the slope beside what a level and a height explain), Cramer and Rao.
+    bell = np.exp(-0.5 * ((offsets - found[:100, :1]) / 0.7) ** 2) / (0.7 * math.sqrt(2.0 * math.pi)) * weight
+    for n in range(100):
+        design = np.stack([weight, weight * ndtr((offsets - found[n, 0]) / 0.7)], -1)
+        slope = bell[n] - design @ np.linalg.lstsq(design, bell[n], rcond=None)[0]
+        bound = sigma[n] ** 2 / ((slope**2).sum() * (height[n, 0] ** 2).sum())
+        np.testing.assert_allclose(variance[n], bound, rtol=0.02)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_noise_is_the_median_of_the_mask(dtype: type) -> None:
+    """OpenCV's filter and NumPy's median of one band; and the noise that was added to a slope."""
+    rng = np.random.default_rng(4)
+    unit = 1.0 if dtype is np.uint8 else 257.0
+    grey = 60.0 + np.arange(200.0) * 0.3 + rng.normal(0.0, 3.0, (50, 200))
+    image = np.rint(grey * unit).astype(dtype)
+    allowed = np.ones((50, 200), dtype=bool)
+    allowed[:, 120:] = False
+    kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
+    left = np.abs(cv2.filter2D(image.astype(np.float64), -1, kernel))[allowed]
+    np.testing.assert_allclose(noise_level(image, allowed), np.median(left) / 0.6745 / unit, rtol=1e-9)
+    np.testing.assert_allclose(noise_level(image, allowed), 3.0, rtol=0.1)
+    assert noise_level(image, np.zeros_like(allowed)) == 0.0
+
+
+def test_pairs_of_normals_are_those_of_a_tree() -> None:
+    rng = np.random.default_rng(5)
+    normal = rng.normal(size=(400, 3)) * np.array([1.0, 1.0, 0.3])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    first = np.cross(normal, rng.normal(size=(400, 3)))
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    frame = np.stack([normal, first, np.cross(normal, first)], -1)
+    half = rng.uniform(0.05, 0.3, 400)
+    order = np.argsort(np.abs(normal[:, 2]), kind="stable")
+    pairs, values = near_pairs(frame, -half, half, half, order, 0.08, 7.0, 7.0)
+    tree = cKDTree(np.concatenate([normal, -normal])).query_pairs(0.08, output_type="ndarray") % 400
+    expected = {(min(a, b), max(a, b)) for a, b in tree.tolist()}
+    # An arc on the far side of the other's circle has its ends on both sides of pi: it is no neighbour.
+    left_out = expected - {(min(a, b), max(a, b)) for a, b in pairs.tolist()}
+    assert len(pairs) > 200 and {(min(a, b), max(a, b)) for a, b in pairs.tolist()} <= expected
+    for a, b in left_out:
+        middle = first[b] @ frame[a, :, 1]
+        assert middle < math.cos(2.5)
+    assert (half[pairs[:, 0]] >= half[pairs[:, 1]]).all()
+    for (a, b), (low, high, gap, after) in zip(pairs, values, strict=True):
+        ends = np.cos(half[b]) * frame[b, :, 1] + np.outer([-np.sin(half[b]), np.sin(half[b])], frame[b, :, 2])
+        angle = np.sort(np.arctan2(ends @ frame[a, :, 2], ends @ frame[a, :, 1]))
+        np.testing.assert_allclose((low, high), angle, atol=1e-12)
+        np.testing.assert_allclose(gap, max(low - half[a], -half[a] - high), atol=1e-12)
+        assert after == (low - half[a] >= -half[a] - high)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_profiles_read_the_photo(channels: int) -> None:
+    """Bilinear values are OpenCV's, also around the seam; cubic convolution reproduces a plane."""
+    rng = np.random.default_rng(6)
+    image = rng.integers(0, 256, (60, 80, channels), dtype=np.uint8)
+    turn = rng.uniform(0.0, 6.28, 500)
+    pixel, across = rng.uniform([0.0, 10.0], [79.0, 50.0], (500, 2)), np.stack([np.cos(turn), np.sin(turn)], -1)
+    offsets = np.arange(-6, 7) * 0.5
+    grey, inside = profiles(image, 1.0, pixel, across, offsets, True)
+    around = np.concatenate([image[:, -20:], image, image[:, :20]], 1)
+    places = pixel[:, None] + offsets[:, None] * across[:, None] + np.array([20.0, 0.0])
+    for c in range(channels):
+        plane = np.ascontiguousarray(around[..., c].astype(np.float32))
+        expected = cv2.remap(plane, places[..., 0].astype(np.float32), places[..., 1].astype(np.float32), cv2.INTER_LINEAR)
+        # OpenCV rounds places to 1/32 px.
+        assert np.abs(grey[:, c] - expected).max() < 0.04 * 255
+        assert np.abs(grey[:, c] - expected).mean() < 2.0
+    assert inside.all()
+    _, open_ended = profiles(image, 1.0, pixel, across, offsets, False)
+    reach = places[..., 0] - 20.0
+    np.testing.assert_array_equal(open_ended, ((reach >= 0) & (reach < 79)).all(-1))
+    starts = np.arange(0, 501, 5)
+    np.testing.assert_allclose(piece_means(grey, starts), grey.reshape(100, 5, channels, 13).mean(1), atol=1e-3)
+    slope = (2.0 * np.arange(80.0) + np.arange(60.0)[:, None])[..., None] * np.ones(channels)
+    mean, whole = mean_profiles(slope.astype(np.uint8), 1.0, pixel, across, np.ones(500, dtype=bool), starts, offsets, False)
+    truth = (2.0 * reach + places[..., 1]).reshape(100, 5, 13).mean(1)
+    assert whole.sum() > 20
+    np.testing.assert_allclose(mean[whole], np.repeat(truth[whole, None], channels, 1), atol=1e-9)
