@@ -24,14 +24,15 @@ from omnilines.triangulation.robust import noise_level
 
 SLACKS_PX = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 """Standard deviations that are tried, from exact poses to poor ones."""
-SAMPLED_ARCS = 250
-SHOWING = 60
+SAMPLED_PAIRS, LEAST_SAMPLED = 2_000_000, 250
+"""Arcs that the slack is chosen by: as many as give so many pairs with another arc, or the least number."""
+SHOWING_SHARE = 0.25
 """Of them, those whose residuals are looked at."""
 ENOUGH = 0.6
 """Of the most that any slack gains."""
-CHANCE_SIGMA = 3.0
-"""Standard errors by which the most that any slack gains has to exceed what chance gains, and at least by as much again."""
-CHANCE_TURN_RAD = (0.25 * math.pi, 1.75 * math.pi)
+CHANCE_SIGMA = 4.0
+"""Standard errors by which the most that any slack gains has to exceed what it gains by chance."""
+CHANCE_TURN_RAD = (math.radians(4.0), math.radians(8.0))
 LEAST_VIEWS = 4
 NEIGHBOURS = 24
 """Photos that each is compared with at most."""
@@ -82,36 +83,38 @@ def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: in
     """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of arcs.
 
     Too little of it and true partners miss each other: the best line of an arc stands out less from its best rival than under
-    another slack, or the residuals of the lines that stand out most show more noise than was allowed for. Where nothing stands
-    out more than by chance, which it does the more the larger the slack, the smallest is taken.
+    another slack, or the residuals of the lines that stand out most show more noise than was allowed for. Chance gains too, and
+    the more the larger the slack: none is taken beyond the one that gains most over chance, and the smallest where nothing
+    stands out more than by chance.
     """
     rng = np.random.default_rng(seed)
-    chosen = np.sort(rng.permutation(len(arcs))[:SAMPLED_ARCS])
+    chosen = np.sort(rng.permutation(len(arcs))[: max(SAMPLED_PAIRS // len(arcs), LEAST_SAMPLED)])
+    turned = arcs.with_poses(_turned(arcs.poses, rng))
     found = [find_hypotheses(arcs.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
+    chance = [find_hypotheses(turned.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
     gain = np.array([float((one.score - one.rival).mean()) for one in found])
-    most = int(np.argmax(gain))
-    turned = arcs.with_poses(_turned(arcs.poses, rng)).widened(SLACKS_PX[most])
-    chance = find_hypotheses(turned, neighbours, rows=chosen)
-    by_chance = chance.score - chance.rival
-    excess = found[most].score - found[most].rival - by_chance
-    if excess.mean() <= max(by_chance.mean(), CHANCE_SIGMA * excess.std() / math.sqrt(len(excess))):
+    by_chance = np.array([float((one.score - one.rival).mean()) for one in chance])
+    most = int(np.argmax(gain - by_chance))
+    excess = (found[most].score - found[most].rival) - (chance[most].score - chance[most].rival)
+    if excess.mean() <= CHANCE_SIGMA * excess.std() / math.sqrt(len(excess)):
         return SLACKS_PX[0]
-    for k in np.flatnonzero(gain >= ENOUGH * gain.max()).tolist():
+    for k in np.flatnonzero(gain[:most] >= ENOUGH * gain.max()).tolist():
         if _shown_slack(arcs, chosen, found[k], SLACKS_PX[k]) <= SLACKS_PX[k]:
             return SLACKS_PX[k]
     return SLACKS_PX[most]
 
 
 def _turned(poses: Pose, rng: np.random.Generator) -> Pose:
-    """Cameras at the same places, each turned about its optical axis at random: arcs fit each other by chance alone."""
-    axis = torch.zeros(len(poses), 6, dtype=torch.float64)
-    axis[:, 2] = torch.as_tensor(rng.uniform(*CHANCE_TURN_RAD, len(poses)))
-    return Pose.exp(axis) @ poses
+    """Cameras at the same places, each turned a little about an axis of its own: arcs fit each other by chance alone, and what
+    photos have in common hardly changes."""
+    axis = rng.standard_normal((len(poses), 3))
+    axis *= rng.uniform(*CHANCE_TURN_RAD, (len(poses), 1)) / np.linalg.norm(axis, axis=-1, keepdims=True)
+    return Pose.exp(torch.as_tensor(np.concatenate([axis, np.zeros_like(axis)], -1))) @ poses
 
 
 def _shown_slack(arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, slack_px: float) -> float:
-    """What the residuals show beyond the stated noise: of the SHOWING arcs whose line stands out most, with their supporters."""
-    best = np.argsort(found.rival - found.score, kind="stable")[:SHOWING]
+    """What the residuals show beyond the stated noise: of the arcs whose line stands out most, with their supporters."""
+    best = np.argsort(found.rival - found.score, kind="stable")[: math.ceil(SHOWING_SHARE * len(rows))]
     support = found.support[best]
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])

@@ -1,0 +1,130 @@
+"""Lines of a real hall from one instant of a rig of four cameras of 220 degrees, judged by a camera that had no part in them.
+
+    python tests/bench/bench_scene_rig.py [--data ../shared/data/rigs/omnimvs/itbt_sample] [--out DIR]
+
+For each instant and each camera: `omnilines reconstruct --poses rig` on the photos of the other three, three views a line.
+Every line is drawn into the photo of the camera left out, where it is unbroken over SEEN_PX or more, and compared with the arcs
+that `extract_arcs` finds there: the nearest one that runs along it. No line is known to be visible there, so that some of those
+without an arc are hidden; the shares by chance are those of the same lines drawn SHIFTED_PX beside their places.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from timing import print_table
+
+import camera_models
+from camera_models import CameraModel
+from camera_models.formats import read as read_calibration
+from camera_models.pose import Pose
+from omnilines.cli import main as omnilines
+from omnilines.extraction import extract_arcs
+from omnilines.files import read_lines, read_photo, read_poses
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rigs" / "omnimvs" / "itbt_sample"
+SEEN_PX, NEAR_PX, MATCHED_PX, SHIFTED_PX = 40.0, 2.0, 5.0, 15.0
+LEAST_COSINE = np.cos(np.radians(3.0))
+SAMPLES = 401
+
+
+def reconstructed(folder: Path, instant: str, cameras: list[str], calibration: Path, out: Path) -> bool:
+    """`omnilines reconstruct` on what some cameras saw at one instant, into out/scene; whether it found a line."""
+    for name in cameras:
+        (out / "photos" / name).mkdir(parents=True)
+        (out / "photos" / name / instant).symlink_to(folder / name / instant)
+    arguments = ["reconstruct", str(out / "photos"), "--calibration", str(calibration), "--poses", "rig", "--min-views", "3"]
+    try:
+        omnilines([*arguments, "--out", str(out / "scene")])
+    except SystemExit as finished:
+        return not finished.code
+    return True
+
+
+def drawn(ends_m: np.ndarray, pose: Pose, camera: CameraModel) -> list[np.ndarray]:
+    """The visible part of each line in a photo (k, 2), of those that are long enough."""
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    curves = []
+    for ends in ends_m:
+        points = pose.transform(torch.as_tensor(ends[:1] + share * (ends[1:] - ends[:1])))
+        pixel, valid = camera.project(points.numpy())
+        inside = valid & ((pixel >= 0) & (pixel <= np.array(camera.image_size) - 1)).all(-1)
+        if inside.all() and np.linalg.norm(np.diff(pixel, axis=0), axis=-1).sum() >= SEEN_PX:
+            curves.append(pixel)
+    return curves
+
+
+def nearest_arc(curve: np.ndarray, arcs_px: np.ndarray) -> float:
+    """RMS distance (px) of both ends of the nearest arc that runs along a curve; infinite if none does."""
+    step = np.diff(curve, axis=0)
+    tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
+    across = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    away = arcs_px[:, :, None] - 0.5 * (curve[1:] + curve[:-1])
+    at = np.argmin((away**2).sum(-1), axis=-1)
+    beyond = (at == 0) | (at == len(step) - 1)
+    off = np.abs((np.take_along_axis(away, at[..., None, None], 2)[:, :, 0] * across[at]).sum(-1))
+    chord = arcs_px[:, 1] - arcs_px[:, 0]
+    chord /= np.linalg.norm(chord, axis=-1, keepdims=True)
+    middle = tangent[at].sum(1)
+    middle /= np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
+    along = (np.abs((chord * middle).sum(-1)) >= LEAST_COSINE) & ~beyond.all(-1)
+    return float(np.sqrt((off[along] ** 2).mean(-1)).min(initial=np.inf))
+
+
+def held_out(ends_m: np.ndarray, pose: Pose, camera: CameraModel, arcs_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (px) of the drawn lines from the nearest arc, in their places and beside them."""
+    curves = drawn(ends_m, pose, camera)
+    place = [nearest_arc(curve, arcs_px) for curve in curves]
+    beside = []
+    for curve in curves:
+        chord = curve[-1] - curve[0]
+        off = SHIFTED_PX * np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+        beside += [nearest_arc(curve + off, arcs_px), nearest_arc(curve - off, arcs_px)]
+    return np.array(place), np.array(beside)
+
+
+def main(folder: Path, out: Path) -> None:
+    calibration = read_calibration(folder / "config.yaml").calibration
+    assert calibration.rig is not None
+    out.mkdir(parents=True, exist_ok=True)
+    camera_models.save(out / "calibration.yaml", calibration)
+    names, rows = list(calibration.cameras), []
+    for instant in sorted(file.name for file in (folder / names[0]).glob("*.png")):
+        for name in names:
+            work = out / Path(instant).stem / f"without_{name}"
+            if not reconstructed(folder, instant, [n for n in names if n != name], out / "calibration.yaml", work):
+                rows.append([f"{name}/{instant}", "0", *[""] * 5])
+                continue
+            lines, poses = read_lines(work / "scene" / "lines.csv"), read_poses(work / "scene" / "poses.csv")
+            other = poses.images[0].split("/")[0]
+            rig = calibration.rig
+            pose = rig[name].cam_from_rig @ rig[other].cam_from_rig.inverse() @ poses.cam_from_world[0]
+            arcs = extract_arcs(read_photo(folder / name / instant), calibration[name], least_px=15.0)
+            off, chance = held_out(lines.ends_m[lines.known], pose, calibration[name], arcs.endpoints_px)
+            rows.append(
+                [
+                    f"{name}/{instant}",
+                    str(int(lines.known.sum())),
+                    f"{np.median(lines.rms_px[lines.known]):.2f}",
+                    str(len(off)),
+                    f"{np.median(off[off < MATCHED_PX]):.2f}",
+                    f"{100 * (off < NEAR_PX).mean():.0f}",
+                    f"{100 * (chance < NEAR_PX).mean():.0f}",
+                ]
+            )
+    print_table(
+        f"{folder.name}: lines of three cameras in the fourth",
+        ["left out", "lines", "rms px", "drawn", "median px", f"% within {NEAR_PX:.0f} px", "% by chance"],
+        rows,
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        main(options.data.resolve(), options.out or Path(scratch))
