@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from triangulation_scenes import LineSet, circle, generator, room, square_error, unit
@@ -12,6 +13,8 @@ from camera_models.pose import Pose, hat, vector_from_rotation
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.triangulation import TRIANGULATIONS, triangulate
+from omnilines.triangulation.dual import frames_and_lines
+from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import (
     chart_of,
@@ -204,6 +207,42 @@ def test_ends_of_unequal_noise_are_weighed_by_it() -> None:
     without = triangulate("ml", scene.observe(pixels))
     errors = [float(square_error(r, scene.ends).mean().sqrt()) for r in (result, without)]
     assert 1.5 * errors[0] < errors[1]
+
+
+def arcs_of_all_kinds(scene: LineSet, seed: int) -> PlaneObservations:
+    """Pieces of the arcs, down to a fiftieth, whose ends are known to between 0.05 and 20 px."""
+    rng, count = np.random.default_rng(seed), len(scene.track)
+    sigma_px = torch.as_tensor(np.exp(rng.uniform(math.log(0.05), math.log(20.0), (count, 2))))
+    share = torch.as_tensor(rng.uniform(0.02, 1.0, (count, 1)))
+    first = torch.as_tensor(rng.uniform(0.0, 1.0, (count, 1))) * (1 - share)
+    whole, _ = scene.camera.unproject(scene.pixels.flatten(0, 1))
+    ends = torch.stack([whole[:, 0] * (1 - at) + whole[:, 1] * at for at in (first, first + share)], 1)
+    pixels = scene.camera.project(ends)[0] + sigma_px[..., None] * torch.as_tensor(rng.standard_normal((count, 2, 2)))
+    bearings, seen = scene.camera.unproject(pixels)
+    assert bool(seen.all())
+    poses = scene.poses[torch.arange(len(scene.poses)).repeat(len(scene.ends))]
+    covariance = sigma_px[..., None, None] ** 2 * torch.eye(2, dtype=torch.float64)
+    return PlaneObservations.from_arcs(
+        bearings, poses, scene.track, len(scene.ends), scene.camera.unproject_jacobian(pixels), covariance
+    )
+
+
+def test_the_least_minimum_is_found_where_arcs_are_known_very_differently_well() -> None:
+    """Against the minimum that is reached from the true lines; the dual space alone leads elsewhere."""
+
+    def square(lines: PlueckerLines) -> torch.Tensor:
+        distance = end_distances(observations, lines[observations.track].moment_about(observations.centre))
+        return observations.sum_by_track(distance.square().sum(-1))
+
+    scene = room(20)
+    observations = arcs_of_all_kinds(scene, 1)
+    least = square(refine(observations, PlueckerLines.from_points(scene.ends[:, 0], scene.ends[:, 1])))
+    dual = square(refine(observations, frames_and_lines(observations)[1]))
+    result = triangulate("ml", observations)
+    found = square(result.lines)[result.known]
+    assert int((dual > 1.01 * least + 1.0).sum()) >= 20
+    assert int((found > 1.01 * least[result.known] + 1.0).sum()) <= 2 and bool((found < 100.0).all())
+    assert len(found) > 0.8 * len(scene.ends)
 
 
 def test_stated_noise_decides_whether_planes_differ() -> None:

@@ -10,19 +10,19 @@ line is found without it, over the standard deviation of that: with h, J of the 
 both are chi-square with two degrees of freedom, to first order. A row whose arc faces away from the line does not belong to it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from omnilines.geometry.line import PARALLEL, PlueckerLines
-from omnilines.triangulation.averaging import subsets
+from omnilines.geometry.line import PlueckerLines
+from omnilines.triangulation.candidates import candidate_batches
 from omnilines.triangulation.degeneracy import faces_away
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
-from omnilines.triangulation.residuals import chart_of, end_bearings, end_distances, inverse, linearise
+from omnilines.triangulation.residuals import chart_of, end_distances, inverse, linearise
 
 ROW_LIMIT = 13.816
 """What chi-square with two degrees of freedom exceeds once in a thousand."""
@@ -37,7 +37,6 @@ ROUNDS, STEPS = 10, 20
 """Of judging, and of refining in each: hypotheses that need more are wrong ones."""
 FREE_ROUNDS = 5
 """After these, rows may only leave: two rows that throw out each other would do so in turn."""
-RESIDUALS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -54,41 +53,6 @@ class Consensus:
 def majority(views: int) -> int:
     """Rows that have to agree: more than half, and three at least, since two planes always meet in a line."""
     return max(3, views // 2 + 1)
-
-
-def candidate_lines(
-    observations: PlaneObservations, rows: Int[Tensor, "g k"], pairs: Int[Tensor, "p 2"]
-) -> tuple[PlueckerLines, Float[Tensor, "g p k"]]:
-    """The line of each pair of planes, world frame, and sum h^2 of every row from it; infinite where a row faces away or where
-    the planes of a pair are parallel."""
-    origin = observations.centre[rows].mean(1)
-    normal, centre = observations.normal[rows], observations.centre[rows] - origin[:, None]
-    s = -(normal * centre).sum(-1)
-    first, second = pairs.unbind(-1)
-    sine = torch.linalg.cross(normal[:, first], normal[:, second]).norm(dim=-1)
-    lines = PlueckerLines.from_planes(normal[:, first], s[:, first], normal[:, second], s[:, second])
-    moment = lines.moment[:, :, None] - torch.linalg.cross(centre[:, None], lines.direction[:, :, None])
-    along = torch.einsum("gkea,gpka->gpke", end_bearings(observations)[rows], moment)
-    if observations.noise is None:
-        square = along.square() / moment.square().sum(-1, keepdim=True)
-    else:
-        square = along.square() / torch.einsum("gkeab,gpka->gpkeb", observations.noise[rows], moment).square().sum(-1)
-    total = square.sum(-1)
-    wrong = ~torch.isfinite(total) | (sine <= PARALLEL)[..., None]
-    if observations.arcs is not None:
-        towards = torch.linalg.cross(lines.direction[:, :, None].expand_as(moment), moment)
-        wrong = wrong | (torch.einsum("gka,gpka->gpk", observations.arcs[rows].sum(2), towards) <= 0)
-    return lines.shifted(-origin[:, None]), torch.where(wrong, torch.inf, total)
-
-
-def candidate_batches(
-    observations: PlaneObservations, rows: Int[Tensor, "g k"], budget: int, seed: int
-) -> Iterator[tuple[Int[Tensor, "p 2"], Int[Tensor, "b k"], PlueckerLines, Float[Tensor, "b p k"]]]:
-    """The candidates of all tracks, a few tracks at a time: (pairs, rows, lines, sum h^2)."""
-    views = rows.shape[1]
-    pairs = subsets(views, 2, budget, seed).to(rows.device)
-    for some in rows.split(max(1, RESIDUALS_AT_ONCE // (len(pairs) * views))):
-        yield (pairs, some, *candidate_lines(observations, some, pairs))
 
 
 def least_majority_square(

@@ -5,6 +5,8 @@ chart of each line (Madsen, Nielsen, Tingleff 2004), all tracks at once, each wi
 It attains the Cramer-Rao bound with the noise stated, and without where all end points are equally certain in pixels or angle.
 """
 
+import math
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -12,14 +14,25 @@ from torch import Tensor
 from camera_models.errors import InputError
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
+from omnilines.triangulation.candidates import candidate_batches
 from omnilines.triangulation.degeneracy import assess
 from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.observations import PlaneObservations
-from omnilines.triangulation.residuals import NormalEquations, chart_of, normal_equations
+from omnilines.triangulation.residuals import (
+    NormalEquations,
+    chart_of,
+    chi_square_limit,
+    end_distances,
+    freedom,
+    noise_variance,
+    normal_equations,
+)
 from omnilines.triangulation.result import Triangulation
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-10, 1e-14, 1e8
 """Relative to the diagonal. The start is good, and damping would freeze a far line, which eigenvalues near 1e-11 determine."""
+PAIRS, FAR = 128, 55.0
+"""Pairs of planes that are tried where the first search has failed; a row farther off, over the variance, is as good as any."""
 TOLERANCE = 1e-12
 """A track is done when the decrease of its cost that the linear model promises is below this share of it."""
 
@@ -29,7 +42,51 @@ def triangulate(observations: PlaneObservations, *, iterations: int = 50, sigma_
     if iterations < 0:
         raise InputError(f"Maximum likelihood expects iterations of at least 0, found {iterations}; correct the option.")
     frames, start, unsolved = frames_and_lines(observations)
-    return assess(observations, frames, refine(observations, start, iterations), sigma_rad, unsolved)
+    lines = _restarted(observations, refine(observations, start, iterations), iterations)
+    return assess(observations, frames, lines, sigma_rad, unsolved)
+
+
+def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations: int) -> PlueckerLines:
+    """Lines that their rows do not fit found anew from pairs of planes, where one ends nearer.
+
+    The dual space knows nothing of noise: of arcs that are known very differently well it may give a start from which the search
+    ends in another minimum.
+    """
+    square = _total_square(observations, lines)
+    degrees = freedom(observations)
+    variance = noise_variance(square, degrees)
+    tracks = torch.nonzero((degrees > 0) & (square > chi_square_limit(degrees) * variance)).squeeze(-1)
+    if not len(tracks) or not iterations:
+        return lines
+    own, _ = observations.of_tracks(tracks)
+    direction, moment, least = lines.direction.clone(), lines.moment.clone(), square[tracks]
+    for most in (FAR * variance, math.inf):
+        again = refine(own, _best_pairs(own, most), iterations)
+        total = _total_square(own, again)
+        nearer = total < least
+        direction[tracks[nearer]], moment[tracks[nearer]] = again.direction[nearer], again.moment[nearer]
+        least = torch.where(nearer, total, least)
+    return PlueckerLines(direction, moment)
+
+
+def _best_pairs(observations: PlaneObservations, most: float) -> PlueckerLines:
+    """The line of the two planes of each track from which all of its rows have the least sum of squares, each at most `most`."""
+    direction = torch.full((observations.tracks, 3), torch.nan, dtype=torch.float64, device=observations.normal.device)
+    moment = direction.clone()
+    for tracks, rows in observations.by_view_count():
+        found = []
+        for _, some, candidates, square in candidate_batches(observations, rows, PAIRS, 0):
+            best = square.clamp(max=most).sum(-1).argmin(-1)
+            found.append(candidates[torch.arange(len(some), device=best.device), best])
+        direction[tracks] = torch.cat([lines.direction for lines in found])
+        moment[tracks] = torch.cat([lines.moment for lines in found])
+    return PlueckerLines(direction, moment)
+
+
+def _total_square(observations: PlaneObservations, lines: PlueckerLines) -> Float[Tensor, " t"]:
+    """Sum of the squared distances of the ends of each track, over their noise where it is stated; NaN without a line."""
+    moment = lines[observations.track].moment_about(observations.centre)
+    return observations.sum_by_track(end_distances(observations, moment).square().sum(-1))
 
 
 def refine(observations: PlaneObservations, start: PlueckerLines, iterations: int = 50) -> PlueckerLines:
