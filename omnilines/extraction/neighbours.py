@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t as t_distribution
+from scipy.special import stdtrit
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
@@ -85,7 +85,7 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
     change, inverse, scatter, used, residual, place, variance = _circles(blocks, blocks.place, TAPER_PX, blur_px)
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.
-    few = (t_distribution.ppf(0.975, np.maximum(used - 2.0, 1.0)) / 1.96) ** 2
+    few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
     covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, FLOOR_PX)
     for taper_px, blur, share in ((WIDE_TAPER_PX, blur_px, WIDE_SHARE), (TAPER_PX, BLUR_FACTOR * blur_px, BLUR_SHARE)):
         bias = _circles(blocks, place, taper_px, blur)[0] - change

@@ -14,9 +14,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.special import bdtrc, chdtrc
 from torch import Tensor
 
 from camera_models.errors import InputError
@@ -180,7 +180,8 @@ def _chance(
         e, both, _ = across(d[other], c[other] + c[seed], d[seed], math.sqrt(2) * tolerance_rad)
         inside = place[squared_distance(e, both) <= GATE] + low
         count += torch.bincount(inside, minlength=len(seeds))
-    tail = torch.from_numpy(scipy.stats.binom.logsf(count.numpy() - 1, n - 1, p.numpy()))
+    with np.errstate(divide="ignore"):
+        tail = torch.from_numpy(np.log(bdtrc(count.numpy() - 1.0, n - 1, p.numpy())))
     return torch.where(count + 1 >= least, math.log(n) + tail, math.inf)
 
 
@@ -241,7 +242,7 @@ def _described(
         members,
         spread,
         chi_square,
-        np.asarray(scipy.stats.chi2.sf(chi_square, 2 * (members - 1)), dtype=np.float64),
+        np.asarray(chdtrc(2.0 * (members - 1), chi_square), dtype=np.float64),
         pairs[right].numpy(),
         angle[right].numpy(),
         sigma[right].numpy(),
