@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from calib_patterns._pattern import Detection
+from calib_patterns.grid_checks import checks, flaw_of, good_corners, turns_of, typical_blur_px, typical_sigma_px
 from calib_patterns.partial import visible_part
-from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_corners, fit_saddles, grid_derivatives, misfit
+from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_saddles, median, misfit
 
 SEARCH_SIDE_PX = 1400
 """Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
@@ -28,8 +29,6 @@ NOISY_GREY = 3.0
 _THINNED = 32
 _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 """Median absolute second difference of white noise of unit standard deviation."""
-MIN_GOOD_SHARE = 0.8
-"""Share of the corners that must be fitted well for a grid to count."""
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
 
@@ -41,7 +40,7 @@ def _classic(image: Grey, nx: int, ny: int) -> np.ndarray | None:
     """Quadrilaterals of an adaptive threshold, linked into a grid; smoothed where noise would make thousands of them."""
     lines = image[::_THINNED].astype(np.int16)
     bends = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
-    if np.median(bends) > NOISY_GREY * _BEND_OF_NOISE:
+    if 2 * np.count_nonzero(bends > NOISY_GREY * _BEND_OF_NOISE) > bends.size:
         image = cv2.GaussianBlur(image, (0, 0), 1.0)
     found, corners = cv2.findChessboardCorners(image, (nx, ny), None, _CLASSIC)
     return corners if found else None
@@ -102,95 +101,10 @@ def searched(
     return image, np.array(grey.shape[::-1]) / np.array(image.shape[::-1])
 
 
-def unfolded(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
-    """Whether all quadrilaterals of neighbouring corners are convex and turn the same way."""
-    ring = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]])
-    edges = np.roll(ring, -1, axis=0) - ring
-    following = np.roll(edges, -1, axis=0)
-    turn = edges[..., 0] * following[..., 1] - edges[..., 1] * following[..., 0]
-    return bool((turn > 0).all() or (turn < 0).all())
-
-
-def _smooth(grid: Float[np.ndarray, "ny nx 2"]) -> bool:
-    """Whether neighbouring squares differ by less than their own size, as they do in any lens (a skipped row does not)."""
-    across, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
-    worst = [
-        (np.linalg.norm(np.diff(steps, axis=axis), axis=-1) / np.linalg.norm(steps, axis=-1).mean(axis, keepdims=True)).max()
-        for steps, axis in ((across, 1), (down, 0))
-    ]
-    return bool(max(worst) < 0.9)
-
-
-def _typical_blur_px(fit: SaddleFit) -> float:
-    """Of the more blurred edge of a corner, within what a fit should start from."""
-    return float(np.clip(np.median(fit.blur_px.max(-1)), 0.5, 4.0))
-
-
-def _typical_sigma_px(fit: SaddleFit) -> float:
-    """Of the corners that were fitted at all."""
-    return float(np.median(fit.sigma_px[fit.converged])) if fit.converged.any() else FINDER_SIGMA_PX
-
-
 def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> SaddleFit:
     """Two fits: the second has its windows and curvatures from the grid that the first, hasty one refines."""
     coarse = fit_saddles(grey, grid, FINDER_SIGMA_PX / scale, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
-    return fit_saddles(grey, coarse.pixels, _typical_sigma_px(coarse), start_blur_px=_typical_blur_px(coarse))
-
-
-def _strengths(contrast: Float[np.ndarray, "ny nx"]) -> Float[np.ndarray, "ny nx"]:
-    """Contrasts of a grid, positive where they alternate as most do."""
-    ny, nx = contrast.shape
-    alternating = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, contrast, -contrast)
-    return np.asarray(alternating * np.sign(np.median(alternating)))
-
-
-def _good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
-    """Corners where a saddle of the board's own contrast and sign stands clear of what the fit leaves."""
-    strength = _strengths(fit.contrast)
-    clear = (strength > 2.5 * fit.residual) & (strength > 0.15 * np.median(strength))
-    return fit.converged & clear & (fit.sigma_px < 1.0)
-
-
-def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"]:
-    """The grid with one more row and column on every side, extrapolated to second order."""
-    for axis in (0, 1):
-        rows = np.moveaxis(grid, axis, 0)
-        before, after = 3 * rows[:1] - 3 * rows[1:2] + rows[2:3], 3 * rows[-1:] - 3 * rows[-2:-1] + rows[-3:-2]
-        grid = np.moveaxis(np.concatenate([before, rows, after]), 0, axis)
-    return grid
-
-
-def _goes_on(grey: Grey, fit: SaddleFit) -> bool:
-    """Whether the board has another row or column of inner corners beyond one of the sides of the grid."""
-    start = _extended(fit.pixels)
-    ring = np.ones(start.shape[:2], dtype=bool)
-    ring[1:-1, 1:-1] = False
-    first, second = grid_derivatives(start, _typical_sigma_px(fit))
-    # What is no saddle never settles; what is one does so within a few steps from here.
-    outer = fit_corners(
-        grey, start[ring], first[ring], second[ring], start_blur_px=_typical_blur_px(fit), max_steps=8, hasty=True
-    )
-    square = np.linalg.norm(first, axis=-2).min(-1)
-    near = np.linalg.norm(outer.pixels - start[ring], axis=-1) < 0.3 * square[ring]
-    wider = np.pad(fit.contrast, 1)
-    wider[ring] = outer.contrast
-    strength = _strengths(wider)
-    clear = (strength[ring] > 2.5 * outer.residual) & (strength[ring] > 0.15 * np.median(strength[1:-1, 1:-1]))
-    good = np.zeros(start.shape[:2], dtype=bool)
-    good[ring] = outer.converged & clear & (outer.sigma_px < 1.0) & near
-    sides = (good[0, 1:-1], good[-1, 1:-1], good[1:-1, 0], good[1:-1, -1])
-    return max(float(side.mean()) for side in sides) > 0.6
-
-
-def _flaw(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> str | None:
-    """What keeps the fitted grid from being the board, None when nothing does."""
-    if good.mean() < MIN_GOOD_SHARE:
-        return "its corners do not alternate like a checkerboard's"
-    if not (unfolded(fit.pixels) and _smooth(fit.pixels)):
-        return "its rows and columns are folded or uneven"
-    if _goes_on(grey, fit):
-        return "its squares go on beyond it; give the number of inner corners that the board has"
-    return None
+    return fit_saddles(grey, coarse.pixels, typical_sigma_px(coarse), start_blur_px=typical_blur_px(coarse))
 
 
 def _numberings(nx: int, ny: int, flip: bool) -> list[tuple[np.ndarray, bool]]:
@@ -205,17 +119,18 @@ def _board_order(fit: SaddleFit, mirrored: bool) -> np.ndarray:
     """Found corners (flat indices, (ny, nx)) in the board's own order, chosen as `Checkerboard.detect` states."""
     ny, nx = fit.contrast.shape
     flat = fit.pixels.reshape(-1, 2)
-    signs = np.where((np.arange(ny)[:, None] + np.arange(nx)) % 2 == 0, 1.0, -1.0)
+    signs = checks(ny, nx)
     # Positive contrast: bright towards (-x, -y) and (+x, +y). Robust signs, so that a corner that is covered does not decide.
-    contrast = (np.sign(np.median(fit.contrast * signs)) * signs).reshape(-1)
+    contrast = (np.sign(median(fit.contrast * signs)) * signs).reshape(-1)
 
     def preference(numbering: tuple[np.ndarray, bool]) -> tuple[bool, float]:
         order, exchanged = numbering
         black_first = bool((contrast[order[0, 0]] < 0) != exchanged)
         x_axis = (flat[order[:, -1]] - flat[order[:, 0]]).mean(0)
-        return black_first, float(x_axis[0] / np.linalg.norm(x_axis))
+        return black_first, float(x_axis[0] / np.hypot(*x_axis))
 
-    left_handed = bool(np.median(np.linalg.det(grid_derivatives(fit.pixels, FINDER_SIGMA_PX)[0])) < 0)
+    # The grid is unfolded: one of its quadrilaterals tells.
+    left_handed = bool(turns_of(fit.pixels[:2, :2]).max() < 0)
     return max(_numberings(nx, ny, left_handed != mirrored), key=preference)[0]
 
 
@@ -284,9 +199,9 @@ def _whole_board(grey: Grey, finder: Finder, nx: int, ny: int, mirrored: bool) -
         return None, None
     grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5
     fit = _refined(grey, grid, 1.0 / float(factors.max()))
-    if misfit(fit.pixels, _typical_sigma_px(fit)).max() > 1.0:
+    if misfit(fit.pixels, typical_sigma_px(fit)).max() > 1.0:
         # One corner is none: the others do better without it, and it may be found where they say.
         return None, None
-    good = _good_corners(fit)
-    flaw = _flaw(grey, fit, good)
+    good = good_corners(fit)
+    flaw = flaw_of(grey, fit, good)
     return (_detection(fit, good, _board_order(fit, mirrored)), None) if flaw is None else (None, flaw)

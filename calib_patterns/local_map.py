@@ -70,17 +70,28 @@ def local_map(known: KnownCorners, places_m: Float[np.ndarray, "n 2"], spacing_m
     middle = np.sum(weight[..., None] * pixels, 1) / weight.sum(1)[:, None]
     scale = _spacing_in_photo(offset, pixels - middle[:, None], weight)
     spread = known.sigma_px[index] ** 2 + (REMAINDER * scale[:, None] * (distance / spacing_m) ** 5) ** 2
-    basis = (offset[:, :, None, 0] ** _POWERS[:, 0]) * (offset[:, :, None, 1] ** _POWERS[:, 1])
     prior = np.array(PRIOR_BY_ORDER)[_POWERS.sum(1)] * scale[:, None]
     # Scaled by the prior, so that the normal matrix is well conditioned: identity plus what the corners tell.
-    scaled = basis * prior[:, None, :]
-    weighted = scaled * (weight / spread)[..., None]
-    inverse = np.linalg.inv(weighted.transpose(0, 2, 1) @ scaled + np.eye(len(_POWERS)))
-    coefficients = prior[..., None] * (inverse @ (weighted.transpose(0, 2, 1) @ (pixels - middle[:, None])))
+    scaled = _monomials(offset) * prior[..., None]
+    weighted = scaled * (weight / spread)[:, None]
+    right = np.zeros((len(prior), len(_POWERS), 3))
+    right[:, 0, 2] = 1.0
+    right[..., :2] = weighted @ (pixels - middle[:, None])
+    solution = np.linalg.solve(weighted @ scaled.transpose(0, 2, 1) + np.eye(len(_POWERS)), right)
+    coefficients, variance = prior[..., None] * solution[..., :2], solution[:, 0, 2]
     order = {(int(i), int(j)): k for k, (i, j) in enumerate(_POWERS)}
     first = np.stack([coefficients[:, order[1, 0]], coefficients[:, order[0, 1]]], -1)
     second = 2.0 * np.stack([coefficients[:, order[2, 0]], coefficients[:, order[0, 2]]], -1)
-    return LocalMap(middle + coefficients[:, 0], first, second, prior[:, 0] * np.sqrt(inverse[:, 0, 0]))
+    return LocalMap(middle + coefficients[:, 0], first, second, prior[:, 0] * np.sqrt(variance))
+
+
+def _monomials(offset: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n orders k"]:
+    """The products of powers that the map is made of: by multiplication, since raising to a power is ten times as slow."""
+    x, y = offset[..., 0], offset[..., 1]
+    powers = [(np.ones_like(x), np.ones_like(y))]
+    for _ in PRIOR_BY_ORDER[1:]:
+        powers.append((powers[-1][0] * x, powers[-1][1] * y))
+    return np.stack([powers[i][0] * powers[j][1] for i, j in _POWERS], 1)
 
 
 def _nearest(known: KnownCorners, places_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n k"], Int[np.ndarray, "n k"]]:

@@ -17,15 +17,17 @@ again in standard deviation. For white noise the fit is the maximum-likelihood e
 precision.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from calib_patterns.saddle_kernel import PARAMETERS, fit_all
+from calib_patterns.saddle_kernel import fit_all
+from calib_patterns.saddle_window_kernel import LEAST_SQUARE_PX, MAX_HALF_WINDOW_PX, PARAMETERS, starts
 
-MIN_HALF_WINDOW_PX, MAX_HALF_WINDOW_PX = 3, 10
+MIN_HALF_WINDOW_PX = 3
 WINDOW_SQUARES = 0.42
 """The window reaches this far into the adjoining squares, short of the next edges and their blur."""
 MODEL_SIGMA_PX = 0.01
@@ -70,6 +72,12 @@ class SaddleFit:
         return SaddleFit(pixels, sigma_px, contrast, residual, blur_px, self.converged.reshape(shape))
 
 
+def median(values: Float[np.ndarray, "*any"]) -> float:
+    """Of all values: NumPy's costs several times as much where they are few."""
+    ordered = np.sort(values, axis=None)
+    return float(0.5 * (ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2]))
+
+
 @lru_cache(maxsize=256)
 def _stencils(
     count: int, octaves: int, *, leave_out: bool = False
@@ -89,8 +97,9 @@ def _stencils(
 
 def _sizes_px(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> tuple[tuple[float, int], tuple[float, int]]:
     """Mean width and height of the squares, and to how many octaves of each the grid is known, rounded to few different ones."""
-    width, height = (float(np.sqrt(np.sum(np.diff(grid, axis=axis) ** 2, -1)).mean()) + 1e-6 for axis in (1, 0))
-    columns, rows = (int(np.clip(np.rint(np.log2(sigma_px / size)), -20, 5)) for size in (width, height))
+    steps = (grid[:, 1:] - grid[:, :-1], grid[1:] - grid[:-1])
+    width, height = (float(np.hypot(step[..., 0], step[..., 1]).mean()) + 1e-6 for step in steps)
+    columns, rows = (min(max(round(math.log2(sigma_px / size)), -20), 5) for size in (width, height))
     return (width, columns), (height, rows)
 
 
@@ -100,8 +109,8 @@ def misfit(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> Float[np.ndar
     over = []
     for rows, (size, octaves) in zip((grid, grid.transpose(1, 0, 2)), _sizes_px(grid, sigma_px), strict=True):
         (value, *_), sigma = _stencils(rows.shape[1], octaves, leave_out=True)
-        off = np.linalg.norm(np.einsum("ij,kjc->kic", value, rows) - rows, axis=-1)
-        over.append(off / (MISFIT_PX + (MISFIT_SQUARES + 3.0 * sigma) * size))
+        off = value @ rows - rows
+        over.append(np.hypot(off[..., 0], off[..., 1]) / (MISFIT_PX + (MISFIT_SQUARES + 3.0 * sigma) * size))
     return np.minimum(over[0], over[1].T)
 
 
@@ -111,37 +120,13 @@ def grid_derivatives(
     """First (.., (u, v), (x, y)) and second ([..., k] along x, then y) derivatives of pixels by board squares at each corner, of
     a grid of at least 3 x 3 corners known to `sigma_px`."""
     (_, columns), (_, rows) = _sizes_px(grid, sigma_px)
-    (_, across, bend_across, *_), _ = _stencils(grid.shape[1], columns)
-    (_, down, bend_down, *_), _ = _stencils(grid.shape[0], rows)
-    first = np.stack([np.einsum("ij,kjc->kic", across, grid), np.einsum("ij,jkc->ikc", down, grid)], -1)
-    second = 2.0 * np.stack([np.einsum("ij,kjc->kic", bend_across, grid), np.einsum("ij,jkc->ikc", bend_down, grid)], -1)
-    return first, second
-
-
-def _curvatures(first: Float[np.ndarray, "n 2 2"], second: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2"]:
-    """Signed curvature (1/px) of both edges, positive towards the normal (-t_v, t_u) of their tangents +x and -y."""
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return np.array([1.0, -1.0]) * cross / np.sum(first**2, 1) ** 1.5
-
-
-def _start(
-    corners: Float[np.ndarray, "n 2"], squares: Float[np.ndarray, "n 2 2"], blur_px: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n p"]:
-    """Parameters from the grid's directions (tangents +x and -y, normals +y and +x)."""
-    parameters = np.zeros((len(corners), PARAMETERS))
-    parameters[:, :2] = corners
-    parameters[:, 2] = np.arctan2(squares[:, 1, 0], squares[:, 0, 0])
-    parameters[:, 3] = np.arctan2(-squares[:, 1, 1], -squares[:, 0, 1])
-    parameters[:, 4:6] = np.log(blur_px)[:, None]
-    return parameters
-
-
-def narrowest(squares: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
-    """The smaller singular value: by how many pixels a step of one square moves the least."""
-    determinant = np.abs(squares[:, 0, 0] * squares[:, 1, 1] - squares[:, 0, 1] * squares[:, 1, 0])
-    total = np.sum(squares**2, (1, 2))
-    larger = np.sqrt(0.5 * (total + np.sqrt(np.maximum(total**2 - 4.0 * determinant**2, 0.0))))
-    return determinant / np.maximum(larger, 1e-300)
+    across, _ = _stencils(grid.shape[1], columns)
+    down, _ = _stencils(grid.shape[0], rows)
+    # Orders 1 and 2, along the rows and along the columns.
+    along_x = across[1:3, None] @ grid
+    along_y = (down[1:3] @ grid.reshape(len(grid), -1)).reshape(2, *grid.shape)
+    first, second = np.stack([along_x, along_y], -1)
+    return first, 2.0 * second
 
 
 def fit_saddles(
@@ -183,22 +168,18 @@ def fit_corners(
     quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag. `hasty`:
     only for another fit to start from.
     """
-    squares = first
-    singular = narrowest(squares)
-    squares = np.where((singular > 0.5)[:, None, None], squares, np.eye(2))
-    reach_px = WINDOW_SQUARES * np.abs(squares).sum(2).max()
-    half = int(np.clip(np.ceil(reach_px), MIN_HALF_WINDOW_PX, MAX_HALF_WINDOW_PX))
-    parameters = _start(corners, squares, np.clip(0.2 * singular, 0.5, start_blur_px))
+    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, start_blur_px)
+    half = min(max(math.ceil(WINDOW_SQUARES * widest), MIN_HALF_WINDOW_PX), MAX_HALF_WINDOW_PX)
     counts, cost, spread, settled = fit_all(
         np.ascontiguousarray(image),
         parameters,
-        _curvatures(squares, second),
-        np.linalg.inv(squares),
+        curvature,
+        into_squares,
         np.full((len(corners), 2, 2), np.inf) if plain is None else plain,
         half,
         2 if hasty and half >= MIN_THINNED_PX else 1,
         WINDOW_SQUARES,
-        max(MAX_BLUR_SQUARES * float(np.median(singular)), 1.5),
+        max(MAX_BLUR_SQUARES * median(narrowest), 1.5),
         max_steps,
         HASTY_PX if hasty else settled_px,
     )
@@ -206,8 +187,8 @@ def fit_corners(
     freedom = counts - PARAMETERS
     variance = cost / np.maximum(freedom, 1)
     sigma = np.sqrt(variance * spread + MODEL_SIGMA_PX**2)
-    moved = np.linalg.norm(parameters[:, :2] - corners, axis=1)
-    converged = settled & (freedom > 0) & (singular > 0.5) & (moved < 0.5 * singular)
+    moved = np.hypot(*(parameters[:, :2] - corners).T)
+    converged = settled & (freedom > 0) & (narrowest > LEAST_SQUARE_PX) & (moved < 0.5 * narrowest)
     return SaddleFit(
         np.where(converged[:, None], parameters[:, :2], corners),
         np.where(converged, sigma, np.inf),

@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from calib_patterns.saddle_points_kernel import crossings, responses
+from calib_patterns.saddle_points_kernel import crossings, nearest_along, responses
 
 SCALES_PX = (1.2, 2.0, 3.5)
 """Standard deviations of the smoothing, about a tenth to a quarter of the squares that each finds best."""
@@ -41,7 +41,6 @@ NEAREST = 40
 RING = 2.5
 """Radius of the circle that edges are looked for on, in standard deviations of the smoothing."""
 _FIELDS = ("pixels", "hessian", "edges", "response")
-_FROBENIUS = np.array([1.0, 2.0, 1.0])
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
@@ -134,12 +133,8 @@ class _Links:
 def _linked(points: SaddlePoints) -> _Links:
     """Points that are each other's nearest of opposite Hessian along an edge."""
     count = len(points.pixels)
-    distance, index = cKDTree(points.pixels).query(points.pixels, k=min(NEAREST + 1, count))
-    distance, index = np.asarray(distance)[:, 1:], np.asarray(index)[:, 1:]
-    away = (points.pixels[index] - points.pixels[:, None]) / np.maximum(distance[..., None], 1e-9)
-    opposite = np.einsum("nkc,nc->nk", points.hessian[index] * _FROBENIUS, points.hessian) < OPPOSITE
-    usable = (np.einsum("nkc,ndc->ndk", away, points.edges) > CONE) & opposite[:, None]
-    nearest = np.where(usable.any(-1), np.take_along_axis(index, usable.argmax(-1), 1), -1)
+    _, index = cKDTree(points.pixels).query(points.pixels, k=min(NEAREST + 1, count))
+    nearest = nearest_along(points.pixels, points.hessian, points.edges, np.asarray(index)[:, 1:], OPPOSITE, CONE)
     back = nearest[nearest] == np.arange(count)[:, None, None]
     mutual = back.any(-1) & (nearest >= 0)
     return _Links(np.where(mutual, nearest, -1), (back.argmax(-1) + 2) % 4)

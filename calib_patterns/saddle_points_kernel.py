@@ -91,3 +91,31 @@ def crossings(smooth: np.ndarray, response: np.ndarray, places: np.ndarray, radi
         row[13] = response[y, x]
         count += 1
     return found[:count]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def nearest_along(
+    pixels: np.ndarray, hessian: np.ndarray, edges: np.ndarray, neighbours: np.ndarray, opposite: float, cone: float
+) -> np.ndarray:
+    """The nearest point along each of the four directions of n points (n x 4), -1 where there is none.
+
+    `neighbours` (n x k) are the points that are tried, the nearest first: those whose Hessians (uu, uv, vv) have a cosine below
+    `opposite`, in directions whose cosine with the edge (`edges`, n x 4 x 2) is above `cone`.
+    """
+    found = np.full((len(pixels), 4), -1, np.int64)
+    for i in range(len(pixels)):
+        missing = 4
+        for j in neighbours[i]:
+            alike = hessian[i, 0] * hessian[j, 0] + 2.0 * hessian[i, 1] * hessian[j, 1] + hessian[i, 2] * hessian[j, 2]
+            if alike >= opposite:
+                continue
+            du, dv = pixels[j, 0] - pixels[i, 0], pixels[j, 1] - pixels[i, 1]
+            along = cone * max(math.sqrt(du * du + dv * dv), 1e-9)
+            for d in range(4):
+                if found[i, d] < 0 and du * edges[i, d, 0] + dv * edges[i, d, 1] > along:
+                    found[i, d] = j
+                    missing -= 1
+            if missing == 0:
+                break
+    return found

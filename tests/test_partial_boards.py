@@ -13,10 +13,12 @@ from tag_views import CAMERAS, View, views
 from calib_patterns import pattern
 from calib_patterns._pattern import Detection
 from calib_patterns.board_poses import random_board_poses
+from calib_patterns.grid_checks import flaw_of, good_corners
 from calib_patterns.rendering import render_target
-from calib_patterns.saddle import fit_corners
-from calib_patterns.saddle_kernel import PARAMETERS, linearised
+from calib_patterns.saddle import fit_corners, fit_saddles
+from calib_patterns.saddle_kernel import BUFFER_ROWS, JACOBIAN, LEFT, linearised
 from calib_patterns.saddle_points import lattices, saddle_points
+from calib_patterns.saddle_window_kernel import GREY, PARAMETERS, ROW_LENGTH, U, V
 from camera_models.opencv_fisheye import OpenCVFisheye
 
 SPEC = "checkerboard:8x6:30mm"
@@ -147,30 +149,74 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     np.testing.assert_allclose(design @ np.linalg.lstsq(design, grid.places, rcond=None)[0], grid.places, atol=1e-6)
 
 
-def test_compiled_derivatives_are_those_of_the_fit() -> None:
-    """The model's derivatives by central differences, for both signs of the gain; the tables' normal distribution is SciPy's."""
+def saddle_image(p: np.ndarray, curvature: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The model as saddle.py states it, with the shift that blur along bent edges causes, in 64 bits."""
+    du, dv, gain = u - p[0], v - p[1], abs(p[6])
+    w_1, w_2 = np.exp(p[4:6])
+    along_1, across_1 = np.cos(p[2]) * du + np.sin(p[2]) * dv, np.cos(p[2]) * dv - np.sin(p[2]) * du
+    along_2, across_2 = np.cos(p[3]) * du + np.sin(p[3]) * dv, np.cos(p[3]) * dv - np.sin(p[3]) * du
+    h_1 = across_1 - 0.5 * curvature[0] * (along_1**2 + w_2**2)
+    h_2 = across_2 - 0.5 * curvature[1] * (along_2**2 + w_1**2)
+    side = -1.0 if p[6] < 0 else 1.0
+    one_way = ndtr((h_1 - gain) / w_1) * ndtr((-side * h_2 - gain) / w_2)
+    other_way = ndtr((-h_1 - gain) / w_1) * ndtr((side * h_2 - gain) / w_2)
+    return (1.0 + p[8] * du + p[9] * dv) * (p[7] + p[10] * side * (1.0 - 2.0 * (one_way + other_way)))
+
+
+def test_compiled_derivatives_are_those_of_the_model() -> None:
+    """What is left, its sum of squares and the derivatives, which are those of the model by central differences, for both signs
+    of the gain and edges from sharp to blurred."""
     rng = np.random.default_rng(1)
     u, v = (values.ravel().astype(float) for values in np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))
     grey = rng.uniform(40, 200, u.shape)
     curvature = np.array([0.01, -0.015])
-    jacobian, other = np.empty((2, PARAMETERS, len(u)))
-    left, ahead, behind = np.empty((3, len(u)))
-    work = np.empty((12, len(u)))
+    rows = np.zeros((BUFFER_ROWS, ROW_LENGTH))
+    rows[U, : len(u)], rows[V, : len(u)], rows[GREY, : len(u)] = u, v, grey
+    compared = 0
     for gain in (0.3, -0.3):
-        at = np.array([0.3, -0.2, 0.1, 1.4, 0.1, -0.2, gain, 110.0, 0.004, -0.006, 60.0])
-        cost = linearised(at, curvature, u, v, grey, jacobian, left, work)
-        np.testing.assert_allclose(cost, left @ left)
-        # h_1 of the first edge, whose part in the image is the distribution function of (h_1 - gain) / w_1.
-        across, along = np.cos(0.1) * (v + 0.2) - np.sin(0.1) * (u - 0.3), np.cos(0.1) * (u - 0.3) + np.sin(0.1) * (v + 0.2)
-        h_1 = across - 0.5 * curvature[0] * (along**2 + math.exp(-0.4))
-        np.testing.assert_allclose(work[4], ndtr((h_1 - abs(gain)) / math.exp(0.1)), atol=2e-9)
-        for k in range(PARAMETERS):
-            step = np.zeros(PARAMETERS)
-            step[k] = 1e-4
-            linearised(at + step, curvature, u, v, grey, other, ahead, work)
-            linearised(at - step, curvature, u, v, grey, other, behind, work)
-            np.testing.assert_allclose(jacobian[k], (behind - ahead) / 2e-4, atol=2e-4 * np.abs(jacobian[k]).max())
-    assert np.linalg.norm(jacobian) > 0
+        for log_blur in (-1.2, 0.1, 1.0):
+            at = np.array([0.3, -0.2, 0.1, 1.4, log_blur, log_blur - 0.3, gain, 110.0, 0.004, -0.006, 60.0])
+            cost = linearised(at, curvature, rows.reshape(-1), len(u))
+            left = grey - saddle_image(at, curvature, u, v)
+            np.testing.assert_allclose(rows[LEFT, : len(u)], left, atol=1e-6)
+            np.testing.assert_allclose(cost, left @ left, rtol=1e-8)
+            for k in range(PARAMETERS):
+                step = np.zeros(PARAMETERS)
+                step[k] = 1e-5
+                ahead, behind = (saddle_image(at + sign * step, curvature, u, v) for sign in (1, -1))
+                truth = (ahead - behind) / 2e-5
+                np.testing.assert_allclose(rows[JACOBIAN + k, : len(u)], truth, atol=5e-6 * np.abs(truth).max())
+                compared += 1
+    assert compared == 6 * PARAMETERS
+
+
+def test_a_board_that_goes_on_is_refused() -> None:
+    """A board of 8 x 6 corners where fewer were asked for."""
+    view = views(SPEC, "fisheye-190", 4, 12.0)[0]
+    refused = 0
+    for columns, rows in ((COLUMNS - 1, ROWS), (COLUMNS, ROWS - 1), (COLUMNS - 2, ROWS - 1)):
+        found, reason = pattern(f"checkerboard:{columns}x{rows}:30mm").detect(view.image)
+        assert len(found) == 0 and reason is not None and "go on beyond it" in reason
+        refused += 1
+    assert refused == 3
+
+
+@pytest.mark.parametrize(("nx", "ny"), [(3, 3), (8, 6), (5, 22), (10, 7)])
+def test_a_grid_that_goes_on_beyond_any_side(nx: int, ny: int) -> None:
+    """A drawn board of one more row or column than the grid, on each side in turn, and one that ends where the grid does."""
+    checked = 0
+    for side, (left, top, right, bottom) in enumerate(np.concatenate([np.eye(4, dtype=int), np.zeros((1, 4), dtype=int)])):
+        squares = np.indices((ny + 1 + top + bottom, nx + 1 + left + right)).sum(0) % 2
+        flat = np.pad(squares.astype(np.uint8) * 200 + 20, 1, constant_values=230)
+        image = cv2.GaussianBlur(cv2.resize(flat, None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST), (0, 0), 0.8)
+        x, y = np.meshgrid(np.arange(nx) + left, np.arange(ny) + top)
+        grid = (np.stack([x, y], -1) + 2) * 24.0 - 0.5
+        fit = fit_saddles(image, grid, 0.3)
+        assert np.linalg.norm(fit.pixels - grid, axis=-1).max() < 0.02
+        flaw = flaw_of(image, fit, good_corners(fit))
+        assert (flaw is None) == (side == 4) and (flaw is None or "go on beyond it" in flaw)
+        checked += 1
+    assert checked == 5
 
 
 def test_a_blurred_bent_edge_is_where_it_was() -> None:
