@@ -118,6 +118,7 @@ def _goes_on(grey: np.ndarray, fit: SaddleFit) -> bool:
     usual, blur_px = median(checks(ny, nx) * fit.contrast), typical_blur_px(fit)
 
     def corners(looked_at: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " m"]:
+        """Which of some places of the ring are inner corners of the board."""
         at = ring.rows[looked_at], ring.columns[looked_at]
         # What is no saddle never settles; what is one does so within a few steps from here.
         outer = fit_corners(grey, start[at], first[at], second[at], start_blur_px=blur_px, max_steps=8, hasty=True)

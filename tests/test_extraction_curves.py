@@ -106,6 +106,7 @@ def test_samples_near_the_poles_and_across_the_seam(model: CameraModel) -> None:
     for height in np.linspace(-0.5, 0.5, 11):
         ends.append([np.array([-0.5, height, -1.0]), np.array([0.3, 0.2 - height, -1.0])])
     arcs = arcs_between(np.array([[ray / np.linalg.norm(ray) for ray in pair] for pair in ends]))
+    assert len(arcs) > 20
     for beyond_px in (0.0, 12.0):
         agrees(model, arcs, beyond_px)
 

@@ -81,26 +81,23 @@ def reconstruct_lines(
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
 ) -> LineScene:
-    """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig. One row of `lines` per track, with
-    its status.
+    """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
     makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out. `device` is
     where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
 
-    Raises InputError where files do not fit together or the problem into memory, and GeometryError when no track determines a
-    line.
+    Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras)
-    arcs = table.arcs
+    arcs, names = table.arcs, segments.tracks
     mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
     models = tuple(cameras.values()) if refine_cameras else ()
     state = LinesAndPoses(frames, _no_chart(), mounted, models)
     state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0, device)
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
-    start = first.lines[tracks]
-    centres = state.cam_from_world.centre[inner.image]
+    start, centres = first.lines[tracks], state.cam_from_world.centre[inner.image]
     state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
     adjusted = adjust_lines(
         inner,
@@ -117,16 +114,15 @@ def reconstruct_lines(
         device=device,
     )
     final = inner.seen_by(adjusted.state.models) if models else inner
-    names = segments.tracks
     before, before_px = line_table(names, inner, tracks, first, state, None)
     lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted)
     used = member.clone()
     used[member] = first.known[arcs.track[member]]
-    moved = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
-    moves = refine_poses or refine_rig
+    if refine_poses or refine_rig:
+        poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
     return LineScene(
         lines,
-        moved if moves else poses,
+        poses,
         before,
         adjusted,
         table,

@@ -73,6 +73,7 @@ def calibrate(
         )
 
     def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
         if rig:
             options = RigOptions(models, degree, coefficients, loss, mirror, boards, calibration, hold)
             if tables:
@@ -151,6 +152,7 @@ def validate(
         raise InputError(f"--pattern is for photos of a target, found it with --scene {scene}; leave one of them out.")
 
     def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
         if scene is not None:
             from omnilines.commands.validate_scene import validate_scene
 

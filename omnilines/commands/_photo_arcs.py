@@ -57,6 +57,7 @@ def find_arcs(
     output_folder(folder)
 
     def look(photo: PhotoRef) -> FoundArcs:
+        """The arcs of one photo, or why it has none."""
         name = camera_of[photo.name]
         try:
             content = photo.path.read_bytes()

@@ -90,6 +90,7 @@ def detect_corners(
     """
 
     def look(photo: PhotoRef) -> tuple[Detection, str | None, tuple[int, int] | None]:
+        """What one photo shows of the target, why it was skipped, and its size."""
         try:
             image = read_photo(photo.path)
         except InputError as error:
@@ -145,6 +146,7 @@ def search_again(
         return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
 
     def look(photo: PhotoRef) -> Detection:
+        """What one photo shows of the target once the camera is known."""
         known = found.detection(photo.name)
         try:
             image = read_photo(photo.path)

@@ -57,6 +57,7 @@ def extract(
     folder = output_folder(out)
 
     def look(photo: PhotoRef) -> PhotoArcs:
+        """The arcs of one photo, or why it has none."""
         camera = camera_of[photo.name]
         try:
             image = read_photo(photo.path)
