@@ -9,14 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from calib_patterns._pattern import Detection
-from calib_patterns.local_map import KnownCorners, LocalMap, agrees, local_map
-from calib_patterns.saddle import SETTLED_GRID_PX, SETTLED_PX, SaddleFit, fit_corners
+from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, LocalMap, disagreement, local_map
+from calib_patterns.saddle import MAX_SIGMA_PX, SETTLED_GRID_PX, SETTLED_PX, SaddleFit, fit_corners
 
 MAX_PREDICTION_SIGMA = 0.25
 """Corners are looked for where the map is this certain, in squares."""
-MAX_GUESS_SIGMA, MAX_GUESS_STEP, ALIKE = 0.5, 0.25, 1.4
+MAX_GUESS_SIGMA, MAX_GUESS_STEP, ALIKE = 1.0, 0.25, 1.4
 """Where nothing certain is left, less certain predictions are tried too, in squares; corners found there have to be nearer to
 them and as contrasted and clear as the others, within this factor."""
 MAX_STEP = 0.4
@@ -32,6 +33,11 @@ MIN_NARROW_PX = 8.0
 """Squares that are at least this wide are also tried with half the window."""
 MUCH_MORE = 1.5
 """Fits that leave this many times what others do have something in their window that is not of the corner."""
+AS_CLEAR = 0.25
+"""Contrast over what its fit leaves, as a share of what that is among the corners around it: beyond the end of a board a blurred
+edge fits like a poor corner."""
+AROUND = 9
+"""Corners nearest to one on the board, itself included."""
 MOST_SIGMA = 10.0
 """A corner whose standard deviation is so many times the usual one is covered in part."""
 SETTLED_SHARE = 0.04
@@ -88,7 +94,7 @@ def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float
     alike = np.minimum(LIKE_BLUR * blur_px, MAX_LIKE_BLUR * square_px)
     widest = np.minimum(np.maximum(MAX_BLUR * square_px, 1.4), max(MUCH_BLUR * blur_px, 1.4))
     sharp = fit.blur_px.max(1) < np.maximum(widest, alike)
-    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < 1.0)
+    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < MAX_SIGMA_PX)
     return good
 
 
@@ -111,7 +117,7 @@ class _Growth:
     def corners(self) -> KnownCorners:
         """The accepted ones."""
         return KnownCorners(
-            self.kind.corners_m[self.good], self.fit.pixels[self.good], np.maximum(self.fit.sigma_px[self.good], 0.03)
+            self.kind.corners_m[self.good], self.fit.pixels[self.good], np.maximum(self.fit.sigma_px[self.good], LEAST_SIGMA_PX)
         )
 
     @property
@@ -132,7 +138,7 @@ class _Growth:
         return float(np.clip(SETTLED_SHARE * np.median(self.fit.sigma_px[self.good]), SETTLED_PX, SETTLED_GRID_PX))
 
     def known(self) -> KnownCorners:
-        """Corners, and the tags' where too few corners are known."""
+        """Corners and tags."""
         return self.corners.joined(self.seeds)
 
     def look(self, chosen: Int[np.ndarray, " k"], places: LocalMap, *, narrow: bool = False) -> None:
@@ -145,23 +151,28 @@ class _Growth:
         self.good[chosen] = accepted(kind, fit, places, contrast, usual_px) & _inside(fit.pixels, self.grey.shape)
 
     def grow(self) -> None:
-        """Until nothing is gained."""
+        """Until nothing is gained. A tag that was read wrongly misleads where corners alone do not."""
         for _ in range(_MAX_ROUNDS):
-            before = int(self.good.sum())
-            missing = np.flatnonzero(~self.good)
-            if not missing.size:
+            if self.good.all():
                 break
-            places = local_map(self.known(), self.kind.corners_m[missing], self.kind.spacing_m)
-            square_px, inside = self.kind.square_px(places), _inside(places.pixels, self.grey.shape)
-            certain = inside & (places.sigma_px < MAX_PREDICTION_SIGMA * square_px + 0.7)
-            if certain.any():
-                self.look(missing[certain], _at(places, certain))
-            if int(self.good.sum()) == before:
-                guessed = inside & ~certain & (places.sigma_px < MAX_GUESS_SIGMA * square_px + 0.7)
-                if guessed.any():
-                    self.guess(missing[guessed], _at(places, guessed))
-            if int(self.good.sum()) == before:
+            gained = self.gain(self.known()) or (int(self.good.sum()) >= MIN_CORNERS and self.gain(self.corners))
+            if not gained:
                 break
+
+    def gain(self, known: KnownCorners) -> bool:
+        """Look for what is missing where `known` says; whether something was found."""
+        before = int(self.good.sum())
+        missing = np.flatnonzero(~self.good)
+        places = local_map(known, self.kind.corners_m[missing], self.kind.spacing_m)
+        square_px, inside = self.kind.square_px(places), _inside(places.pixels, self.grey.shape)
+        certain = inside & (places.sigma_px < MAX_PREDICTION_SIGMA * square_px + 0.7)
+        if certain.any():
+            self.look(missing[certain], _at(places, certain))
+        if int(self.good.sum()) == before:
+            guessed = inside & ~certain & (places.sigma_px < MAX_GUESS_SIGMA * square_px + 0.7)
+            if guessed.any():
+                self.guess(missing[guessed], _at(places, guessed))
+        return int(self.good.sum()) > before
 
     def guess(self, chosen: Int[np.ndarray, " k"], places: LocalMap) -> None:
         """Fit corners at uncertain predictions; keep those that are near them all the same and look just like the others."""
@@ -175,16 +186,17 @@ class _Growth:
         self.good[chosen[good]] = True
 
     def look_closely(self) -> None:
-        """Try what is missing with half the window: something may lie next to a corner. The neighbours must agree."""
-        missing = np.flatnonzero(~self.good)
-        if not missing.size or not self.good.any():
-            return
-        places = local_map(self.known(), self.kind.corners_m[missing], self.kind.spacing_m)
-        square_px = self.kind.square_px(places)
-        ahead = (square_px >= MIN_NARROW_PX) & (places.sigma_px < 0.1 * square_px + 0.5) & _inside(places.pixels, self.grey.shape)
-        if ahead.any():
-            self.look(missing[ahead], _at(places, ahead), narrow=True)
-            self.drop_what_disagrees()
+        """Try what is missing with half the window, until nothing is gained: something may lie next to a corner. The neighbours
+        must agree."""
+        before = -1
+        while before < int(self.good.sum()) < len(self.good) and self.good.any():
+            before, missing = int(self.good.sum()), np.flatnonzero(~self.good)
+            places = local_map(self.known(), self.kind.corners_m[missing], self.kind.spacing_m)
+            square_px, inside = self.kind.square_px(places), _inside(places.pixels, self.grey.shape)
+            ahead = inside & (square_px >= MIN_NARROW_PX) & (places.sigma_px < 0.1 * square_px + 0.5)
+            if ahead.any():
+                self.look(missing[ahead], _at(places, ahead), narrow=True)
+                self.drop_what_disagrees()
 
     def look_again(self) -> None:
         """Fit corners that leave more than others do with half the window: the next edge may be nearer than a square away. The
@@ -206,17 +218,29 @@ class _Growth:
         _put(self.fit, chosen[better], _rows(fit, better))
 
     def drop_what_disagrees(self) -> None:
-        """Forget the corners that the others contradict."""
+        """Forget the corners that the others contradict, the worst first: those that it drags along agree once it is gone."""
+        while self.good.sum() >= MIN_CORNERS:
+            over = disagreement(self.corners, self.kind.spacing_m)
+            if over.max() <= 1.0:
+                break
+            self.good[np.flatnonzero(self.good)[over > max(0.5 * over.max(), 1.0)]] = False
+
+    def drop_what_is_unclear(self) -> None:
+        """Forget the corners that stand out far less than those around them."""
         chosen = np.flatnonzero(self.good)
-        if chosen.size:
-            self.good[chosen[~agrees(self.known(), self.kind.spacing_m)[: chosen.size]]] = False
+        if chosen.size < AROUND:
+            return
+        clearness = np.abs(self.fit.contrast[chosen]) / self.fit.residual[chosen]
+        corners_m = self.kind.corners_m[chosen]
+        around = np.asarray(cKDTree(corners_m).query(corners_m, k=AROUND)[1])
+        self.good[chosen[clearness < AS_CLEAR * np.median(clearness[around], axis=1)]] = False
 
     def settle(self) -> None:
         """Fit all again with windows and curvatures from each other, and drop those that the others contradict."""
         chosen = np.flatnonzero(self.good)
         if chosen.size < MIN_CORNERS:
             return
-        # One at a time from the worst would be safer and slow; those that a wrong corner drags along grow again.
+        self.drop_what_is_unclear()
         self.drop_what_disagrees()
         chosen = np.flatnonzero(self.good)
         if chosen.size:
@@ -258,6 +282,7 @@ def grow_corners(grey: np.ndarray, kind: CornerKind, seeds: KnownCorners) -> Det
     growth.settle()
     growth.look_closely()
     growth.look_again()
+    growth.drop_what_is_unclear()
     growth.drop_what_disagrees()
     ids = np.flatnonzero(growth.good)
     # What lies half under something else fits, but far worse than the rest.

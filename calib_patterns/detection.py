@@ -1,22 +1,21 @@
 """Finding a checkerboard in a wide-angle photo, whole or in part: an ordered ensemble of searches.
 
 First OpenCV's classic detector, the quickest where a board is seen whole; then the visible part grown from saddle points
-(partial.py), at several scales and contrasts; last OpenCV's sector-based detector. What a finder of whole boards returns is only
-a start: every corner is fitted (saddle.py), and a grid counts when its corners are saddles of alternating sign, its squares are
-unfolded and it bends smoothly.
+(partial.py), at several scales and contrasts. What the classic detector returns is only a start: every corner is fitted
+(saddle.py), and a grid counts when its corners are saddles of alternating sign, its squares are unfolded and it bends smoothly.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from calib_patterns._pattern import Detection
-from calib_patterns.grid_checks import checks, flaw_of, good_corners, turns_of, typical_blur_px, typical_sigma_px
+from calib_patterns.grid_checks import MIN_GOOD_SHARE, checks, flaw_of, good_corners, turns_of, typical_blur_px, typical_sigma_px
+from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, local_map
 from calib_patterns.partial import visible_part
-from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_saddles, median, misfit
+from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_corners, fit_saddles, median, misfit
 
 SEARCH_SIDE_PX = 1400
 """Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
@@ -25,30 +24,23 @@ MAX_SEARCH_PIXELS = 6e6
 LEAST_SIDE_PX = 20
 """No target is seen in a smaller photo, and OpenCV's detectors fail on some of them."""
 NOISY_GREY = 3.0
-"""Standard deviation of noise, in grey levels of 255, from which on the classic detector takes seconds if it finds nothing."""
+"""Standard deviation of noise, in grey levels of a photo stretched to 255, from which on the classic detector takes seconds if it
+finds nothing: it stretches contrast by itself."""
 _THINNED = 32
 _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 """Median absolute second difference of white noise of unit standard deviation."""
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-_SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
 
 Grey = np.ndarray
-Finder = Callable[[Grey, int, int], np.ndarray | None]
 
 
 def _classic(image: Grey, nx: int, ny: int) -> np.ndarray | None:
     """Quadrilaterals of an adaptive threshold, linked into a grid; smoothed where noise would make thousands of them."""
-    lines = image[::_THINNED].astype(np.int16)
+    lines = stretched(image[::_THINNED]).astype(np.int16)
     bends = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
     if 2 * np.count_nonzero(bends > NOISY_GREY * _BEND_OF_NOISE) > bends.size:
         image = cv2.GaussianBlur(image, (0, 0), 1.0)
     found, corners = cv2.findChessboardCorners(image, (nx, ny), None, _CLASSIC)
-    return corners if found else None
-
-
-def _sector_based(image: Grey, nx: int, ny: int) -> np.ndarray | None:
-    """Duda and Frese, Accurate Detection and Localization of Checkerboard Corners for Calibration, BMVC 2018."""
-    found, corners = cv2.findChessboardCornersSB(image, (nx, ny), flags=_SECTOR)
     return corners if found else None
 
 
@@ -104,7 +96,23 @@ def searched(
 def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> SaddleFit:
     """Two fits: the second has its windows and curvatures from the grid that the first, hasty one refines."""
     coarse = fit_saddles(grey, grid, FINDER_SIGMA_PX / scale, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
-    return fit_saddles(grey, coarse.pixels, typical_sigma_px(coarse), start_blur_px=typical_blur_px(coarse))
+    fit = fit_saddles(grey, coarse.pixels, typical_sigma_px(coarse), start_blur_px=typical_blur_px(coarse))
+    good = good_corners(fit)
+    return fit if good.all() or good.mean() < MIN_GOOD_SHARE else _fitted_from_others(grey, fit, good)
+
+
+def _fitted_from_others(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> SaddleFit:
+    """The corners that are not good fitted once more, from where the good ones say: the finder was too far off there."""
+    row, column = np.nonzero(good)
+    known = KnownCorners(
+        np.stack([column, row], -1).astype(np.float64), fit.pixels[good], np.maximum(fit.sigma_px[good], LEAST_SIGMA_PX)
+    )
+    row, column = np.nonzero(~good)
+    places = local_map(known, np.stack([column, row], -1).astype(np.float64), 1.0)
+    again = fit_corners(grey, places.pixels, places.first, places.second, start_blur_px=typical_blur_px(fit))
+    for field in fields(SaddleFit):
+        getattr(fit, field.name)[~good] = getattr(again, field.name)
+    return fit
 
 
 def _numberings(nx: int, ny: int, flip: bool) -> list[tuple[np.ndarray, bool]]:
@@ -175,7 +183,7 @@ def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> 
     name = f"checkerboard of {nx}x{ny} inner corners"
     if min(grey.shape) < LEAST_SIDE_PX:
         return Detection.empty(), why_not(grey, name)
-    found, misfit = _whole_board(grey, _classic, nx, ny, mirrored)
+    found, misfit = _whole_board(grey, nx, ny, mirrored)
     flaw = None
     for growth in _GROWTHS:
         # A board that is not the one asked for is not searched on: something of it will always fit.
@@ -183,18 +191,16 @@ def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> 
             search, factors = searched(grey, growth.scale, equalise=growth.equalise)
             found, flaw = visible_part(grey, search, factors, nx, ny, mirrored)
     flaw = flaw or misfit
-    if found is None and flaw is None:
-        found, flaw = _whole_board(grey, _sector_based, nx, ny, mirrored)
     if found is not None:
         return found, None
     return Detection.empty(), why_not(grey, name) if flaw is None else f"A grid like a {name} was found, but {flaw}."
 
 
-def _whole_board(grey: Grey, finder: Finder, nx: int, ny: int, mirrored: bool) -> tuple[Detection | None, str | None]:
-    """The board that a finder of whole boards finds, or what keeps its grid from being one; neither where a corner is wrong."""
-    # The finders stretch contrast by themselves, and noise as well costs them time.
+def _whole_board(grey: Grey, nx: int, ny: int, mirrored: bool) -> tuple[Detection | None, str | None]:
+    """The board that the classic detector finds, or what keeps its grid from being one; neither where a corner is wrong."""
+    # The detector stretches contrast by itself.
     search, factors = searched(grey, as_it_is=True)
-    corners = finder(search, nx, ny)
+    corners = _classic(search, nx, ny)
     if corners is None:
         return None, None
     grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5

@@ -7,11 +7,12 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_corners, grid_derivatives, median
+from calib_patterns.saddle import FINDER_SIGMA_PX, MAX_SIGMA_PX, SaddleFit, fit_corners, grid_derivatives, median
 
+GOES_ON = "its squares go on beyond it; give the number of inner corners that the board has"
 MIN_GOOD_SHARE = 0.8
 """Share of the corners that must be fitted well for a grid to count."""
-GOES_ON = 0.6
+GOES_ON_SHARE = 0.6
 """A board goes on beyond a side when more than this share of what would be the next row are corners."""
 
 
@@ -67,7 +68,7 @@ def good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
     """Corners where a saddle of the board's own contrast and sign stands clear of what the fit leaves."""
     strength = _strengths(fit.contrast)
     clear = (strength > 2.5 * fit.residual) & (strength > 0.15 * median(strength))
-    return fit.converged & clear & (fit.sigma_px < 1.0)
+    return fit.converged & clear & (fit.sigma_px < MAX_SIGMA_PX)
 
 
 def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"]:
@@ -102,7 +103,7 @@ def _ring(ny: int, nx: int) -> _Ring:
     rows = np.concatenate([np.zeros_like(x), np.full_like(x, ny + 1), y, y])
     columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, nx + 1)])
     lengths = np.array([nx, nx, ny, ny])
-    count = np.repeat(lengths - np.floor(GOES_ON * lengths + 1e-9).astype(int), lengths)
+    count = np.repeat(lengths - np.floor(GOES_ON_SHARE * lengths + 1e-9).astype(int), lengths)
     few = np.concatenate([x, x, y, y]) * count % np.repeat(lengths, lengths) < count
     return _Ring(rows, columns, np.repeat(np.arange(4), lengths), lengths, few)
 
@@ -126,14 +127,14 @@ def _goes_on(grey: np.ndarray, fit: SaddleFit) -> bool:
         near = np.hypot(*(outer.pixels - start[at]).T) < 0.3 * square_px
         strength = checks(ny + 2, nx + 2)[at] * outer.contrast * np.sign(usual)
         clear = (strength > 2.5 * outer.residual) & (strength > 0.15 * abs(usual))
-        return outer.converged & clear & (outer.sigma_px < 1.0) & near
+        return outer.converged & clear & (outer.sigma_px < MAX_SIGMA_PX) & near
 
     good = np.zeros(len(ring.side), dtype=bool)
     good[ring.few] = corners(ring.few)
     others = ~ring.few & np.isin(ring.side, ring.side[good])
     if others.any():
         good[others] = corners(others)
-    return bool((np.bincount(ring.side[good], minlength=4) > GOES_ON * ring.lengths).any())
+    return bool((np.bincount(ring.side[good], minlength=4) > GOES_ON_SHARE * ring.lengths).any())
 
 
 def flaw_of(grey: np.ndarray, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> str | None:
@@ -143,5 +144,5 @@ def flaw_of(grey: np.ndarray, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -
     if not (unfolded(fit.pixels) and _smooth(fit.pixels)):
         return "its rows and columns are folded or uneven"
     if _goes_on(grey, fit):
-        return "its squares go on beyond it; give the number of inner corners that the board has"
+        return GOES_ON
     return None

@@ -11,13 +11,15 @@ the prediction states its own standard deviation, which grows as it leaves the k
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 NEIGHBOURS = 24
 """Known corners that a prediction rests on."""
 PRIOR_BY_ORDER = (20.0, 10.0, 0.1, 0.03, 0.01)
 """Standard deviation of the coefficients of each order, in units of the spacing as seen in the photo."""
+LEAST_SIGMA_PX = 0.03
+"""Of a fitted corner that others are predicted from: prints and lenses are no smoother."""
 REMAINDER = 2e-4
 """The same for the fifth order, which is left out: what a known corner n spacings away may be off, over n^5."""
 _POWERS = np.array([(i - j, j) for i in range(len(PRIOR_BY_ORDER)) for j in range(i + 1)])
@@ -109,10 +111,11 @@ def _spacing_in_photo(
     return np.sqrt(np.sum(shares * pixels**2, (1, 2)) / np.maximum(np.sum(shares * on_board**2, (1, 2)), 1e-12)) + 1e-6
 
 
-def agrees(
-    known: KnownCorners, spacing_m: float, *, tolerance_px: float = 1.0, tolerance_spacings: float = 0.04
-) -> Bool[np.ndarray, " m"]:
-    """Whether each known corner is where the others say, within tolerance and three of the prediction's standard deviations."""
+def disagreement(
+    known: KnownCorners, spacing_m: float, *, tolerance_px: float = 0.5, tolerance_spacings: float = 0.04
+) -> Float[np.ndarray, " m"]:
+    """How far each of at least four known corners is from where the others say, over what that may be: the tolerance and three of
+    the prediction's standard deviations."""
     predicted = local_map(known, known.board_m, spacing_m, leave_out=True)
     off = np.linalg.norm(predicted.pixels - known.pixels, axis=1)
-    return off < tolerance_px + tolerance_spacings * predicted.spacing_px + 3.0 * predicted.sigma_px
+    return np.asarray(off / (tolerance_px + tolerance_spacings * predicted.spacing_px + 3.0 * predicted.sigma_px))

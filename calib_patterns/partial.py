@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection
 from calib_patterns.corner_growth import CornerKind, grow_corners
+from calib_patterns.grid_checks import GOES_ON
 from calib_patterns.local_map import KnownCorners
 from calib_patterns.saddle_points import POINT_SIGMA_PX, Lattice, lattices, quarter_turn, saddle_points
 
@@ -45,12 +46,15 @@ def visible_part(
         piece = Lattice(piece.pixels[kept], piece.places[kept], piece.bright)
         if not _has_block(piece.places):
             continue
+        if len(piece.places) > (nx + 2) * (ny + 2):
+            flaw = flaw or GOES_ON
+            continue
         found, places = _grown(grey, piece, (piece.pixels + 0.5) * factors - 0.5, float(factors.max()), nx, ny)
         kept = _own(places, nx, ny)
         if not _has_block(places[kept]):
             continue
         if not _fits(places[kept], nx, ny):
-            flaw = flaw or "its squares go on beyond it; give the number of inner corners that the board has"
+            flaw = flaw or GOES_ON
             continue
         return _placed(_rows(found, kept), places[kept], piece.bright, nx, ny, mirrored), None
     return None, flaw

@@ -34,10 +34,15 @@ MODEL_SIGMA_PX = 0.01
 """What the saddle leaves unmodelled (pixel integration, third-order distortion), added in quadrature to the noise's share."""
 MAX_BLUR_SQUARES = 0.32
 """Wider profiles across an edge are not fitted (standard deviation)."""
+MAX_SIGMA_PX = 0.5
+"""Corners that are known less well may be off by more than a pixel, and are none."""
 MAX_STEPS = 20
 SETTLED_PX, SETTLED_GRID_PX = 1e-3, 5e-3
 """A fit ends with the step that is shorter than this: each is about a tenth of the one before. What is no saddle seldom settles
 so far; the corners of a whole grid are told from what is none by each other."""
+SETTLED_SIGMA = 0.1
+"""Where noise lets blur and gain wander along their valley, a corner has settled with a last step that is shorter than this share
+of its standard deviation."""
 HASTY_PX, MIN_THINNED_PX = 0.05, 7
 """The same for a hasty fit, and the half window from which on it uses every other pixel each way."""
 
@@ -169,8 +174,10 @@ def fit_corners(
     only for another fit to start from.
     """
     parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, start_blur_px)
+    enough_px = HASTY_PX if hasty else settled_px
+    widest_blur_px = max(MAX_BLUR_SQUARES * median(narrowest), 1.5)
     half = min(max(math.ceil(WINDOW_SQUARES * widest), MIN_HALF_WINDOW_PX), MAX_HALF_WINDOW_PX)
-    counts, cost, spread, settled = fit_all(
+    counts, cost, spread, last_px = fit_all(
         np.ascontiguousarray(image),
         parameters,
         curvature,
@@ -179,21 +186,25 @@ def fit_corners(
         half,
         2 if hasty and half >= MIN_THINNED_PX else 1,
         WINDOW_SQUARES,
-        max(MAX_BLUR_SQUARES * median(narrowest), 1.5),
+        widest_blur_px,
         max_steps,
-        HASTY_PX if hasty else settled_px,
+        enough_px,
     )
 
     freedom = counts - PARAMETERS
     variance = cost / np.maximum(freedom, 1)
     sigma = np.sqrt(variance * spread + MODEL_SIGMA_PX**2)
     moved = np.hypot(*(parameters[:, :2] - corners).T)
-    converged = settled & (freedom > 0) & (narrowest > LEAST_SQUARE_PX) & (moved < 0.5 * narrowest)
+    settled = last_px < np.maximum(enough_px, SETTLED_SIGMA * sigma)
+    blur_px = np.exp(parameters[:, 4:6])
+    # At its limit the blur is not fitted.
+    resolved = blur_px.max(1, initial=0.0) < 0.999 * widest_blur_px
+    converged = settled & resolved & (freedom > 0) & (narrowest > LEAST_SQUARE_PX) & (moved < 0.5 * narrowest)
     return SaddleFit(
         np.where(converged[:, None], parameters[:, :2], corners),
         np.where(converged, sigma, np.inf),
         parameters[:, 10],
         np.sqrt(variance),
-        np.exp(parameters[:, 4:6]),
+        blur_px,
         converged,
     )

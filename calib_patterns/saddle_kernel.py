@@ -195,11 +195,11 @@ def _spread(products: np.ndarray, matrix: np.ndarray) -> float:
 def _fit(
     p: np.ndarray, curvature: np.ndarray, work: tuple, count: int, log_blur: tuple, max_steps: int, settled_px: float
 ) -> tuple:
-    """One corner: the sum of squared residuals at the solution, which `p` becomes, and whether it had stopped moving."""
+    """One corner: the sum of squared residuals at the solution, which `p` becomes, and the length of the last step (px)."""
     rows, products, damped, step, trial = work
     cost = _lit(p, curvature, rows, count)
     _products(rows, count, products)
-    damping, settled = 1e-3, False
+    damping, last_px = 1e-3, np.inf
     for _ in range(max_steps):
         for m in range(PARAMETERS):
             step[m] = products[PARAMETERS, m]
@@ -212,15 +212,15 @@ def _fit(
             trial[m] = p[m] + step[m]
         trial[4], trial[5] = min(max(trial[4], log_blur[0]), log_blur[1]), min(max(trial[5], log_blur[0]), log_blur[1])
         trial_cost = linearised(trial, curvature, rows, count)
-        settled = max(abs(step[0]), abs(step[1])) < settled_px
+        last_px = max(abs(step[0]), abs(step[1]))
         better = trial_cost <= cost
         damping *= 0.2 if better else 10.0
         if better:
             p[:], cost = trial, trial_cost
             _products(rows, count, products)
-        if settled:
+        if last_px < settled_px:
             break
-    return cost, settled
+    return cost, last_px
 
 
 @njit(cache=True, nogil=True)
@@ -243,10 +243,10 @@ def fit_all(
     `image` (h x w), windows as `saddle.fit_corners` states: `into_squares` (n x 2 x 2) takes pixels to squares, `plain`
     (n x 2 x 2), `half` px (MAX_HALF_WINDOW_PX at most) and `reach` squares limit them, of whose pixels one in `stride` each way
     is used. Returns the number of pixels in each window, the sums of squared residuals, the mean variance of both coordinates
-    for noise of one grey level, and whether the corner had stopped moving.
+    for noise of one grey level, and how far the corner moved in its last step (px).
     """
     total = len(parameters)
-    counts, costs, settled = np.empty(total, np.int64), np.empty(total), np.zeros(total, dtype=np.bool_)
+    counts, costs, last_px = np.empty(total, np.int64), np.empty(total), np.empty(total)
     spreads, rows = np.empty(total), np.empty(BUFFER_ROWS * ROW_LENGTH)
     products, damped = np.empty((PARAMETERS + 1, PARAMETERS + 1)), np.empty((PARAMETERS, PARAMETERS))
     work = (rows, products, damped, np.empty(PARAMETERS), np.empty(PARAMETERS))
@@ -256,7 +256,7 @@ def fit_all(
         counts[i] = window(image, p, into_squares[i], plain[i], half, stride, reach, rows)
         column, row = round(p[0]), round(p[1])
         p[0], p[1] = p[0] - column, p[1] - row
-        costs[i], settled[i] = _fit(p, curvature[i], work, counts[i], log_blur, max_steps, settled_px)
+        costs[i], last_px[i] = _fit(p, curvature[i], work, counts[i], log_blur, max_steps, settled_px)
         p[0], p[1] = p[0] + column, p[1] + row
         spreads[i] = _spread(products, damped)
-    return counts, costs, spreads, settled
+    return counts, costs, spreads, last_px

@@ -11,11 +11,16 @@ from calib_patterns._pattern import Detection, Pattern, check_image
 from calib_patterns.board_match import matched
 from calib_patterns.corner_growth import MIN_CORNERS, CornerKind, grow_corners
 from calib_patterns.detection import LEAST_SIDE_PX, grey_of, searched, stretched, why_not
-from calib_patterns.local_map import KnownCorners
+from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, local_map
 from calib_patterns.partial import LEAST_CORNERS, MOST_PIECES
 from calib_patterns.saddle_points import lattices, saddle_points
-from calib_patterns.tags import TagFamily, find_tags, tag_corners
+from calib_patterns.tag_decoding import likeness
+from calib_patterns.tags import TagFamily, codes_of, find_tags, tag_corners
 
+LEAST_LIKENESS = 0.4
+"""Of the tags of a board to what is seen in their places: their own reach 0.5 with blur of 2 px and bits of 1.3, others 0.2."""
+CERTAIN_TAG = 0.1
+"""A tag's corners are known when their standard deviation is below this share of its side."""
 FEW = 0.9
 """With a smaller share of the corners than this the board is also looked for without reading its tags."""
 
@@ -67,11 +72,10 @@ class TagBoard(Pattern):
         if mirrored:
             grey = np.ascontiguousarray(grey[:, ::-1])
         tags = find_tags(stretched(grey), self.family, self.tag_corners_m)
-        seeds = tag_corners(tags, self.tag_corners_m)
-        found = grow_corners(grey, self.corner_kind, seeds) if len(tags.ids) else Detection.empty()
+        found = self._grown(grey, tag_corners(tags, self.tag_corners_m)) if len(tags.ids) else Detection.empty()
         if len(found) < FEW * len(self.points_m):
             by_look = self._seeds_by_appearance(grey)
-            again = Detection.empty() if by_look is None else grow_corners(grey, self.corner_kind, by_look)
+            again = Detection.empty() if by_look is None else self._grown(grey, by_look)
             found = max(found, again, key=len)
         if not len(found):
             return found, self._why_not(grey, tags_found=bool(len(tags.ids)))
@@ -79,6 +83,24 @@ class TagBoard(Pattern):
             pixels = np.array([grey.shape[1] - 1.0, 0.0]) + found.pixels * [-1.0, 1.0]
             found = Detection(found.ids, pixels, found.sigma_px, found.blur_px)
         return found, None
+
+    def _grown(self, grey: np.ndarray, seeds: KnownCorners) -> Detection:
+        """The corners grown from known places, none where the tags among them are not those of the board: clutter reads as a tag
+        now and then, and corners of boards with other tags are alike."""
+        found = grow_corners(grey, self.corner_kind, seeds)
+        if not len(found):
+            return found
+        corners_m, spacing_m = self.corner_kind.corners_m[found.ids], self.corner_kind.spacing_m
+        known = KnownCorners(corners_m, found.pixels, np.maximum(found.sigma_px, LEAST_SIGMA_PX))
+        places = local_map(known, self.tag_corners_m.reshape(-1, 2), spacing_m)
+        quads, sigma_px = places.pixels.reshape(-1, 4, 2), places.sigma_px.reshape(-1, 4).max(1)
+        side_px = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).min(1)
+        inside = ((quads >= 0) & (quads <= np.array(grey.shape[::-1]) - 1)).all((1, 2))
+        tags = np.flatnonzero(inside & (sigma_px < CERTAIN_TAG * side_px))
+        if not len(tags):
+            return found
+        alike = likeness(stretched(grey), quads[tags], codes_of(self.family, len(quads)), tags)
+        return found if alike > LEAST_LIKENESS else Detection.empty()
 
     def _seeds_by_appearance(self, grey: np.ndarray) -> KnownCorners | None:
         """Places of the board known without reading a tag, for photos that are too blurred for that: from pieces of its corners

@@ -72,7 +72,8 @@ _CORRECTED_SHARE = 0.6
 
 
 @lru_cache(maxsize=8)
-def _codes(family: TagFamily, count: int) -> Codes:
+def codes_of(family: TagFamily, count: int) -> Codes:
+    """Of the first `count` tags."""
     black = np.stack([family.bits(tag) for tag in range(count)])
     return Codes(black, family.border_bits, int(_CORRECTED_SHARE * family.opencv.maxCorrectionBits))
 
@@ -105,7 +106,7 @@ def _searched(image: np.ndarray, family: TagFamily, count: int) -> Iterator[Tags
         parted = cv2.dilate(scaled, np.ones((2 * widen + 1,) * 2, dtype=np.uint8)) if widen else scaled
         read, _, rejected = detector.detectMarkers(parted)
         quads = _clockwise(np.array([*read, *rejected], dtype=np.float64).reshape(-1, 4, 2))
-        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), _codes(family, count))
+        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), codes_of(family, count))
         # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5).
         yield Tags(ids, (pixels + 0.5) * factors - 0.5, np.full(len(ids), max(1.0 / scale, 0.7)))
 

@@ -11,6 +11,8 @@ from tag_views import CAMERAS, check_partial, views
 import calib_patterns
 from calib_patterns.aprilgrid import FAMILIES, AprilGrid
 from calib_patterns.board_poses import random_board_poses
+from calib_patterns.corner_growth import grow_corners
+from calib_patterns.local_map import KnownCorners
 from calib_patterns.rendering import render_target
 from camera_models.errors import InputError
 
@@ -125,6 +127,29 @@ def test_one_tag_is_enough() -> None:
 def test_nothing_is_found_on_another_target(other: str) -> None:
     found, reason = calib_patterns.pattern(other).detect(views(SPEC, "fisheye-190", 4, 8.0)[1].image)
     assert len(found) == 0 and reason is not None
+
+
+def test_another_family_of_tags_is_refused() -> None:
+    """Tags of few bits are read in other tags now and then, and the corners around them are the same: every tag of the board is
+    compared with what is seen in its place."""
+    board, (model, _) = calib_patterns.pattern("aprilgrid:4x3:35mm:0.3:36h11"), CAMERAS["fisheye-190"]
+    other = calib_patterns.pattern("aprilgrid:4x3:35mm:0.3:16h5")
+    poses = random_board_poses(board, model, 2, math.radians(65.0), min_spacing_px=10.0, seed=21)
+    refused = 0
+    for index in range(2):
+        image = render_target(board, model, poses[index], blur_px=0.5, noise_grey=2.0, seed=index)
+        truth = model.project(poses[index].transform(torch.as_tensor(board.points_m)))[0].numpy()
+        assert isinstance(other, AprilGrid) and isinstance(board, AprilGrid)
+        for shift in (0, 1, 8):
+            # As if one tag were read: corners grown from it would be those of the board, with its ids or others.
+            seeds = KnownCorners(
+                board.points_m[[18, 19, 26, 27], :2], truth[np.array([18, 19, 26, 27]) + 2 * shift], np.full(4, 0.7)
+            )
+            assert len(grow_corners(image, other.corner_kind, seeds)) > 20
+            assert len(other._grown(image, seeds)) == 0
+            assert (len(board._grown(image, seeds)) > 20) == (shift == 0)
+            refused += 1
+    assert refused == 6
 
 
 @pytest.mark.parametrize(

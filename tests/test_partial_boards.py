@@ -111,9 +111,10 @@ def test_a_board_of_fewer_corners_is_a_part_of_a_larger_one() -> None:
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.full)])
 def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
-    """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 0.2 percent are not found,
-    5 percent are found farther off. Those lie at the dark rim, where a camera fitted to all other corners puts ours nearer, and
-    in the board's outermost rows, which are cut off and lie up to 0.7 mm inside their grid by either tool."""
+    """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 3 are not found, 5.1 percent
+    are found farther off. Most of those are the list's error. In the board's outermost rows, which are cut off, corners lie 0.2
+    to 0.4 mm inside their grid where both tools agree, and by ours elsewhere too. At the dark rim the list drifts outwards by up
+    to 0.4 px from where the corners on which both agree say, ours by 0.05."""
     board = pattern("checkerboard:22x22:7.5mm")
     listed = near = found_at_all = photos = 0
     for split in ("train", "test"):
@@ -130,7 +131,7 @@ def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
             design = np.concatenate([np.rint(corners.board_m[theirs, :2] / 0.0075), np.ones((len(hit), 1))], 1)[hit]
             np.testing.assert_allclose(design @ np.linalg.lstsq(design, places, rcond=None)[0], places, atol=1e-6)
             listed, near, photos = listed + len(hit), near + int(hit.sum()), photos + 1
-    assert photos >= 4 and near >= 0.94 * listed and found_at_all >= 0.995 * listed, (near, found_at_all, listed)
+    assert photos >= 4 and near >= 0.945 * listed and found_at_all >= 0.998 * listed, (near, found_at_all, listed)
 
 
 def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calib_patterns._cells import CellGrid
-from calib_patterns.local_map import KnownCorners, agrees, local_map
+from calib_patterns.local_map import KnownCorners, disagreement, local_map
 from calib_patterns.tag_decoding import Codes, decode
 from calib_patterns.tags import TagFamily, find_tags
 
@@ -109,9 +109,9 @@ def test_predictions_state_their_error() -> None:
 def test_a_wrong_corner_disagrees() -> None:
     pixels = fisheye(GRID)
     pixels[17] += [6.0, -4.0]
-    verdict = agrees(KnownCorners(GRID, pixels, np.full(len(GRID), 0.05)), 0.03)
-    assert not verdict[17]
-    assert agrees(KnownCorners(GRID, fisheye(GRID), np.full(len(GRID), 0.05)), 0.03).all()
+    over = disagreement(KnownCorners(GRID, pixels, np.full(len(GRID), 0.05)), 0.03)
+    assert over.argmax() == 17 and over[17] > 1.0
+    assert disagreement(KnownCorners(GRID, fisheye(GRID), np.full(len(GRID), 0.05)), 0.03).max() < 1.0
 
 
 def test_cells_merge_edges_that_only_rounding_sets_apart() -> None:
