@@ -20,7 +20,7 @@ from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import DETECTOR_FLOOR_PX, calibrate_camera, robust_camera
 from omnilines.calibration.start import CameraKind
-from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views
+from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, views_lost
 from omnilines.least_squares import Progress
 from omnilines.records import Corners
 
@@ -86,10 +86,11 @@ def alone_camera(
     if loss == "none":
         problem = BoardProblem(points, settled.state.model.calibration_basis()[:, : 0 if setup.hold else None], weight)
         settled, kept = replace(settled, state=problem.solve(settled.state).state), torch.ones_like(kept)
-    share = points.mean_by_view(kept.to(torch.float64)[:, None])[:, 0]
-    good = torch.nonzero(share >= 0.5).flatten().tolist()
-    lost = "more than half of its corners do not fit the camera (wrong detection or numbering)"
-    refusals |= {usable[v]: lost for v in torch.nonzero(share < 0.5).flatten().tolist()}
+    fitting = rows.copy()
+    fitting[rows] = kept.numpy()
+    refusals |= views_lost(corners, rows, fitting)
+    stays = torch.tensor([v not in refusals for v in usable])
+    good = torch.nonzero(stays).flatten().tolist()
     poses = settled.state.cam_from_board[good]
     if setup.start is None:
         require_views(len(good), len(corners.view_names), refusals)
@@ -99,7 +100,7 @@ def alone_camera(
             f"Boards that the given calibration fits were expected, found none among {len(usable)} views; give another "
             "calibration or calibrate anew."
         )
-    kept = kept & (share >= 0.5)[points.view]
+    kept = kept & stays[points.view]
     residual = settled.state.residual_px(points)[kept]
     basis = settled.state.model.calibration_basis()
     if setup.hold:

@@ -29,7 +29,7 @@ from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
 from omnilines.calibration.uncertainty import view_leverage
-from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, view_results
+from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.records import Corners, ViewResult
 
@@ -110,15 +110,13 @@ def calibrate_camera(
     settled = robust_camera(points, CameraKind(image_size, model, mirror, options), loss, corner_weights(corners, rows), callback)
     refuse_parallel_boards(settled.state.cam_from_board)
     kept = settled.kept if loss != "none" else torch.ones_like(settled.kept)
-    share = points.mean_by_view(kept.to(torch.float64)[:, None])[:, 0]
-    good = torch.nonzero(share >= 0.5).flatten().tolist()
-    for v in torch.nonzero(share < 0.5).flatten().tolist():
-        refusals[usable[v]] = "more than half of its corners do not fit the camera (wrong detection or numbering)"
+    fitting = rows.copy()
+    fitting[rows] = kept.numpy()
+    refusals |= views_lost(corners, rows, fitting)
+    good = [k for k, v in enumerate(usable) if v not in refusals]
     require_views(len(good), len(corners.view_names), refusals)
-    views = [usable[v] for v in good]
-    final_rows = rows.copy()
-    final_rows[rows] = kept.numpy()
-    final_rows &= np.isin(corners.view, views)
+    views = [usable[k] for k in good]
+    final_rows = fitting & np.isin(corners.view, views)
     final = _Final(
         corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
     )

@@ -41,17 +41,18 @@ def corner_weights(corners: Corners, rows: Bool[np.ndarray, " n"]) -> Float[Tens
     return (sigma**2).mean().sqrt() / sigma
 
 
-def unusable_views(corners: Corners) -> dict[int, str]:
-    """Views that cannot be used whatever the camera is, each with its reason."""
+def unusable_views(corners: Corners, rows: Bool[np.ndarray, " n"] | None = None) -> dict[int, str]:
+    """Views that cannot be used whatever the camera is, each with its reason; by the corners of `rows` only, where given."""
     views = len(corners.view_names)
-    counts = np.bincount(corners.view, minlength=views)
+    view, board = (corners.view, corners.board_m) if rows is None else (corners.view[rows], corners.board_m[rows])
+    counts = np.bincount(view, minlength=views)
     share = np.maximum(counts, 1)[:, None]
-    mean = np.stack([np.bincount(corners.view, corners.board_m[:, k], views) for k in (0, 1)], -1) / share
-    x, y = (corners.board_m[:, :2] - mean[corners.view]).T
-    xx, xy, yy = (np.bincount(corners.view, product, views) for product in (x * x, x * y, y * y))
+    mean = np.stack([np.bincount(view, board[:, k], views) for k in (0, 1)], -1) / share
+    x, y = (board[:, :2] - mean[view]).T
+    xx, xy, yy = (np.bincount(view, product, views) for product in (x * x, x * y, y * y))
     # On one line where the smaller principal moment vanishes beside the larger.
     on_line = xx * yy - xy**2 <= 1e-12 * (xx + yy) ** 2
-    raised = np.bincount(corners.view, corners.board_m[:, 2] != 0, views) > 0
+    raised = np.bincount(view, board[:, 2] != 0, views) > 0
     refusals = {}
     for v in np.flatnonzero((counts < LEAST_CORNERS) | on_line | raised):
         if counts[v] < LEAST_CORNERS:
@@ -61,6 +62,15 @@ def unusable_views(corners: Corners) -> dict[int, str]:
         else:
             refusals[int(v)] = "its corners do not lie in the plane z = 0 of the board"
     return refusals
+
+
+def views_lost(corners: Corners, rows: Bool[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]) -> dict[int, str]:
+    """Of the views with corners in `rows`, those that cannot be used with the corners `kept` that fit the camera, and why."""
+    count = len(corners.view_names)
+    seen, used = (np.bincount(corners.view[chosen], minlength=count) for chosen in (rows, kept))
+    lost = {v: f"of the corners that fit the camera: {reason}" for v, reason in unusable_views(corners, kept).items() if seen[v]}
+    wrong = "more than half of its corners do not fit the camera (wrong detection or numbering)"
+    return lost | {int(v): wrong for v in np.flatnonzero(2 * used < seen)}
 
 
 def require_views(found: int, total: int, refusals: Mapping[int, str]) -> None:
