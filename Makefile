@@ -49,10 +49,10 @@ demo: setup
 	@echo "Open $(CURDIR)/demo/lines/report.html"
 
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n 2 -m "not full" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not full" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-lint
 	$(BIN)/ruff check .

@@ -3,14 +3,20 @@
 import os
 import pathlib
 
+# The workers of pytest-xdist share the cores: more threads than one each wait for each other, busily, and small systems of
+# equations take ten times as long. NumPy's linear algebra reads this when it is loaded: in the workers, which inherit it, and in
+# commands that tests start. A run without workers has loaded NumPy before this line (a plugin does) and keeps its threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import cv2
 import pytest
 import torch
 from jaxtyping import install_import_hook
 
 install_import_hook(["camera_models", "calib_patterns", "omnilines"], "beartype.beartype")
 
-# The workers of pytest-xdist share the cores: more threads than one each only get in each other's way.
 torch.set_num_threads(1)
+cv2.setNumThreads(1)
 
 DATA = pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"
 

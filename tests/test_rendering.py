@@ -119,8 +119,9 @@ def test_board_poses_keep_their_promises(model: CameraModel, max_angle: float) -
     middle = poses.transform(torch.as_tensor(BOARD.points_m.mean(0))[None].expand(20, 1, 3))[:, 0]
     tilt = torch.acos((middle * poses.rotation[:, :, 2]).sum(-1) / middle.norm(dim=-1))
     assert tilt.max() <= math.radians(45.001) and tilt.max() > math.radians(35)
-    assert torch.equal(poses.translation, random_board_poses(BOARD, model, 20, max_angle, seed=3).translation)
-    assert not torch.equal(poses.translation, random_board_poses(BOARD, model, 20, max_angle, seed=4).translation)
+    one, same, other = (random_board_poses(BOARD, model, 4, max_angle, seed=seed).translation for seed in (3, 3, 4))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
     centre_side = pixels.mean(1) > model.centre_px
     assert len({tuple(side.tolist()) for side in centre_side}) == 4  # boards in every quadrant
 

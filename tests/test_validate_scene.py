@@ -113,7 +113,7 @@ def disturbed(done: Done, folder: Path, patch: pytest.MonkeyPatch, turn_deg: flo
     ("turn_deg", "zoom", "failed"),
     [
         pytest.param(1.0, 1.0, WORST, id="a pose by 1 degree"),
-        pytest.param(0.0, 1.01, ON_EDGE, id="the focal length by 1 percent", marks=pytest.mark.slow),
+        pytest.param(0.0, 1.01, ON_EDGE, id="the focal length by 1 percent", marks=pytest.mark.full),
     ],
 )
 def test_what_is_wrong_exits_with_one(
