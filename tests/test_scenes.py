@@ -15,10 +15,12 @@ from omnilines.cli import main
 from omnilines.files import read_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.scenes import (
+    SCENES,
     build_scene,
     eye,
     furnished_room,
     largest_angle,
+    plain_room,
     render_clean,
     render_photo,
     scene_camera,
@@ -29,6 +31,7 @@ from omnilines.scenes import (
 )
 from omnilines.scenes.building import Builder, Frame, colour
 from omnilines.scenes.line_scene import Lamps, LineScene, Texture
+from omnilines.scenes.plain_room import THINNEST_M
 from omnilines.scenes.visibility import CONTRAST_LEVELS
 
 SIZE = (640, 480)
@@ -260,10 +263,10 @@ def test_edges_of_a_box_on_a_floor() -> None:
     assert sorted(np.round(length, 9).tolist()) == [0.5] * 14 + [1.0] * 4 + [1.5] * 2 + [4.0] * 4
 
 
-@pytest.mark.parametrize("name", ["room", "street"])
+@pytest.mark.parametrize("name", SCENES)
 def test_no_edges_overlap(name: str) -> None:
     edges = scene_edges(build_scene(name, 1))
-    assert len(edges) > 500
+    assert len(edges) > (200 if name == "plain-room" else 500)
     middle = edges.mean(1)
     direction = edges[:, 1] - edges[:, 0]
     length = np.linalg.norm(direction, axis=-1)
@@ -277,6 +280,24 @@ def test_no_edges_overlap(name: str) -> None:
         parallel = np.linalg.norm(np.cross(direction, direction[k]), axis=-1) < 1e-6
         overlaps += int(((off < 1e-6) & parallel & (along > 0) & (along < length)).sum())
     assert overlaps == len(every)  # each only with itself
+
+
+def test_edges_of_the_plain_room_keep_apart() -> None:
+    """Parallel edges that overlap along their direction are 0.1 m or more apart, but for those of things that stand on or before
+    others."""
+    edges = scene_edges(plain_room(2))
+    direction = edges[:, 1] - edges[:, 0]
+    length = np.linalg.norm(direction, axis=-1)
+    assert length.min() > 0.02 and len(edges) < 0.4 * len(scene_edges(furnished_room(2)))
+    direction /= length[:, None]
+    close = 0
+    for k in range(len(edges)):
+        step = edges.mean(1)[k] - edges[:, 0]
+        along = (step * direction).sum(-1)
+        off = np.linalg.norm(step - along[:, None] * direction, axis=-1)
+        parallel = np.linalg.norm(np.cross(direction, direction[k]), axis=-1) < 1e-3
+        close += bool((parallel & (off > 1e-6) & (off < THINNEST_M - 1e-6) & (along > 0) & (along < length)).any())
+    assert close < 0.15 * len(edges)
 
 
 def test_equal_brightness_and_different_colour() -> None:
@@ -299,7 +320,7 @@ def test_equal_brightness_and_different_colour() -> None:
     assert all(0.08 < share < 0.45 for share in shares)
 
 
-@pytest.mark.parametrize("name", ["room", "street"])
+@pytest.mark.parametrize("name", SCENES)
 def test_cameras_stand_in_free_space(name: str) -> None:
     """Whatever a camera looks at first is a front: it stands in no box; and nothing is nearer than the clearance."""
     directions = np.random.default_rng(0).standard_normal((40, 3))
@@ -379,7 +400,7 @@ def test_command_writes_what_it_says(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: build_scene("castle", 0), "one of room, street, found 'castle'"),
+        (lambda: build_scene("castle", 0), "one of room, plain-room, street, found 'castle'"),
         (lambda: furnished_room(0, (2.0, 4.0, 3.0)), "found 2 x 4 x 3 m"),
         (lambda: furnished_room(-1), "seed of at least 0"),
         (lambda: scene_camera("pinhole", SIZE, 0, 80.0, mirror=True), "--model scaramuzza, found pinhole"),

@@ -125,7 +125,9 @@ def convert(
 @app.command()
 def validate(
     out: Out,
-    scene: Annotated[str | None, typer.Option("--scene", help="room or street: rebuild its lines, with no target.")] = None,
+    scene: Annotated[
+        str | None, typer.Option("--scene", help="room, plain-room or street: rebuild its lines, with no target.")
+    ] = None,
     model: Annotated[
         str, typer.Option("--model", help="Camera model; with --scene any, else one that can be calibrated.")
     ] = "opencv-fisheye",

@@ -11,7 +11,7 @@ from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size
 @render_app.command()
 def scene(
     out: Out,
-    scene: Annotated[str, typer.Option("--scene", help="room or street.")] = "room",
+    scene: Annotated[str, typer.Option("--scene", help="room (furnished), plain-room (large plain pieces) or street.")] = "room",
     model: Annotated[
         str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
     ] = "opencv-fisheye",

@@ -1,4 +1,4 @@
-"""Furnished rooms and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
+"""Rooms and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
 
 scene = build_scene("room", seed=0)
 camera, circle = scene_camera("opencv-fisheye", (1280, 960), seed=0, fov_deg=190.0)
@@ -12,12 +12,14 @@ from omnilines.scenes.cameras import largest_angle, scene_camera
 from omnilines.scenes.edges import scene_edges
 from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.photo import Eye, eye, render_clean, render_photo
+from omnilines.scenes.plain_room import plain_room
 from omnilines.scenes.poses import scene_poses
 from omnilines.scenes.room import furnished_room
 from omnilines.scenes.street import street
 from omnilines.scenes.visibility import stretches_of_photos, visible_stretches
 
-SCENES = ("room", "street")
+_BUILDERS = {"room": furnished_room, "plain-room": plain_room, "street": street}
+SCENES = tuple(_BUILDERS)
 
 __all__ = [
     "SCENES",
@@ -27,6 +29,7 @@ __all__ = [
     "eye",
     "furnished_room",
     "largest_angle",
+    "plain_room",
     "render_clean",
     "render_photo",
     "scene_camera",
@@ -42,4 +45,4 @@ def build_scene(name: str, seed: int) -> LineScene:
     """The scene of a name; raises InputError on an unknown one."""
     if name not in SCENES:
         raise InputError(f"A scene is one of {', '.join(SCENES)}, found '{name}'; choose one of these.")
-    return furnished_room(seed) if name == "room" else street(seed)
+    return _BUILDERS[name](seed)

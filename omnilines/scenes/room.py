@@ -25,7 +25,7 @@ from omnilines.scenes.furniture import (
     window,
     wood,
 )
-from omnilines.scenes.line_scene import Lamps, LineScene
+from omnilines.scenes.line_scene import Lamps, LineScene, Texture
 from omnilines.simulate import generator
 
 ROOM_M = (5.0, 4.0, 3.0)
@@ -37,24 +37,10 @@ FROM_WALLS_M = 0.45
 
 def furnished_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> LineScene:
     """A room between the origin and `size_m`, z up. Raises InputError for a size that the furniture does not fit."""
-    within = all(low <= value <= high for low, value, high in zip(SMALLEST_M, size_m, LARGEST_M, strict=True))
-    if not within or size_m[0] * size_m[1] < SMALLEST_FLOOR_M2:
-        found = " x ".join(f"{value:g}" for value in size_m)
-        raise InputError(
-            f"A room of 4 x 4 x 2.5 to 12 x 12 x 5 m with 18 m2 of floor or more was expected, found {found} m; take another."
-        )
+    size = checked_size(size_m)
     rng = generator(seed, "room")
-    build = Builder(
-        [
-            texture(rng, 0.006, 0.4, 0.02),
-            texture(rng, 0.012, 0.8, 0.01, waves=12),
-            texture(rng, 0.022, 0.3, 0.008, stretch=4.0, waves=10),
-            texture(rng, 0.03, 0.1, 0.006, waves=10),
-            texture(rng, 0.02, 0.3, 0.01, waves=10),
-        ]
-    )
-    size = np.array(size_m, dtype=np.float64)
-    walls = _walls(size, int(rng.integers(4)))
+    build = Builder(room_textures(rng))
+    walls = room_walls(size, int(rng.integers(4)))
     paint = tone(rng, 165.0, 205.0, 14.0)
     floor = _floor_and_ceiling(build, size, rng)
     _door_wall(build, walls[0], rng, paint)
@@ -63,7 +49,7 @@ def furnished_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> Li
     _sofa_wall(build, walls[3], rng, paint)
     _dining_place(build, size, rng, floor, [walls[0][0], walls[1][0]])
     return build.scene(
-        _lamps(walls[1], size),
+        room_lamps(walls[1], size),
         np.stack([colour(200.0), colour(200.0)]),
         np.full(3, FROM_WALLS_M),
         size - FROM_WALLS_M,
@@ -74,7 +60,29 @@ Wall = tuple[Frame, float, float]
 """Frame at the lower left corner as seen from the room, length and height in metres."""
 
 
-def _walls(size: Float[np.ndarray, "3"], first: int) -> list[Wall]:
+def checked_size(size_m: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
+    """Width, depth and height as an array; raises InputError for a size that the furniture does not fit."""
+    within = all(low <= value <= high for low, value, high in zip(SMALLEST_M, size_m, LARGEST_M, strict=True))
+    if not within or size_m[0] * size_m[1] < SMALLEST_FLOOR_M2:
+        found = " x ".join(f"{value:g}" for value in size_m)
+        raise InputError(
+            f"A room of 4 x 4 x 2.5 to 12 x 12 x 5 m with 18 m2 of floor or more was expected, found {found} m; take another."
+        )
+    return np.array(size_m, dtype=np.float64)
+
+
+def room_textures(rng: np.random.Generator) -> list[Texture]:
+    """Of paint, plaster, wood, fabric and stone, in the order of their numbers."""
+    return [
+        texture(rng, 0.006, 0.4, 0.02),
+        texture(rng, 0.012, 0.8, 0.01, waves=12),
+        texture(rng, 0.022, 0.3, 0.008, stretch=4.0, waves=10),
+        texture(rng, 0.03, 0.1, 0.006, waves=10),
+        texture(rng, 0.02, 0.3, 0.01, waves=10),
+    ]
+
+
+def room_walls(size: Float[np.ndarray, "3"], first: int) -> list[Wall]:
     """The four walls in the order in which they follow to the right, beginning with any of them."""
     x, y, z = size.tolist()
     walls = [
@@ -177,7 +185,7 @@ def _floor_and_ceiling(build: Builder, size: Float[np.ndarray, "3"], rng: np.ran
                 build.paint(floor, (i * side, j * side, (i + 1) * side, (j + 1) * side), other, STONE)
     build.wall(np.array([[0, y, z], [x, y, z], [x, 0, z], [0, 0, z]], dtype=np.float64), tone(rng, 215.0, 235.0, 5.0), PLASTER)
     trim = tone(rng, 195.0, 225.0, 6.0)
-    for k, (frame, length, height) in enumerate(_walls(size, 0)):
+    for k, (frame, length, height) in enumerate(room_walls(size, 0)):
         # Butt joints: every second one ends at its neighbours.
         end = 0.06 * (k % 2)
         build.box(frame, (end, -0.06, height - 0.06), (length - end, 0.0, height), trim)
@@ -205,7 +213,7 @@ def _dining_place(
     lamp(build, x, y, float(size[2]), rng)
 
 
-def _lamps(window_wall: Wall, size: Float[np.ndarray, "3"]) -> Lamps:
+def room_lamps(window_wall: Wall, size: Float[np.ndarray, "3"]) -> Lamps:
     """A lamp under the ceiling and the daylight of the windows."""
     frame, length, _ = window_wall
     daylight = frame.world(np.array([0.5 * length, 0.6, 1.7]))

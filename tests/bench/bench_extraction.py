@@ -1,6 +1,6 @@
 """Arcs in rendered rooms: ours, plain LSD on the photo, LSD on a cube map; time, and memory of a panorama of 50 megapixels.
 
-    python tests/bench/bench_extraction.py [--views 3] [--seeds 0 1] [--panorama]
+    python tests/bench/bench_extraction.py [--scene room] [--views 3] [--seeds 0 1] [--panorama]
 
 LSD is OpenCV's, on the grey photo, segments of 25 px and more. The figures are those of omnilines.evaluate_arcs. "repeated" is
 the share of the edges that two photos both see (40 px, 10 grey levels) and that either found, that both found; "inside 95" is
@@ -30,6 +30,7 @@ from omnilines.evaluate_arcs import ArcScores, arc_scores
 from omnilines.extraction import extract_arcs
 from omnilines.files import read_photo
 from omnilines.records import Segments
+from omnilines.scenes import SCENES
 
 CAMERAS = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
 LEAST_PX = 25.0
@@ -129,50 +130,46 @@ def repeatability(scene: RenderedScene, scores: ArcScores, table: Segments) -> f
     return both / max(either, 1)
 
 
-def table_of_rooms(view_count: int, seeds: list[int], size: tuple[int, int]) -> None:
+def table_of_scenes(name: str, view_count: int, seeds: list[int], size: tuple[int, int]) -> None:
     print(
         "camera | method | covered | on an edge | on a line | arcs per stretch | mean px | direction median, 95th (deg) | "
         "inside 95 | repeated | CPU s"
     )
     for model, fov_deg in CAMERAS:
-        for name, method in METHODS:
-            rows = []
-            for seed in seeds:
-                with tempfile.TemporaryDirectory() as folder:
-                    scene = write_scene(
-                        folder,
-                        scene="room",
-                        model=model,
-                        fov_deg=fov_deg,
-                        views=view_count,
-                        size=size,
-                        noise=2.0,
-                        blur=0.5,
-                        seed=seed,
-                    )
-                    GRIDS.clear()
-                    method(read_photo(scene.files[0]), scene.model)
-                    scores, table, spent = scored(scene, method)
-                    rows.append(
-                        [
-                            scores.covered_share,
-                            scores.on_edge_share,
-                            scores.on_line_share,
-                            scores.arcs_per_stretch,
-                            scores.mean_arc_px,
-                            scores.direction_deg(50),
-                            scores.direction_deg(95),
-                            inside_95(scene, scores, table),
-                            repeatability(scene, scores, table),
-                            spent,
-                        ]
-                    )
-            v = np.mean(rows, axis=0)
+        rows: dict[str, list[list[float]]] = {method: [] for method, _ in METHODS}
+        for seed in seeds:
+            with tempfile.TemporaryDirectory() as folder:
+                scene = write_scene(
+                    folder, scene=name, model=model, fov_deg=fov_deg, views=view_count, size=size, noise=2.0, blur=0.5, seed=seed
+                )
+                GRIDS.clear()
+                for method, find in METHODS:
+                    find(read_photo(scene.files[0]), scene.model)
+                    rows[method].append(figures(scene, find))
+        for method, found in rows.items():
+            v = np.mean(found, axis=0)
             print(
-                f"{model} | {name} | {100 * v[0]:.1f} | {100 * v[1]:.1f} | {100 * v[2]:.1f} | {v[3]:.2f} | {v[4]:.0f} | "
+                f"{model} | {method} | {100 * v[0]:.1f} | {100 * v[1]:.1f} | {100 * v[2]:.1f} | {v[3]:.2f} | {v[4]:.0f} | "
                 f"{v[5]:.3f}, {v[6]:.2f} | {100 * v[7]:.1f} | {100 * v[8]:.0f} | {v[9]:.2f}",
                 flush=True,
             )
+
+
+def figures(scene: RenderedScene, find: Method) -> list[float]:
+    """The columns of the table, of one scene."""
+    scores, table, spent = scored(scene, find)
+    return [
+        scores.covered_share,
+        scores.on_edge_share,
+        scores.on_line_share,
+        scores.arcs_per_stretch,
+        scores.mean_arc_px,
+        scores.direction_deg(50),
+        scores.direction_deg(95),
+        inside_95(scene, scores, table),
+        repeatability(scene, scores, table),
+        spent,
+    ]
 
 
 def panorama() -> None:
@@ -195,6 +192,7 @@ def panorama() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
+    parser.add_argument("--scene", choices=SCENES, default="room")
     parser.add_argument("--views", type=int, default=3)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--size", type=int, nargs=2, default=[1280, 960])
@@ -205,4 +203,4 @@ if __name__ == "__main__":
     if options.panorama:
         panorama()
     else:
-        table_of_rooms(options.views, options.seeds, (options.size[0], options.size[1]))
+        table_of_scenes(options.scene, options.views, options.seeds, (options.size[0], options.size[1]))

@@ -44,6 +44,7 @@ from omnilines.files import read_lines, read_poses, read_segments, write_poses
 from omnilines.files.colmap_images import write_colmap_images
 from omnilines.files.true_edges import Stretches, TrueEdges, read_stretches, read_true_edges
 from omnilines.records import ImagePoses
+from omnilines.scenes import SCENES
 
 HERE = Path(__file__).resolve().parent
 PEERS = HERE.parents[1] / ".venv-peers" / "bin" / "python"
@@ -141,13 +142,11 @@ def ours(photos: Path, calibration: Path, poses: Path, out: Path) -> Found:
     return Found(lines.ends_m[known], lines.views[known], row[used], photo, table.endpoints_px[used], seconds)
 
 
-def room(work: Path, count: int, seed: int) -> Path:
+def room(work: Path, scene: str, count: int, seed: int) -> Path:
     """The photos and the truth, drawn unless they are there; the stretches are written last."""
-    folder = work / f"room_{count}_{seed}"
+    folder = work / f"{scene}_{count}_{seed}"
     if not (folder / "visibility.csv").is_file():
-        render_scene(
-            folder, scene="room", model="opencv-fisheye", fov_deg=FOV_DEG, views=count, size=SIZE, noise=NOISE, seed=seed
-        )
+        render_scene(folder, scene=scene, model="opencv-fisheye", fov_deg=FOV_DEG, views=count, size=SIZE, noise=NOISE, seed=seed)
     return folder
 
 
@@ -220,9 +219,9 @@ def scored(label: str, ends_m: np.ndarray, edges: TrueEdges, stretches: Stretche
     ]
 
 
-def room_table(work: Path, count: int, seed: int, methods: Sequence[str]) -> None:
+def room_table(work: Path, scene: str, count: int, seed: int, methods: Sequence[str]) -> None:
     """Every method on one room, one row for all its lines and one for those of four photos and more."""
-    folder = room(work, count, seed)
+    folder = room(work, scene, count, seed)
     edges = read_true_edges(folder / "truth.csv")
     stretches = read_stretches(folder / "visibility.csv", edges)
     rows = []
@@ -239,7 +238,7 @@ def room_table(work: Path, count: int, seed: int, methods: Sequence[str]) -> Non
         many = found.ends_m[found.photos >= LEAST_VIEWS]
         rows.append(scored(f"  of >= {LEAST_VIEWS} photos", many, edges, stretches, found.seconds, lost))
     print_table(
-        f"Room of seed {seed}, {count} photos; recall of edges visible in {LEAST_VIEWS} photos, and of their stretches of "
+        f"{scene} of seed {seed}, {count} photos; recall of edges visible in {LEAST_VIEWS} photos, and of their stretches of "
         f"{SEEN_PX:.0f} px and more; thresholds 1, 5, 10 mm",
         COLUMNS,
         rows,
@@ -348,6 +347,7 @@ def castle_table(data: Path, work: Path, methods: Sequence[str]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
+    parser.add_argument("--scene", choices=SCENES, default="room")
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, default=os.environ.get("OMNILINES_BENCH"))
@@ -360,4 +360,4 @@ if __name__ == "__main__":
         if options.castle:
             castle_table(options.castle.resolve(), place, ["ours", "pylimap"] if "ours" in options.methods else ["pylimap"])
         else:
-            room_table(place, options.views, options.seed, options.methods)
+            room_table(place, options.scene, options.views, options.seed, options.methods)
