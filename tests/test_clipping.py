@@ -21,18 +21,22 @@ def stretches(
     """Positions and numbers of photos of the stretches of one line; by default every piece is of a photo of its own."""
     low, high = np.ascontiguousarray(np.array(pieces, dtype=np.float64).reshape(-1, 2).T)
     photos = np.arange(len(low)) if image is None else np.array(image)
-    found, line, seen = clipped(np.array([0, len(low)]), low, high, np.full((len(low), 2), sigma), photos, least, views)
+    found, line, seen = clipped(
+        np.array([0, len(low)]), low, high, np.full((len(low), 2), sigma), photos, least, np.array([views])
+    )
     assert bool((line == 0).all())
     return found, seen
 
 
 def plain_cover(low: np.ndarray, high: np.ndarray, image: np.ndarray, least: int, gap: float) -> list[list[float]]:
-    """Between neighbouring ends: how many photos show the middle."""
+    """Between neighbouring ends: how many photos show the middle, and how many show a gap there."""
     cuts = np.unique(np.concatenate([low, high]))
     found: list[list[float]] = []
     for begin, end in itertools.pairwise(cuts):
         middle = 0.5 * (begin + end)
-        if len(set(image[(low < middle) & (high > middle)].tolist())) >= least:
+        shown = set(image[(low < middle) & (high > middle)].tolist())
+        around = set(image[high < middle].tolist()) & set(image[low > middle].tolist())
+        if len(shown) >= max(least, len(around - shown)):
             if found and begin - found[-1][1] <= gap:
                 found[-1][1] = end
             else:
@@ -54,6 +58,19 @@ def test_covered_stretches_are_those_of_a_plain_count(least: int) -> None:
         np.testing.assert_array_equal(found, np.array(expected).reshape(-1, 2))
         several += len(found) > 1
     assert several > 20
+
+
+def test_a_gap_that_most_photos_show_is_one() -> None:
+    """Doors of a cupboard side by side: five photos see two edges, two have an arc of something else across the gap."""
+    across = [(0.0, 1.0), (0.1, 1.1)]
+    pieces = [(0.0, 0.4), (0.6, 1.0)] * 5 + across
+    image = [k // 2 for k in range(10)] + [5, 6]
+    found, views = stretches(pieces, image)
+    assert len(found) == 2 and views.tolist() == [7, 7]
+    np.testing.assert_allclose(found, [[0.0, 0.4], [0.6, 1.0]], atol=0.03)
+    # Hidden in two photos only, it goes on.
+    found, views = stretches([(0.0, 0.4), (0.6, 1.0)] * 2 + [(0.0, 1.0)] * 3, [0, 0, 1, 1, 2, 3, 4])
+    assert len(found) == 1 and views.tolist() == [5]
 
 
 def test_ends_agree_where_photos_do() -> None:
@@ -131,7 +148,7 @@ def test_ends_rarely_lie_beyond_the_true_ones(views: int, hidden: float) -> None
         low, high = np.ascontiguousarray((np.array([0.0, 1.0]) + sigma * rng.standard_normal((views, 2))).T)
         occluded = rng.random(views) < hidden
         high[occluded] = rng.uniform(0.3, 0.95, int(occluded.sum()))
-        found, _, _ = clipped(np.array([0, views]), low, high, sigma, np.arange(views), 2, 2)
+        found, _, _ = clipped(np.array([0, views]), low, high, sigma, np.arange(views), 2, np.array([2]))
         assert len(found) == 1
         beyond += int(found[0, 1] > 1.0) + int(found[0, 0] < 0.0)
         drawn.append(found[0, 0])
@@ -146,7 +163,7 @@ def test_lines_keep_their_numbers_and_empty_ones_have_no_stretch() -> None:
     lines = PlueckerLines.from_points(first, torch.as_tensor(rng.uniform(-1.0, 1.0, (5, 3))))
     line, image = np.array([3, 1, 3, 1, 3, 1, 4]), np.array([0, 0, 1, 1, 2, 2, 0])
     positions = np.array([[0.0, 1.0], [2.0, 3.0]] * 3 + [[0.0, 1.0]])
-    found = supported_stretches(lines, line, positions, np.full((7, 2), SIGMA), image, 3)
+    found = supported_stretches(lines, line, positions, np.full((7, 2), SIGMA), image, np.full(5, 3))
     inward = 2 * SIGMA / math.sqrt(3)
     assert found.line.tolist() == [1, 3] and found.views.tolist() == [3, 3] and LEAST_AT_ONCE == 2
     np.testing.assert_allclose(found.positions_m, [[2.0 + inward, 3.0 - inward], [inward, 1.0 - inward]], atol=1e-12)
@@ -156,11 +173,16 @@ def test_lines_keep_their_numbers_and_empty_ones_have_no_stretch() -> None:
         at = (ends[k] - lines.foot[own]) @ lines.direction[own]
         np.testing.assert_allclose(at.numpy(), found.positions_m[k], atol=1e-12)
     order = rng.permutation(7)
-    shuffled = supported_stretches(lines, line[order], positions[order], np.full((7, 2), SIGMA), image[order], 3)
+    shuffled = supported_stretches(lines, line[order], positions[order], np.full((7, 2), SIGMA), image[order], np.full(5, 3))
     np.testing.assert_allclose(shuffled.positions_m, found.positions_m, atol=1e-12)
     for lines_of, rows in ((lines, 0), (lines[:0], 0)):
         nothing = supported_stretches(
-            lines_of, np.zeros(rows, dtype=np.int64), np.zeros((rows, 2)), np.zeros((rows, 2)), np.zeros(rows, dtype=np.int64), 3
+            lines_of,
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, 2)),
+            np.zeros((rows, 2)),
+            np.zeros(rows, dtype=np.int64),
+            np.full(len(lines_of), 3),
         )
         assert len(nothing.line) == len(nothing.views) == 0 and nothing.ends_m.shape == (0, 2, 3)
 
@@ -173,7 +195,7 @@ def test_arcs_of_a_room_give_its_lines_from_end_to_end(name: str) -> None:
     places, sigma, usable = arcs.places(truth, np.arange(len(arcs)), scene.line)
     assert float(usable.mean()) > 0.99
     rows = np.flatnonzero(usable)
-    found = supported_stretches(truth, scene.line[rows], places[rows], sigma[rows], arcs.image[rows], 4)
+    found = supported_stretches(truth, scene.line[rows], places[rows], sigma[rows], arcs.image[rows], np.full(len(truth), 4))
     from_foot = torch.einsum("tkx,tx->tk", scene.ends_m - truth.foot[:, None], truth.direction).sort(-1).values.numpy()
     low, high = from_foot[found.line].T
     over = np.maximum(np.maximum(low - found.positions_m[:, 0], found.positions_m[:, 1] - high), 0.0)

@@ -382,3 +382,23 @@ def test_wrong_noise_is_refused_in_one_sentence() -> None:
         replace(scene.observe(scene.pixels, 0.5), arcs=None)
     with pytest.raises(InputError, match="at least 0, found -1"):
         triangulate("ml", scene.observe(scene.pixels), iterations=-1)
+
+
+@pytest.mark.parametrize(("height_m", "status"), [(0.4, "ok"), (0.0, "epipolar")])
+def test_arcs_that_say_little_change_nothing(height_m: float, status: str) -> None:
+    """Of eight arcs four are exact and four of 300 px: the exact ones decide, also where they are all in one plane with the line,
+    off which only the others lie."""
+    camera = circle(1).camera
+    places = torch.linspace(0.0, 3.5, 8, dtype=torch.float64)
+    poor = torch.arange(8) % 2 == 1
+    height = torch.where(poor, 0.4, height_m) * torch.sin(3.0 * places)
+    centres = torch.stack([places, height, torch.zeros(8, dtype=torch.float64)], -1)
+    ends = torch.tensor([[-1.0, 0.0, 5.0], [1.0, 0.0, 5.0]], dtype=torch.float64)
+    pixels, _ = camera.project(ends - centres[:, None])
+    rays, _ = camera.unproject(pixels)
+    sigma_px = torch.where(poor, 300.0, 0.02).to(torch.float64)
+    covariance = sigma_px[:, None, None, None] ** 2 * torch.eye(2, dtype=torch.float64).expand(8, 2, 2, 2)
+    track = torch.zeros(8, dtype=torch.int64)
+    rows = PlaneObservations.from_arcs(rays, upright(centres), track, 1, camera.unproject_jacobian(pixels), covariance)
+    assert triangulate("ml", rows).status_names == (status,)
+    assert triangulate("ml", rows.take(torch.nonzero(~poor).flatten(), track[:4], 1)).status_names == (status,)

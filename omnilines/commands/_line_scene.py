@@ -169,7 +169,7 @@ def _clipped(
     far = known & (lines.rms_px > limit_px)
     weak = known & ~far & (np.array(lines.status) == "weak")
     kept = np.flatnonzero(known & ~far & ~weak)
-    stretches = _supported(matched, kept, scene, options.least_views)
+    stretches = _supported(matched, kept, scene)
     table, row = _table(lines, scene, kept, stretches)
     if not len(table):
         none = f"{int((~known).sum())} have no line in space, {int(far.sum())} lie more than {limit_px:.1f} px from their arcs"
@@ -240,14 +240,19 @@ def _lines_of(scene: LineScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
     return PlueckerLines.from_points(ends[:, 0], ends[:, 1])
 
 
-def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene, least_views: int) -> Stretches:
+def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene) -> Stretches:
     """Stretches of the lines `kept`, numbered as there."""
     arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
     rows, line = _members(matched, kept)
     lines = _lines_of(scene, kept)
     positions, sigma, in_front = arcs.places(lines, rows, line)
     return supported_stretches(
-        lines, line[in_front], positions[in_front], sigma[in_front], arcs.image[rows[in_front]], least_views
+        lines,
+        line[in_front],
+        positions[in_front],
+        sigma[in_front],
+        arcs.image[rows[in_front]],
+        matched.tracks.enough_views[kept],
     )
 
 

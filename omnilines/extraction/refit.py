@@ -32,7 +32,7 @@ LEAST_COSINE = 0.97
 MOST_GAP_PX = 5
 MOST_SHIFT_PX = 1.5
 """Farther from an arc there is another edge."""
-FLOOR_PX = 0.02
+FLOOR_PX = 0.01
 """Standard deviation across the arc that no number of pixels lowers: interpolation, and what the blur's shape hides."""
 BIAS = 2.0
 """Standard deviation by what lies beside the edge, over the difference between a wide and a narrow window."""

@@ -128,9 +128,9 @@ def needed(
     images: int,
     line_starts: np.ndarray,
     lines: np.ndarray,
-    least_views: int,
+    enough: np.ndarray,
 ) -> np.ndarray:
-    """Which tracks keep `least_views` photos with an arc that no track kept before it, in this order, explains.
+    """Which tracks t keep enough[t] photos with an arc that no track kept before it, in this order, explains.
 
     The arcs of track t are member[starts[t] : starts[t + 1]], the tracks that explain arc i lines[line_starts[i] :
     line_starts[i + 1]].
@@ -150,5 +150,5 @@ def needed(
             if free:
                 seen[image[i]] = track
                 views += 1
-        kept[track] = views >= least_views
+        kept[track] = views >= enough[track]
     return kept

@@ -28,6 +28,8 @@ MOST_CHI_SQUARE = 18.0
 """Of both ends of an arc from a line, in its noise and the line's: one true arc in 8,000 is farther off."""
 REACH_PX = 3.0
 """An arc is compared with lines that pass so near, and as much farther as its noise asks for."""
+AGREES = 0.5
+"""Agreement, at most 1, with which an arc counts fully: more than where only one of its sides looks the same."""
 SAME_SHARE = 0.6
 """Of the arcs of one track that another line explains too: then they are one."""
 
@@ -47,6 +49,8 @@ class Tracks:
     """Arcs that were left out because they do not fit the others of their track."""
     explained: int
     """Tracks of which other lines explain all but the arcs of too few photos."""
+    enough_views: Int[np.ndarray, " t"]
+    """Photos that have to show each line."""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -55,7 +59,10 @@ class Tracks:
 def build_tracks(
     arcs: ViewedArcs, found: Hypotheses, least_views: int, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Tracks:
-    """Tracks of arcs in at least `least_views` photos, with their lines."""
+    """Tracks of arcs in at least `least_views` photos, with their lines.
+
+    One photo fewer is enough (not fewer than FIRST_VIEWS) where each arc of the track by itself leads to all the others.
+    """
     order = np.argsort(-found.score, kind="stable")
     track, count = claim(order, found.support, arcs.image, arcs.images, FIRST_VIEWS)
     merged = wrong = 0
@@ -69,27 +76,49 @@ def build_tracks(
         support = _still_free(found.support, track)
         more, extra = claim(free, support, arcs.image, arcs.images, FIRST_VIEWS)
         track = np.where(more >= 0, more + count, track)
-        track, count = _with_views(arcs, track, count + extra, FIRST_VIEWS)
+        track, count = _with_views(arcs, track, count + extra, np.full(count + extra, FIRST_VIEWS))
     explained = 0
     while True:
         # A track that loses members may have too few photos, and one without a line has none.
         track, lines, out = _triangulated(arcs, track, count)
         wrong, before = wrong + out, count
         track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
-        track, count = _with_views(arcs, track, count, least_views)
+        enough = _enough_views(arcs, track, count, found, least_views)
+        track, count = _with_views(arcs, track, count, enough)
         if count < before:
             continue
-        own = _needed(arcs, track, lines, least_views)
+        own = _needed(arcs, track, lines, enough)
         if own.all():
             break
         explained += int((~own).sum())
         track, count = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), int(own.sum())
     progress(ROUNDS + 1, ROUNDS + 1)
-    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained, enough)
 
 
-def _needed(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, least_views: int) -> Bool[np.ndarray, " t"]:
-    """The tracks that at least `least_views` photos show by arcs which no line with more photos explains.
+def _enough_views(
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, least_views: int
+) -> Int[np.ndarray, " t"]:
+    """Photos that have to show each track: `least_views`, or one fewer where all its arcs agree.
+
+    An arc agrees when arcs of all other photos of its track support the best line that it has alone, with AGREES each: alike in
+    colour on both sides. By chance three do that far less often than four meet in a line.
+    """
+    member = np.flatnonzero(track >= 0)
+    own = track[member]
+    others = _views(arcs, track, count)[own] - 1
+    support = found.support[member]
+    row, column = np.nonzero((support >= 0) & (track[support] == own[:, None]))
+    pairs = np.unique(row * arcs.images + arcs.image[support[row, column]])
+    agreeing = np.bincount(pairs // arcs.images, minlength=len(member))
+    alone = (agreeing < others) | (found.score[member] < AGREES * others)
+    return np.where(np.bincount(own, alone, minlength=count) > 0, least_views, max(least_views - 1, FIRST_VIEWS))
+
+
+def _needed(
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, enough: Int[np.ndarray, " t"]
+) -> Bool[np.ndarray, " t"]:
+    """The tracks that `enough` photos show by arcs which no line with more photos explains.
 
     Among edges that repeat themselves arcs of several of them meet in lines that are not there, and most of those arcs fit a
     line that is.
@@ -99,11 +128,10 @@ def _needed(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation
     member = np.flatnonzero(track >= 0)
     member = member[np.argsort(track[member], kind="stable")]
     starts = np.searchsorted(track[member], np.arange(count + 1))
-    seen = np.unique(track[member] * arcs.images + arcs.image[member]) // arcs.images
-    by_views = np.lexsort((-np.diff(starts), -np.bincount(seen, minlength=count)))
+    by_views = np.lexsort((-np.diff(starts), -_views(arcs, track, count)))
     by_arc = np.argsort(candidates.arc, kind="stable")
     line_starts = np.searchsorted(candidates.arc[by_arc], np.arange(len(track) + 1))
-    return needed(by_views, starts, member, arcs.image, arcs.images, line_starts, candidates.track[by_arc], least_views)
+    return needed(by_views, starts, member, arcs.image, arcs.images, line_starts, candidates.track[by_arc], enough)
 
 
 def _triangulated(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> tuple[np.ndarray, Triangulation, int]:
@@ -207,13 +235,18 @@ def _still_free(support: Int[np.ndarray, "n k"], track: Int[np.ndarray, " n"]) -
     return np.take_along_axis(free, np.argsort(free < 0, axis=1, kind="stable"), 1)
 
 
-def _with_views(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, least_views: int
-) -> tuple[Int[np.ndarray, " n"], int]:
-    """The tracks that enough photos see, renumbered."""
+def _views(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> Int[np.ndarray, " t"]:
+    """Number of photos that see each track."""
     member = track >= 0
     seen = np.unique(track[member] * arcs.images + arcs.image[member]) // arcs.images
-    keep = np.bincount(seen, minlength=count) >= least_views
+    return np.bincount(seen, minlength=count)
+
+
+def _with_views(
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, enough: Int[np.ndarray, " t"]
+) -> tuple[Int[np.ndarray, " n"], int]:
+    """The tracks that enough photos see, renumbered."""
+    keep = _views(arcs, track, count) >= enough
     number = np.where(keep, np.cumsum(keep) - 1, -1)
     return _of_tracks(track, number), int(keep.sum())
 

@@ -22,30 +22,50 @@ GAP_SIGMA = 3.0
 @njit(cache=True, nogil=True)
 @no_type_check
 def covered(low: np.ndarray, high: np.ndarray, sigma: np.ndarray, image: np.ndarray, least: int) -> np.ndarray:
-    """Stretches (k, 2) that at least `least` photos show, gaps shorter than GAP_SIGMA left out of account."""
+    """Stretches (k, 2) that at least `least` photos show, gaps shorter than GAP_SIGMA left out of account.
+
+    A photo that shows the line before a place and beyond it, but not there, says that it has a gap, unless something hides it.
+    Where more photos say so than show it, there is one.
+    """
     count = len(low)
     places = np.concatenate((low, high))
     photos = image.max() + 1
-    shown, depth = np.zeros(photos, dtype=np.int64), 0
+    shown, before, beyond = np.zeros(photos, dtype=np.int64), np.zeros(photos, dtype=np.int64), np.zeros(photos, dtype=np.int64)
+    for arc in range(count):
+        beyond[image[arc]] += 1
+    depth, against, was = 0, 0, False
     found, made = np.empty((count, 2)), 0
     gap = GAP_SIGMA * np.median(sigma)
     for at in np.argsort(places, kind="mergesort"):
-        arc, was = at % count, depth
+        photo = image[at % count]
+        depth -= shown[photo] > 0
+        against -= _gap(shown[photo], before[photo], beyond[photo])
         if at < count:
-            shown[image[arc]] += 1
-            depth += shown[image[arc]] == 1
-            if was < least <= depth:
-                if made and places[at] - found[made - 1, 1] <= gap:
-                    made -= 1
-                else:
-                    found[made, 0] = places[at]
+            shown[photo] += 1
+            beyond[photo] -= 1
         else:
-            shown[image[arc]] -= 1
-            depth -= shown[image[arc]] == 0
-            if depth < least <= was:
-                found[made, 1] = places[at]
-                made += 1
+            shown[photo] -= 1
+            before[photo] += 1
+        depth += shown[photo] > 0
+        against += _gap(shown[photo], before[photo], beyond[photo])
+        now = depth >= max(least, against)
+        if now and not was:
+            if made and places[at] - found[made - 1, 1] <= gap:
+                made -= 1
+            else:
+                found[made, 0] = places[at]
+        elif was and not now:
+            found[made, 1] = places[at]
+            made += 1
+        was = now
     return found[:made]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _gap(shown: int, before: int, beyond: int) -> bool:
+    """Whether a photo with so many arcs at a place, and so many on either side of it, shows a gap there."""
+    return shown == 0 and before > 0 and beyond > 0
 
 
 @njit(cache=True, nogil=True)
@@ -116,12 +136,12 @@ def _agree(ends: np.ndarray, sigma: np.ndarray, i: int, j: int) -> bool:
 @njit(cache=True, nogil=True)
 @no_type_check
 def clipped(
-    starts: np.ndarray, low: np.ndarray, high: np.ndarray, sigma: np.ndarray, image: np.ndarray, least: int, views: int
+    starts: np.ndarray, low: np.ndarray, high: np.ndarray, sigma: np.ndarray, image: np.ndarray, least: int, views: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The supported stretches of lines, arcs sorted by line: (k, 2) positions, line and number of photos of each stretch.
 
-    `sigma` (n, 2) are those of the lower and upper ends. A stretch is one that `least` photos show at every place and `views` in
-    all; it ends where its ends agree, drawn in by DRAWN_IN standard deviations.
+    `sigma` (n, 2) are those of the lower and upper ends. A stretch is one that `least` photos show at every place and views[line]
+    in all; it ends where its ends agree, drawn in by DRAWN_IN standard deviations.
     """
     total = len(low)
     ends, line, seen = np.empty((total, 2)), np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
@@ -134,7 +154,7 @@ def clipped(
         for begin, end in covered(lows, highs, spread.ravel(), photos, least):
             own = (highs > begin) & (lows < end)
             number = len(np.unique(photos[own]))
-            if number < views:
+            if number < views[k]:
                 continue
             top, top_sigma = agreed(highs[own], spread[own, 1], photos[own])
             bottom, bottom_sigma = agreed(-lows[own], spread[own, 0], photos[own])

@@ -31,18 +31,18 @@ def supported_stretches(
     positions_m: Float[np.ndarray, "n 2"],
     sigma_m: Float[np.ndarray, "n 2"],
     image: Int[np.ndarray, " n"],
-    least_views: int,
+    enough_views: Int[np.ndarray, " l"],
 ) -> Stretches:
     """Where n arcs, each with its line, photo and the positions of its ends along the line (the lower first), support the lines.
 
-    Every place of a stretch is shown by LEAST_AT_ONCE photos, the whole by `least_views`. An end is where the ends of several
-    photos agree within `sigma_m`, not the farthest of them, and drawn in by two standard deviations of it. A line may have none,
-    or several with gaps between them.
+    Every place of a stretch is shown by LEAST_AT_ONCE photos, and by no fewer than see the line on both sides of it but not
+    there; the whole by as many as `enough_views` says. An end is where the ends of several photos agree within `sigma_m`, not the
+    farthest of them, and drawn in by two standard deviations of it. A line may have none, or several with gaps between them.
     """
     order = np.argsort(line, kind="stable")
     starts = np.searchsorted(line[order], np.arange(len(lines) + 1))
     low, high = np.ascontiguousarray(positions_m[order].T)
-    positions, owner, views = clipped(starts, low, high, sigma_m[order], image[order], LEAST_AT_ONCE, least_views)
+    positions, owner, views = clipped(starts, low, high, sigma_m[order], image[order], LEAST_AT_ONCE, enough_views)
     own = lines[torch.as_tensor(owner)]
     ends = torch.stack([own.point_at(torch.as_tensor(np.ascontiguousarray(place))) for place in positions.T], 1)
     return Stretches(owner, positions, ends.numpy(), views)

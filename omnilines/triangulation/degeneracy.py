@@ -22,14 +22,26 @@ from omnilines.triangulation.compiled import camera_sums, on_processor, status_s
 from omnilines.triangulation.frames import TrackFrames
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
-from omnilines.triangulation.sums_kernel import ACROSS, AWAY, CHORD, CLEAR, NOISE, RESIDUAL, SPREAD, TOUCHED
+from omnilines.triangulation.sums_kernel import (
+    ACROSS,
+    ALONG_MEAN,
+    AWAY,
+    CHORD,
+    CLEAR,
+    MIXED,
+    OFF_MEAN,
+    RESIDUAL,
+    ROUNDING,
+    SPREAD,
+    TOUCHED,
+)
 
 ARC_SIGMA_RAD = 5e-4
 """Noise of a bearing that is assumed for two views, which cannot show it, about half a pixel of an ordinary camera; and the
 most that residuals are taken to show: what exceeds it comes from poses, and adjusting poses needs the lines."""
 INCONSISTENT_RAD = 0.25
 """Residuals above this are beyond any error of poses: the arcs are not of one line."""
-ROUNDING_RAD = 1e-9
+ROUNDING_RAD = ROUNDING
 UNDETERMINED, WEAK = 3.0, 10.0
 """Plane angles below this many standard deviations."""
 ON_LINE = 1e-6
@@ -37,7 +49,7 @@ ON_LINE = 1e-6
 WEAK_ANGLE_RAD = math.radians(0.1)
 
 
-def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 8"]:
+def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 10"]:
     """What a status is decided from, in the columns of `sums_kernel`, but CLEAR and TOUCHED.
 
     The residual is the distance of both end bearings from the projection plane of the line or, without arcs, the two components
@@ -50,7 +62,7 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
     mean = observations.sum_by_track(observations.centre) / observations.views().clamp_min(1)[:, None]
     from_mean = observations.centre - mean[observations.track]
     height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
-    rows = normal.new_zeros(len(normal), 8)
+    rows = normal.new_zeros(len(normal), 10)
     rows[:, SPREAD], rows[:, ACROSS] = from_mean.square().sum(-1), height.square()
     if observations.arcs is None:
         rows[:, RESIDUAL] = torch.linalg.cross(normal, observations.normal).square().sum(-1)
@@ -59,11 +71,18 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
         rows[:, CHORD] = (observations.arcs[:, 1] - observations.arcs[:, 0]).norm(dim=-1)
         rows[:, AWAY] = faces_away(observations, lines).to(rows.dtype)
     if observations.noise is not None:
-        rows[:, NOISE] = (observations.noise.mT @ observations.normal[:, None, :, None]).square().flatten(1).sum(-1)
+        variance = (observations.noise.mT @ observations.normal[:, None, :, None]).square().flatten(1).sum(-1)
+        precision = rows[:, CHORD].square() / variance.clamp_min(ROUNDING_RAD**2)
+        mean = frames.mean_normal[observations.track]
+        off = (observations.normal * torch.linalg.cross(lines.direction[observations.track], mean)).sum(-1)
+        along = torch.where(off.isnan(), 1.0, (observations.normal * mean).sum(-1))
+        off = torch.nan_to_num(off, nan=0.0)
+        rows[:, ALONG_MEAN], rows[:, MIXED] = precision * along.square(), precision * along * off
+        rows[:, OFF_MEAN] = precision * off.square()
     return observations.sum_by_track(rows)
 
 
-def _residual_deviation(sums: Float[Tensor, "t 8"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
+def _residual_deviation(sums: Float[Tensor, "t 10"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise."""
     freedom = 2 * views - 4
     variance = sums[:, RESIDUAL] / freedom.clamp_min(1)
@@ -71,26 +90,43 @@ def _residual_deviation(sums: Float[Tensor, "t 8"], views: Int[Tensor, " t"]) ->
 
 
 def _normal_noise(
-    observations: PlaneObservations, sums: Float[Tensor, "t 8"], residual: Tensor, sigma_rad: float | None
+    observations: PlaneObservations,
+    sums: Float[Tensor, "t 10"],
+    residual: Tensor,
+    angle: Float[Tensor, " t"],
+    sigma_rad: float | None,
 ) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of the plane normals of each track: that of a bearing, sqrt(2) of it over the chord of the arc.
 
-    The noise of the end bearings across the planes is given, stated, or shown by the residuals.
+    The noise of the end bearings across the planes is given, stated, or shown by the residuals. Where each has a noise of its
+    own, it is the one that all would have for the angle between the planes to say as much.
     """
     views = observations.views()
+    if sigma_rad is None and observations.noise is not None and observations.noise_stated:
+        return _stated_noise(sums, views, angle)
     if sigma_rad is not None:
         sigma = torch.full_like(residual, sigma_rad)
-    elif observations.noise is None or not observations.noise_stated:
-        sigma = torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
     else:
-        sigma = (sums[:, NOISE] / (2 * views).clamp_min(1)).sqrt()
+        sigma = torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
     if observations.arcs is None:
         return sigma
     return sigma * 2**0.5 / (sums[:, CHORD] / views.clamp_min(1)).clamp_min(1e-9)
 
 
+def _stated_noise(sums: Float[Tensor, "t 10"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
+    """With M the sum of p n n' over the normals n of precision p, its second eigenvalue is chi-square of all planes being one.
+
+    k planes of one noise sigma at the angle alpha (2 asin of their root mean square sine) have k alpha^2 / (2 sigma)^2.
+    """
+    along, mixed, off = sums[:, ALONG_MEAN], sums[:, MIXED], sums[:, OFF_MEAN]
+    largest = 0.5 * (along + off + torch.sqrt((along - off).square() + 4 * mixed.square()))
+    square = ((along * off - mixed.square()) / largest).clamp_max(0.5 * (along + off))
+    alone = (views / along.clamp_min(1e-300)).sqrt()
+    return torch.where(square > 0, 0.5 * angle * (views / square.clamp_min(1e-300)).sqrt(), alone)
+
+
 def _count_cameras(
-    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 8"]
+    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 10"]
 ) -> None:
     """Fill CLEAR and TOUCHED: a camera on the line sees a point of it; without such cameras two others still determine it,
     unless one is exactly on it."""
@@ -114,7 +150,7 @@ def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Te
 
 
 def _undetermined(
-    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 8"], noise: Tensor
+    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 10"], noise: Tensor
 ) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
     views = observations.views().clamp_min(1)
@@ -143,7 +179,7 @@ def assess(
     """
     sums, views = _sums(observations, frames, lines), observations.views()
     residual = _residual_deviation(sums, views)
-    noise = _normal_noise(observations, sums, residual, sigma_rad)
+    noise = _normal_noise(observations, sums, residual, frames.plane_angle_rad, sigma_rad)
     _count_cameras(observations, lines, noise, sums)
     clear_views = sums[:, CLEAR]
     behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= views

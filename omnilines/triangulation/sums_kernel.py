@@ -8,8 +8,11 @@ from numba import njit
 
 from omnilines.triangulation.small_kernel import cross, weighted_median
 
-RESIDUAL, NOISE, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED = range(8)
-"""Columns of the sums that a status is decided from."""
+RESIDUAL, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED, ALONG_MEAN, MIXED, OFF_MEAN = range(10)
+"""Columns of the sums that a status is decided from. The last three are a a', a b and b b over all normals, each with its
+precision: a along the mean normal and b off it, across the line."""
+ROUNDING = 1e-9
+"""Least standard deviation of a bearing (rad)."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -22,8 +25,8 @@ def line_moment(track, row, d0, d1, d2, m0, m1, m2):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, t, sums):
-    """Squared residual, squared noise across the plane, chord and whether the arc faces away, of one observation."""
+def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, mean_normal, t, sums):
+    """Squared residual, chord, whether the arc faces away, and where the normal points, of one observation."""
     n0, n1, n2 = track.normal[row, 0], track.normal[row, 1], track.normal[row, 2]
     square = q0 * q0 + q1 * q1 + q2 * q2
     if len(track.arcs) == 0:
@@ -31,7 +34,7 @@ def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, t, sums):
         sums[t, RESIDUAL] += (s0 * s0 + s1 * s1 + s2 * s2) / square
         return
     f0, f1, f2 = cross(d0, d1, d2, q0, q1, q2)
-    middle = chord = 0.0
+    middle = chord = variance = 0.0
     for a in range(2):
         h = track.arcs[row, a, 0] * q0 + track.arcs[row, a, 1] * q1 + track.arcs[row, a, 2] * q2
         sums[t, RESIDUAL] += h * h / square
@@ -39,13 +42,23 @@ def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, t, sums):
         if len(noise):
             for x in range(2):
                 across = noise[row, a, 0, x] * n0 + noise[row, a, 1, x] * n1 + noise[row, a, 2, x] * n2
-                sums[t, NOISE] += across * across
+                variance += across * across
     for x in range(3):
         along = track.arcs[row, 1, x] - track.arcs[row, 0, x]
         chord += along * along
     sums[t, CHORD] += math.sqrt(chord)
     # NaN, of a track without a line, is not behind.
     sums[t, AWAY] += 1.0 if middle <= 0.0 else 0.0
+    if len(noise):
+        # Both ends turn the normal: by the root of the sum of their variances over the chord.
+        precision = chord / max(variance, ROUNDING**2)
+        e0, e1, e2 = cross(d0, d1, d2, mean_normal[t, 0], mean_normal[t, 1], mean_normal[t, 2])
+        a, b = n0 * mean_normal[t, 0] + n1 * mean_normal[t, 1] + n2 * mean_normal[t, 2], n0 * e0 + n1 * e1 + n2 * e2
+        if b != b:
+            a, b = 1.0, 0.0
+        sums[t, ALONG_MEAN] += precision * a * a
+        sums[t, MIXED] += precision * a * b
+        sums[t, OFF_MEAN] += precision * b * b
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -61,7 +74,7 @@ def sum_tracks(low, high, track, noise, direction, moment, mean_normal, sums):
             row = track.rows[k]
             c0, c1, c2 = c0 + track.centre[row, 0], c1 + track.centre[row, 1], c2 + track.centre[row, 2]
             q0, q1, q2 = line_moment(track, row, d0, d1, d2, m0, m1, m2)
-            sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, t, sums)
+            sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, mean_normal, t, sums)
         views = max(end - begin, 1)
         c0, c1, c2 = c0 / views, c1 / views, c2 / views
         for k in range(begin, end):
