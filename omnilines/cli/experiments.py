@@ -71,6 +71,7 @@ def _add_study(name: str) -> None:
         seed: Seed = 0,
         as_json: Json = False,
     ) -> None:
+        """One set-up of STUDIES, with noise and errors of the first poses as asked."""
         from omnilines.commands.experiment_lines import experiment_lines, parse_noise
 
         levels = parse_noise(noise)
