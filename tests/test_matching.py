@@ -78,7 +78,9 @@ def test_nearly_all_arcs_find_their_line(name: str) -> None:
         found = match_arcs(scene.arcs(0.3, 3, colours)) if colours else matched(name)
         assert_consistent(found)
         got = score(scene, found.tracks.track)
-        assert got.purity > purity and got.completeness > 0.985 and got.found > 0.985
+        # With colours a pinhole camera, which sees lines in the fewest photos, loses one of them.
+        complete = 0.995 if colours and name != "pinhole" else 0.985
+        assert got.purity > purity and got.completeness > complete and got.found > 0.985
         assert abs(len(found.tracks) - lines) <= 2 and found.slack_px <= SLACKS_PX[1]
         assert float(np.median(line_errors(scene, found))) < 0.006
 
