@@ -17,7 +17,7 @@ from omnilines.posing import sfm
 from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
-from omnilines.posing.sfm import sfm_poses
+from omnilines.posing.sfm import doubt, sfm_poses
 from omnilines.records import ImagePoses
 from omnilines.scenes import build_scene, eye, render_photo, scene_camera, scene_poses
 
@@ -151,7 +151,7 @@ def test_photos_of_elsewhere_are_left_out_with_a_reason_and_nothing_in_common_is
     found = run_on(features, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
     assert found.poses.images == tuple(names[:5])
     assert len(found.left_out) == 1
-    assert "5.png has no pose: too few of its" in found.left_out[0]
+    assert "5.png has no pose: too few of its" in found.left_out["5.png"]
     strangers = [described(camera, truth[k], *world(300, 50 + k), np.random.default_rng(k)) for k in range(3)]
     with pytest.raises(GeometryError, match="COLMAP could not join"):
         run_on(strangers, monkeypatch, tmp_path, {"c": camera}, names[:3], dict.fromkeys(names, "c"))
@@ -239,7 +239,7 @@ def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov, views):
     found, truth = of_room(tmp_path, model, fov, views, (800, 400) if model == "equirectangular" else (640, 640))
     assert len(found.poses) >= 0.9 * views
     assert len(found.poses) + len(found.left_out) == views
-    assert not any("doubtful" in note for note in found.notes)
+    assert doubt(len(found.left_out), views) == ()
     position, rotation = errors(found.poses, truth.cam_from_world, list(truth.images))
     assert np.median(position) < 0.03
     assert np.median(rotation) < 0.8
@@ -250,5 +250,5 @@ def test_poses_of_photos_that_share_little_are_called_doubtful(tmp_path):
     """80 degrees, 30 from photo to photo: a third is left out, and half of the others are 15 cm off with good residuals."""
     found, truth = of_room(tmp_path, "pinhole", None, 12, (640, 640))
     position, _ = errors(found.poses, truth.cam_from_world, list(truth.images))
-    said = [note for note in found.notes if "doubtful" in note]
+    said = doubt(len(found.left_out), 12)
     assert np.median(position) < 0.03 or (len(said) == 1 and f"{len(found.left_out)} of 12 photos" in said[0])

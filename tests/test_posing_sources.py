@@ -88,7 +88,7 @@ def test_colmap_models_come_back_as_pycolmap_wrote_them(tmp_path, binary, rig, b
     torch.testing.assert_close(found.poses.cam_from_world.rotation, expected.rotation, rtol=0, atol=1e-12)
     torch.testing.assert_close(found.poses.cam_from_world.translation, expected.translation, rtol=0, atol=1e-12)
     assert len(found.left_out) == 1
-    assert "left/9.png has no pose" in found.left_out[0]
+    assert "left/9.png has no pose" in found.left_out["left/9.png"]
 
 
 def test_colmap_names_are_matched_by_their_ends_and_stems_but_never_ambiguously(tmp_path):
@@ -98,7 +98,7 @@ def test_colmap_names_are_matched_by_their_ends_and_stems_but_never_ambiguously(
     found = poses_from_colmap(tmp_path, photos[:3], dict.fromkeys(photos, "c"))
     assert found.poses.images == ("left/1.jpg", "unique.png")
     torch.testing.assert_close(found.poses.cam_from_world.translation, some_poses(3).translation[[0, 2]])
-    assert "2 images of the COLMAP model are named like it" in found.left_out[0]
+    assert "2 images of the COLMAP model are named like it" in "".join(found.left_out.values())
     with pytest.raises(InputError, match="were expected in the COLMAP model"):
         poses_from_colmap(tmp_path, ["left/1.jpg", "other/left/1.jpg"], dict.fromkeys(photos, "c"))
 
@@ -155,7 +155,7 @@ def test_missing_photos_of_a_rig_follow_from_the_known_ones():
     assert found.poses.images == tuple(truth)
     torch.testing.assert_close(found.poses.cam_from_world.translation, torch.stack([p.translation for p in truth.values()]))
     assert len(found.left_out) == 3
-    assert all("2.png" in line for line in found.left_out)
+    assert all("2.png" in line for line in found.left_out.values())
     wrong = ImagePoses(("left/1.png", "up/1.png"), Pose.stack([truth["left/1.png"], truth["left/1.png"]]))
     with pytest.raises(InputError, match="degrees off"):
         complete_from_rig(calibration, wrong, photos, camera_of, frame_of)
@@ -197,7 +197,7 @@ def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_l
         poses_from_boards(list(photos), photos.__getitem__, cameras, camera_of, rendered.pattern)
     one = poses_from_boards([rendered.images[0], "blank.png"], photos.__getitem__, cameras, camera_of, rendered.pattern)
     assert one.poses.images == rendered.images[:1]
-    assert "blank.png has no pose" in one.left_out[0]
+    assert "blank.png has no pose" in one.left_out["blank.png"]
     assert any("half a turn" in note for note in one.notes)
     with pytest.raises(InputError, match="in some photo"):
         poses_from_boards(

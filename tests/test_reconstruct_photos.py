@@ -161,6 +161,24 @@ def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
     assert before_m > 0.003 and after_m < 0.25 * before_m
 
 
+def test_photos_without_a_pose_are_placed_by_the_lines_of_the_others(room, rebuilt, tmp_path, capsys):
+    """Two have none, and that of a third is wrong by a degree and 5 cm."""
+    poses = read_poses(room / "poses.csv")
+    given, lost = poses.cam_from_world[2:], poses.images[:2]
+    wrong = torch.tensor([[np.radians(1.0), 0.0, 0.0, 0.05, 0.0, 0.0]], dtype=torch.float64)
+    given = Pose.stack([*given[:-1], (Pose.exp(wrong) @ given[-1:])[0]])
+    write_poses(tmp_path / "poses.csv", ImagePoses(poses.images[2:], given, ("cam0",) * (VIEWS - 2)))
+    shutil.copy(room / "calibration.yaml", tmp_path)
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    assert call(room / "photos", tmp_path, tmp_path / "scene", "--refine", "lines,poses") == 0
+    assert f"{lost[0]}, {lost[1]} had no pose and were placed by the lines of other photos." in capsys.readouterr().err
+    found = read_poses(tmp_path / "scene" / "poses.csv")
+    assert set(found.images) == set(poses.images)
+    rows = [poses.images.index(name) for name in found.images]
+    truth = ImagePoses(found.images, poses.cam_from_world[rows])
+    assert off_m(found, truth) < 0.002
+
+
 def off_m(found: ImagePoses, truth: ImagePoses) -> float:
     """Mean distance of the camera centres from the true ones after the best similarity."""
     centres, true = found.cam_from_world.centre, truth.cam_from_world.centre

@@ -34,6 +34,10 @@ PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Pr
 PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
+MaybeRefine = Annotated[
+    str | None,
+    typer.Option("--refine", help="lines, with any of poses, intrinsics, rig (with --poses sfm: lines,poses; else: lines)."),
+]
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
 Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
 MinViews = Annotated[
@@ -53,7 +57,7 @@ def reconstruct(
     segments: MaybeSegments = None,
     triangulation: MaybeTriangulation = None,
     cost: MaybeCost = None,
-    refine: Refine = "lines",
+    refine: MaybeRefine = None,
     loss: MaybeLoss = None,
     robust: Robust = False,
     pose_sigma_deg: PoseSigmaDeg = None,
@@ -76,8 +80,8 @@ def reconstruct(
         )
     if segments is not None:
         _from_segments(
-            calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine, loss or "none",
-            robust, pose_sigma_deg, pose_sigma_m, device, as_json,
+            calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine or "lines",
+            loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
         )  # fmt: skip
         return
     from omnilines.commands.reconstruct_photos import reconstruct_photos

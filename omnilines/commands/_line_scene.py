@@ -12,10 +12,11 @@ from camera_models import Calibration, GeometryError
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.commands._common import ProgressCallback
+from omnilines.commands._line_poses import poses_by_lines
 from omnilines.commands._photo_arcs import FoundArcs
+from omnilines.commands._viewed_arcs import segments_of, viewed_arcs
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.records import ImagePoses, Lines, Segments, StageCount
 from omnilines.structure.clipping import Stretches, supported_stretches
@@ -23,6 +24,8 @@ from omnilines.structure.clipping import Stretches, supported_stretches
 MOST_SLACKS = 3.0
 """A line is dropped whose arcs lie farther from it (RMS) than so many times the slack, or LEAST_RMS_PX."""
 LEAST_RMS_PX = 1.5
+LEAST_ROUNDS, MOST_ROUNDS = 2, 5
+"""Times that arcs are matched where poses are refined."""
 LEAST_LENGTH_SIGMA = 3.0
 """A line shorter than so many standard deviations of its ends across it has no direction."""
 
@@ -60,62 +63,33 @@ def photo_scene(
 ) -> PhotoScene:
     """Match, triangulate, adjust, clip and filter.
 
-    With poses refined, arcs are matched again with the better poses. Raises GeometryError naming the stage where no line is left.
+    With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
+    arcs are matched again with the better poses until no photo moves, MOST_ROUNDS times at most.
+
+    Raises GeometryError naming the stage where no line is left.
     """
-    posed = [arcs for arcs in found if arcs.reason is None and arcs.photo.name in poses.images]
-    rounds = 2 if "poses" in options.refine else 1
-    for turn in range(rounds):
-        segments, viewed = _viewed(posed, poses, cameras)
-        # The poses of the second round are those of the adjustment: what they still lack is found anew.
+    turn = 0
+    while True:
+        turn += 1
+        # From the second round on poses are those of the adjustment: what they still lack is found anew.
         matched = match_arcs(
-            viewed, least_views=options.least_views, slack_px=options.slack_px, seed=options.seed, progress=progress
+            viewed_arcs(found, poses, cameras),
+            least_views=options.least_views,
+            slack_px=options.slack_px,
+            seed=options.seed,
+            progress=progress,
         )
         _require(matched)
-        segments = _with_tracks(segments, matched)
+        segments = _with_tracks(segments_of(found, poses), matched)
         scene = _adjusted(segments, poses, cameras, options, progress)
-        poses = scene.poses
-        if turn + 1 < rounds:
-            cameras = replace(cameras, cameras=_refined(cameras, scene))
+        if "poses" not in options.refine or turn == MOST_ROUNDS:
+            break
+        refined = replace(cameras, cameras=_refined(cameras, scene))
+        moved = poses_by_lines(found, scene.poses, matched, refined, options.seed, progress)
+        if moved is None and turn >= LEAST_ROUNDS:
+            break
+        poses, cameras = scene.poses if moved is None else moved, refined
     return _clipped(found, segments, matched, scene, options)
-
-
-def _viewed(found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration) -> tuple[Segments, ViewedArcs]:
-    """The arcs of all photos as a table and as bearings, photos in the order of their poses."""
-    place = {name: k for k, name in enumerate(poses.images)}
-    found = sorted(found, key=lambda arcs: place[arcs.photo.name])
-    if not sum(map(len, found)):
-        raise GeometryError(
-            f"Arcs of straight lines were expected, found none in {len(found)} photos with poses; see their pictures."
-        )
-    count = np.array([len(arcs) for arcs in found])
-    pixels = np.concatenate([arcs.endpoints_px for arcs in found])
-    covariance = np.concatenate([arcs.covariance_px2 for arcs in found])
-    bearings, by_pixel = [], []
-    with torch.no_grad():
-        for arcs in found:
-            ends = torch.as_tensor(arcs.endpoints_px)
-            bearings.append(cameras[arcs.camera].unproject(ends)[0].numpy())
-            by_pixel.append(cameras[arcs.camera].unproject_jacobian(ends).numpy())
-    rows = np.array([place[arcs.photo.name] for arcs in found], dtype=np.int64)
-    viewed = ViewedArcs(
-        np.repeat(rows, count),
-        poses.cam_from_world,
-        np.concatenate(bearings),
-        np.concatenate(by_pixel),
-        covariance,
-        np.concatenate([arcs.colours for arcs in found]),
-    )
-    names = tuple(arcs.photo.name for arcs in found)
-    segments = Segments(
-        np.repeat(np.arange(len(found)), count),
-        names,
-        np.full(len(pixels), -1),
-        (),
-        pixels,
-        covariance_px2=covariance,
-        cameras=tuple(arcs.camera for arcs in found),
-    )
-    return segments, viewed
 
 
 def _require(matched: Matched) -> None:

@@ -79,5 +79,5 @@ def _from_table(
     if cameras.rig and frames is not None:
         instants = {**frame_of, **dict(zip(images, frames, strict=True))}
         return complete_from_rig(cameras, poses, names, camera_of, instants)
-    lost = tuple(f"{name} has no pose: it is not in {path.name}." for name in names if name not in images)
+    lost = {name: f"{name} has no pose: it is not in {path.name}." for name in names if name not in images}
     return PhotoPoses(poses, lost)

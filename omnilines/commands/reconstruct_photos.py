@@ -20,6 +20,7 @@ from omnilines.files.obj import write_obj
 from omnilines.files.recording import write_recording
 from omnilines.matching.match import LEAST_VIEWS
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.sfm import doubt
 from omnilines.report import write_report
 from omnilines.structure.families import line_families
 
@@ -38,7 +39,7 @@ def reconstruct_photos(
     tolerance_px: float | None = None,
     triangulation: str = "ml",
     cost: str = "whitened",
-    refine: str = "lines",
+    refine: str | None = None,
     loss: str = "cauchy",
     colmap: bool = False,
     recording: bool = False,
@@ -48,7 +49,8 @@ def reconstruct_photos(
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
-    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. A line is kept that
+    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. `refine` is `lines` unless
+    given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
     at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
     of poses and calibration; it is found from the arcs where it is not given. `colmap` and `recording` add a COLMAP model and a
     recording for the rerun viewer. `device` is `cpu` or `cuda`.
@@ -57,7 +59,7 @@ def reconstruct_photos(
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
     input, and GeometryError naming the stage where no line is left.
     """
-    parts = parse_refine(refine)
+    parts = parse_refine(refine or ("lines,poses" if poses == "sfm" else "lines"))
     refs = find_photos(photos)
     cameras = load(calibration)
     camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
@@ -118,8 +120,18 @@ def _written(
     sections = scene_sections(scene, final, photos, families, summary)
     files.append(write_report(folder / "report.html", "Line scene", sections))
     skipped = tuple(f"{arcs.photo.name} is skipped: {arcs.reason}" for arcs in found if arcs.reason is not None)
-    notes = (*skipped, *posed.left_out, *posed.notes, *remarks, *summary.notes)
+    notes = (*skipped, *_of_poses(poses, posed, scene), *remarks, *summary.notes)
     return CommandResult((summary,), scene_data(scene, families), files=tuple(files), report=files[-1], warnings=notes)
+
+
+def _of_poses(source: str, posed: PhotoPoses, scene: PhotoScene) -> tuple[str, ...]:
+    """What is to be said of where photos were taken."""
+    known = set(scene.scene.poses.images)
+    placed = [name for name in scene.scene.poses.images if name not in posed.poses.images]
+    lost = {name: why for name, why in posed.left_out.items() if name not in known}
+    by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
+    doubts = doubt(len(lost), len(known) + len(lost)) if source == "sfm" else ()
+    return (*lost.values(), *([by_lines] if placed else []), *posed.notes, *doubts)
 
 
 def refined_cameras(cameras: Calibration, scene: PhotoScene) -> Calibration:

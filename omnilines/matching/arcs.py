@@ -47,6 +47,11 @@ class ViewedArcs:
             colours=self.colours[chosen],
         )
 
+    def of_photo(self, image: int) -> "ViewedArcs":
+        """The arcs of one photo, and its pose."""
+        own = self.rows(np.flatnonzero(self.image == image))
+        return replace(own, image=np.zeros_like(own.image), poses=self.poses[[image]])
+
     def widened(self, slack_px: float) -> "ViewedArcs":
         """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
         return replace(self, covariance_px2=self.covariance_px2 + slack_px**2 * np.eye(2))

@@ -8,15 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses
-from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
-from omnilines.matching.track_kernel import claim, near_lines, needed, united
-from omnilines.triangulation.residuals import linearise
+from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
+from omnilines.matching.known_lines import known_lines
+from omnilines.matching.track_kernel import claim, needed, united
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import robust_triangulate
 
@@ -156,64 +154,17 @@ def _nearest_lines(
     arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation
 ) -> tuple[Int[np.ndarray, " n"], _Candidates]:
     """The track whose line explains each arc best, -1 for none, and all that explain it."""
-    known = np.flatnonzero(lines.known.numpy())
-    place = np.full(len(lines), -1)
-    place[known] = np.arange(len(known))
-    own = _of_tracks(track, place)
-    member = np.flatnonzero(own >= 0)
-    own = own[member]
-    chosen = lines.lines[torch.as_tensor(known)]
-    direction, moment = chosen.direction.numpy(), chosen.moment.numpy()
-    reach_rad = REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1)
-    spans = _spans(chosen, arcs, member, own)
-    arc, line = near_lines(np.arange(len(arcs)), arcs.packed, direction, moment, spans, reach_rad)
-    square = _chi_square(arcs, arc, line, lines, known)
-    along = arcs.packed[:, 3:6] - arcs.packed[:, :3]
-    colours = _line_colours(arcs, member, own, (along[member] * direction[own]).sum(-1) < 0, len(known))
-    alike = likenesses(colours, arcs.colours, line, arc, (along[arc] * direction[line]).sum(-1) < 0)
+    known = known_lines(arcs, track, lines)
+    arc, line = known.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+    square, alike = known.chi_square(arcs, arc, line), known.looks_like(arcs, arc, line)
     fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
     arc, line, cost = arc[fits], line[fits], square[fits] - 2.0 * np.log(alike[fits])
     order = np.lexsort((cost, arc))
     _, first = np.unique(arc[order], return_index=True)
     best = order[first]
     nearest = np.full_like(track, -1)
-    nearest[arc[best]] = known[line[best]]
-    return nearest, _Candidates(arc, known[line])
-
-
-def _chi_square(
-    arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"], lines: Triangulation, known: Int[np.ndarray, " l"]
-) -> Float[np.ndarray, " k"]:
-    """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""
-    chosen, index = torch.as_tensor(known), torch.as_tensor(line)
-    at = linearise(arcs.tracks(arc, line, len(known)), lines.chart[chosen])
-    covariance = lines.covariance[chosen][index]
-    spread = torch.eye(2, dtype=torch.float64) + at.jacobian @ covariance @ at.jacobian.mT
-    square = (at.residual * torch.linalg.solve(spread, at.residual)).sum(-1)
-    return torch.nan_to_num(square, nan=torch.inf).numpy()
-
-
-def _spans(
-    lines: PlueckerLines, arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, "l 2"]:
-    """Positions along each line between which its arcs lie."""
-    positions, in_front = arcs.positions(lines, rows, line)
-    low, high = np.full(len(lines), np.inf), np.full(len(lines), -np.inf)
-    np.minimum.at(low, line[in_front], positions[in_front, 0])
-    np.maximum.at(high, line[in_front], positions[in_front, 1])
-    return np.stack([low, high], -1)
-
-
-def _line_colours(
-    arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"], against: Bool[np.ndarray, " m"], count: int
-) -> Float[np.ndarray, "l 2 3"]:
-    """Mean colours on both sides of each line, sides as an arc along its direction has them; NaN where no arc knows."""
-    colours = np.where(against[:, None, None], arcs.colours[rows][:, ::-1], arcs.colours[rows])
-    there = ~np.isnan(colours)
-    total, seen = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
-    np.add.at(total, line, np.where(there, colours, 0.0))
-    np.add.at(seen, line, there)
-    return np.where(seen > 0, total / np.maximum(seen, 1.0), np.nan)
+    nearest[arc[best]] = known.track[line[best]]
+    return nearest, _Candidates(arc, known.track[line])
 
 
 def _united(track: Int[np.ndarray, " n"], candidates: _Candidates, count: int) -> tuple[Int[np.ndarray, " n"], int]:

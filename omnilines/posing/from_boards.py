@@ -42,20 +42,20 @@ def poses_from_boards(
     that shows it, and where no photo shows the board.
     """
     found: list[tuple[str, Pose, Float[np.ndarray, "6 6"]]] = []
-    lost = []
+    lost = {}
     for done, photo in enumerate(photos):
         if progress is not None:
             progress("finding boards", done, len(photos))
         outcome = board_pose(read(photo), cameras[camera_of[photo]], pattern)
         if isinstance(outcome, str):
-            lost.append(f"{photo} has no pose: {outcome}")
+            lost[photo] = f"{photo} has no pose: {outcome}"
         else:
             found.append((photo, *outcome))
     if progress is not None:
         progress("finding boards", len(photos), len(photos))
     if not found:
         raise InputError(
-            f"A {pattern.specification} was expected in some photo, found none; {lost[0] if lost else 'give photos.'}"
+            f"A {pattern.specification} was expected in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
         )
     notes: tuple[str, ...] = ("The world is the board frame.",)
     if turns_unseen(pattern):
@@ -72,7 +72,7 @@ def poses_from_boards(
         tuple(camera_of[photo] for photo, _, _ in found),
         np.stack([covariance for _, _, covariance in found]),
     )
-    return PhotoPoses(table, tuple(lost), notes)
+    return PhotoPoses(table, lost, notes)
 
 
 def turns_unseen(pattern: Pattern) -> bool:

@@ -29,15 +29,18 @@ def poses_from_colmap(folder: str | Path, photos: Sequence[str], camera_of: Mapp
     known = {image.name: image for image in model.images.values() if image.has_pose}
     if not known:
         raise InputError(f"{folder}: a COLMAP model with images that have poses was expected, found none; run its mapper again.")
-    found, lost = [], []
+    found: list[tuple[str, str]] = []
+    lost = {}
     for photo in photos:
         name, reason = _match(photo, list(known))
         if name is None:
-            lost.append(f"{photo} has no pose: {reason}.")
+            lost[photo] = f"{photo} has no pose: {reason}."
         else:
             found.append((photo, name))
     twice = {name for _, name in found if sum(name == other for _, other in found) > 1}
-    lost += [f"{photo} has no pose: several photos are like the model's image {name}." for photo, name in found if name in twice]
+    lost |= {
+        photo: f"{photo} has no pose: several photos are like the model's image {name}." for photo, name in found if name in twice
+    }
     found = [(photo, name) for photo, name in found if name not in twice]
     if not found:
         raise InputError(
@@ -46,7 +49,7 @@ def poses_from_colmap(folder: str | Path, photos: Sequence[str], camera_of: Mapp
         )
     poses = [pose_of(known[name].cam_from_world()) for _, name in found]
     images = [photo for photo, _ in found]
-    return PhotoPoses(image_poses(images, poses, [camera_of[photo] for photo in images]), tuple(lost))
+    return PhotoPoses(image_poses(images, poses, [camera_of[photo] for photo in images]), lost)
 
 
 def read_model(folder: Path) -> Any:

@@ -33,7 +33,7 @@ def poses_from_rig(
     poses = [calibration.rig[camera_of[photo]].cam_from_rig for photo in photos]
     cameras = [camera_of[photo] for photo in photos]
     notes = ("The world is the rig frame.",)
-    return PhotoPoses(image_poses(photos, poses, cameras, [frames[0]] * len(photos)), (), notes)
+    return PhotoPoses(image_poses(photos, poses, cameras, [frames[0]] * len(photos)), {}, notes)
 
 
 def complete_from_rig(
@@ -56,7 +56,8 @@ def complete_from_rig(
     for name in known:
         in_frame.setdefault(frame_of[name], []).append(name)
     rig_from_world = {frame: _rig_at(calibration, names, known, camera_of) for frame, names in in_frame.items()}
-    kept, found, lost = [], [], []
+    kept, found = [], []
+    lost = {}
     for photo in photos:
         frame = frame_of[photo]
         if photo in known:
@@ -64,10 +65,10 @@ def complete_from_rig(
         elif frame in rig_from_world:
             found.append(calibration.rig[camera_of[photo]].cam_from_rig @ rig_from_world[frame])
         else:
-            lost.append(f"{photo} has no pose: none is known of any photo of its instant {frame}.")
+            lost[photo] = f"{photo} has no pose: none is known of any photo of its instant {frame}."
             continue
         kept.append(photo)
-    return PhotoPoses(image_poses(kept, found, [camera_of[p] for p in kept], [frame_of[p] for p in kept]), tuple(lost))
+    return PhotoPoses(image_poses(kept, found, [camera_of[p] for p in kept], [frame_of[p] for p in kept]), lost)
 
 
 def _rig_at(calibration: Calibration, names: Sequence[str], known: Mapping[str, Pose], camera_of: Mapping[str, str]) -> Pose:

@@ -1,7 +1,7 @@
 """The result that every source of poses hands back, and moving poses into the frame of others."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -16,8 +16,8 @@ class PhotoPoses:
     """`cam_from_world` of photos, and what became of the others."""
 
     poses: ImagePoses
-    left_out: tuple[str, ...] = ()
-    """One sentence for each photo without a pose: its name and the reason."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Of each photo without a pose one sentence: its name and the reason."""
     notes: tuple[str, ...] = ()
     """What a person should know of the poses, one sentence each."""
 

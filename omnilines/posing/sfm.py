@@ -125,7 +125,7 @@ def _result(
     in_frame = np.bincount(grown.frames.of_photo.numpy(), weights=seen, minlength=len(grown.known))
     enough = grown.known & (in_frame >= LEAST_SEEN)
     kept = np.flatnonzero(enough[grown.frames.of_photo.numpy()]).tolist()
-    lost = []
+    lost = {}
     for k in sorted(set(range(len(photos))) - set(kept)):
         elsewhere = next((len(part) for part in parts[1:] if k in part), 0)
         if elsewhere:
@@ -134,7 +134,7 @@ def _result(
             why = f"only {len(features[k])} features were found in it"
         else:
             why = f"too few of its {len(features[k])} features match those of the other photos"
-        lost.append(f"{photos[k]} has no pose: {why}.")
+        lost[photos[k]] = f"{photos[k]} has no pose: {why}."
     if not kept:
         raise GeometryError("Photos that see the same points were expected, found none; give photos that overlap more.")
     table = ImagePoses(
@@ -146,19 +146,16 @@ def _result(
     )
     first = grown.rig_from_world[grown.frames.of_photo[kept[0]]]
     note = f"{len(grown.points)} points, {len(grown.seen)} observations, standard deviation {grown.scale:.2f} times that assumed."
-    notes = (note, *_doubt(len(lost), len(photos)))
     if grown.frames.has_scale:
-        return PhotoPoses(moved_poses(table, 1.0, first), tuple(lost), ("Lengths are metres, by the rig.", *notes))
+        return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note))
     centre = table.cam_from_world.centre
     spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
-    metric = "The scale is not known: the cameras' root mean square distance from their middle is taken as 1."
-    return PhotoPoses(
-        moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), tuple(lost), (metric, *notes)
-    )
+    metric = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
+    return PhotoPoses(moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), lost, (metric, note))
 
 
-def _doubt(lost: int, photos: int) -> tuple[str, ...]:
-    """What is said of the poses found where many could not be."""
+def doubt(lost: int, photos: int) -> tuple[str, ...]:
+    """What is to be said of the poses of structure from motion where many photos have none."""
     if lost < MOST_LEFT_OUT * photos:
         return ()
     return (

@@ -1,0 +1,85 @@
+"""Lines that are known, and which arcs of photos with poses could show them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from omnilines.geometry.line import PlueckerLines
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypothesis_kernel import likenesses
+from omnilines.matching.track_kernel import near_lines
+from omnilines.triangulation.residuals import linearise
+from omnilines.triangulation.result import Triangulation
+
+
+@dataclass(frozen=True)
+class KnownLines:
+    """l lines of the tracks of a triangulation, with what their arcs say of them."""
+
+    triangulation: Triangulation
+    track: Int[np.ndarray, " l"]
+    """The track of each: those that have a line."""
+    direction: Float[np.ndarray, "l 3"]
+    moment: Float[np.ndarray, "l 3"]
+    spans: Float[np.ndarray, "l 2"]
+    """Positions (m) along each between which its arcs lie."""
+    colours: Float[np.ndarray, "l 2 3"]
+    """Mean colours on both sides, sides as an arc along the direction has them; NaN where no arc knows."""
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def looks_like(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Likeness of the colours beside arcs and lines, in (0, 1]."""
+        along = arcs.packed[:, 3:6] - arcs.packed[:, :3]
+        return likenesses(self.colours, arcs.colours, line, arc, (along[arc] * self.direction[line]).sum(-1) < 0)
+
+    def near(self, arcs: ViewedArcs, reach_rad: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+        """Arcs both ends of which lie within their reach of a line, where the line is known, and the line."""
+        return near_lines(np.arange(len(arcs)), arcs.packed, self.direction, self.moment, self.spans, reach_rad)
+
+    def chi_square(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""
+        chosen, index = torch.as_tensor(self.track), torch.as_tensor(line)
+        at = linearise(arcs.tracks(arc, line, len(self)), self.triangulation.chart[chosen])
+        covariance = self.triangulation.covariance[chosen][index]
+        spread = torch.eye(2, dtype=torch.float64) + at.jacobian @ covariance @ at.jacobian.mT
+        square = (at.residual * torch.linalg.solve(spread, at.residual)).sum(-1)
+        return torch.nan_to_num(square, nan=torch.inf).numpy()
+
+
+def known_lines(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation) -> KnownLines:
+    """The lines of those tracks that have one; `track` is that of every arc, -1 for none."""
+    known = np.flatnonzero(lines.known.numpy())
+    place = np.full(len(lines) + 1, -1)
+    place[known] = np.arange(len(known))
+    member = np.flatnonzero(place[track] >= 0)
+    own = place[track[member]]
+    chosen = lines.lines[torch.as_tensor(known)]
+    direction, moment = chosen.direction.numpy(), chosen.moment.numpy()
+    along = arcs.packed[member, 3:6] - arcs.packed[member, :3]
+    colours = _colours(arcs, member, own, (along * direction[own]).sum(-1) < 0, len(known))
+    return KnownLines(lines, known, direction, moment, _spans(chosen, arcs, member, own), colours)
+
+
+def _spans(
+    lines: PlueckerLines, arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "l 2"]:
+    positions, in_front = arcs.positions(lines, rows, line)
+    low, high = np.full(len(lines), np.inf), np.full(len(lines), -np.inf)
+    np.minimum.at(low, line[in_front], positions[in_front, 0])
+    np.maximum.at(high, line[in_front], positions[in_front, 1])
+    return np.stack([low, high], -1)
+
+
+def _colours(
+    arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"], against: Bool[np.ndarray, " m"], count: int
+) -> Float[np.ndarray, "l 2 3"]:
+    colours = np.where(against[:, None, None], arcs.colours[rows][:, ::-1], arcs.colours[rows])
+    there = ~np.isnan(colours)
+    total, seen = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+    np.add.at(total, line, np.where(there, colours, 0.0))
+    np.add.at(seen, line, there)
+    return np.where(seen > 0, total / np.maximum(seen, 1.0), np.nan)

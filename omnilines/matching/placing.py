@@ -1,0 +1,69 @@
+"""Photos placed by the lines of other photos: poses that are off are mended, and photos without a pose find one.
+
+A right pose is told from a wrong one by how many arcs of the photo are explained, to their noise, by lines that look like them:
+most of them under the right one, a small share under any other. What the best of the others explains is what chance does.
+"""
+
+import math
+
+import numpy as np
+import torch
+
+from camera_models.pose import Pose
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.known_lines import KnownLines, known_lines
+from omnilines.matching.photo_starts import start_poses
+from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
+from omnilines.matching.tracks import Tracks
+from omnilines.triangulation.batches import triangulate_on
+
+CLEARLY_MORE = 1.1
+"""Times what the pose that a photo has explains: then another near it is better."""
+ABOVE_CHANCE, LEAST_SCORE = 1.5, 12.0
+"""Times what the best of the other poses explains, and the least, for the pose of a photo that had none."""
+OTHER_RAD, OTHER_SHARE = math.radians(3.0), 0.05
+"""Poses are others that are turned by so much, or stand apart by this share of the extent of the lines."""
+
+
+def lines_of_others(arcs: ViewedArcs, tracks: Tracks, image: int | None) -> KnownLines:
+    """The lines of tracks as all photos but one show them, from the poses of `arcs`; with None as all show them."""
+    track = tracks.track if image is None else np.where(arcs.image == image, -1, tracks.track)
+    rows = np.flatnonzero(track >= 0)
+    found = triangulate_on(torch.device("cpu"), "ml", arcs.tracks(rows, track[rows], len(tracks)))
+    return known_lines(arcs, track, found)
+
+
+def mended_pose(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | None:
+    """A pose near that of the one photo of `arcs` that explains clearly more of them; None where there is none."""
+    better = refined_by_lines(arcs, known)
+    if better is None or better.score <= CLEARLY_MORE * explained_by_lines(arcs, known).score:
+        return None
+    return better
+
+
+def placed_anywhere(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
+    """The pose of the one photo of `arcs`, wherever it is; None where none explains clearly more than others do."""
+    starts, apart = start_poses(arcs.with_poses(Pose.identity(1)), known, seed), OTHER_SHARE * _extent(known)
+    placed: list[PlacedByLines] = []
+    for k in range(len(starts)):
+        # A start beside a pose that was found leads there.
+        if all(_is_other(starts[k : k + 1], one.pose, apart) for one in placed):
+            one = refined_by_lines(arcs.with_poses(starts[k : k + 1]), known)
+            placed += [] if one is None else [one]
+    best = max(placed, key=lambda one: one.score, default=None)
+    if best is None or best.score < LEAST_SCORE:
+        return None
+    others = (one.score for one in placed if _is_other(one.pose, best.pose, apart))
+    return best if best.score >= ABOVE_CHANCE * max(others, default=0.0) else None
+
+
+def _is_other(one: Pose, pose: Pose, apart: float) -> bool:
+    turn = one.rotation[0] @ pose.rotation[0].mT
+    return float(turn.trace()) < 1.0 + 2.0 * math.cos(OTHER_RAD) or float((one.centre - pose.centre).norm()) > apart
+
+
+def _extent(known: KnownLines) -> float:
+    """Median distance of the lines' middles from their median."""
+    ends = np.nan_to_num(known.spans, posinf=0.0, neginf=0.0).mean(-1)
+    middle = np.cross(known.direction, known.moment) + ends[:, None] * known.direction
+    return float(np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1))) if len(known) else 0.0

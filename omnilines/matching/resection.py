@@ -1,0 +1,120 @@
+"""The pose of a photo from lines that are known.
+
+Its arcs are given to the lines that pass near them and look like them, the pose is refined, and so in turn with a reach that
+narrows. With M = R m + t x R d the normal of the plane of a line (camera frame) the residual of an end V of an arc is the sine of
+its angle to the plane,
+
+    h = V . M / |M|,    dh = w . (M x U) + v . (d x U),    U = (V - h M / |M|) / |M|,
+
+for the left perturbation (w, v) of the pose.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from camera_models.pose import Pose
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
+from omnilines.matching.known_lines import KnownLines
+from omnilines.matching.tracks import MOST_CHI_SQUARE, REACH_PX
+
+REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12))
+"""Arcs are given to lines that lie so near, one after the other."""
+STEPS = 3
+"""Refinements for each reach."""
+REACH_SIGMAS = 3.0
+"""A reach is so many standard deviations of what is left of the error of the pose."""
+BEND = 2.0
+LEAST_ARCS = 4
+"""Three determine a pose in general, and nothing tells whether they are right."""
+
+
+@dataclass(frozen=True)
+class PlacedByLines:
+    """A pose and the lines that it rests on."""
+
+    pose: Pose
+    """cam_from_world."""
+    score: float
+    """Sum over the arcs that lines explain of how much they look alike (at most 1 each)."""
+    arc: Int[np.ndarray, " k"]
+    line: Int[np.ndarray, " k"]
+    """Of `KnownLines`."""
+
+
+def refined_by_lines(arcs: ViewedArcs, known: KnownLines, first_reach_rad: float = REACHES_RAD[0]) -> PlacedByLines | None:
+    """The pose of the one photo of `arcs` near the one it has; None where lines near it do not determine one."""
+    for reach in (reach for reach in REACHES_RAD if reach <= first_reach_rad):
+        for _ in range(STEPS):
+            moved = _step(arcs, known, reach)
+            if moved is None:
+                return None
+            arcs = moved
+    for _ in range(STEPS):
+        moved = _step(arcs, known, 0.0)
+        if moved is None:
+            return None
+        arcs = moved
+    return explained_by_lines(arcs, known)
+
+
+def explained_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines:
+    """The pose that the photo has, with the arcs that lines explain."""
+    arc, line = known.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+    square, alike = known.chi_square(arcs, arc, line), known.looks_like(arcs, arc, line)
+    fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
+    arc, line, alike = _best(arc[fits], line[fits], alike[fits], square[fits])
+    return PlacedByLines(arcs.poses, float(alike.sum()), arc, line)
+
+
+def _best(
+    arc: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"], alike: Float[np.ndarray, " n"], square: Float[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The most likely line of every arc that has any."""
+    order = np.lexsort((square - 2.0 * np.log(alike), arc))
+    _, first = np.unique(arc[order], return_index=True)
+    best = order[first]
+    return arc[best], line[best], alike[best]
+
+
+def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs | None:
+    """The photo after a step of iteratively reweighted least squares; None where the step is not determined."""
+    noise = arcs.packed[:, 12:]
+    spread = np.sqrt(noise**2 + (reach_rad / REACH_SIGMAS) ** 2)
+    arc, line = known.near(arcs, np.maximum(REACH_SIGMAS * spread.max(-1), REACH_PX * arcs.px_rad))
+    alike = known.looks_like(arcs, arc, line)
+    likely = alike >= LEAST_LIKENESS
+    arc, line, alike = arc[likely], line[likely], alike[likely]
+    residual, jacobian = _linearised(arcs, known, arc, line)
+    arc_, line_, _ = _best(arc, line, alike, (residual / spread[arc]).__pow__(2).sum(-1))
+    if len(arc_) < LEAST_ARCS:
+        return None
+    residual, jacobian = _linearised(arcs, known, arc_, line_)
+    residual, jacobian = residual / spread[arc_], jacobian / spread[arc_][..., None]
+    weight = 1.0 / (1.0 + (residual / BEND) ** 2)
+    normal = np.einsum("nki,nk,nkj->ij", jacobian, weight, jacobian)
+    unit = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh(normal * unit[:, None] * unit)
+    if not values[0] > 1e-9:
+        return None
+    right = -np.einsum("nki,nk,nk->i", jacobian, weight, residual) * unit
+    step = unit * (vectors @ ((vectors.T @ right) / values))
+    return arcs.with_poses(Pose.exp(torch.as_tensor(step)[None]) @ arcs.poses)
+
+
+def _linearised(
+    arcs: ViewedArcs, known: KnownLines, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2 6"]]:
+    rotation, shift = arcs.poses.rotation[0].numpy(), arcs.poses.translation[0].numpy()
+    direction = known.direction[line] @ rotation.T
+    moment = known.moment[line] @ rotation.T + np.cross(shift, direction)
+    length = np.linalg.norm(moment, axis=-1, keepdims=True)
+    normal = moment / length
+    ends = arcs.bearings[arc]
+    residual = (ends * normal[:, None]).sum(-1)
+    across = (ends - residual[..., None] * normal[:, None]) / length[:, None]
+    return residual, np.concatenate([np.cross(moment[:, None], across), np.cross(direction[:, None], across)], -1)
