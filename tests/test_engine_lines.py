@@ -2,16 +2,20 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 from engine_scenes import Row, row
 
 from omnilines.adjustment import lines as adjustment
-from omnilines.adjustment.engine import COMPILED_COSTS, LineEngine, LineSolution
+from omnilines.adjustment.engine import COMPILED_COSTS, LOSS_KINDS, LineEngine, LineSolution
+from omnilines.adjustment.line_kernel import Views
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
+from omnilines.adjustment.schur_kernel import line_block
 from omnilines.adjustment.state import LinesAndPoses
+from omnilines.adjustment.step_kernel import bend
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 
@@ -27,10 +31,10 @@ def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tupl
     return compiled, general
 
 
-def assert_same(compiled: Adjusted, general: Adjusted) -> None:
-    """Cost to 1e-10, estimates to 1e-3 standard deviations, covariances to 1e-6."""
+def assert_same(compiled: Adjusted, general: Adjusted, alone: bool = False) -> None:
+    """Cost to 1e-10, estimates to 1e-3 standard deviations, covariances to 1e-6; the same steps, or fewer of lines alone."""
     assert compiled.outcome is general.outcome is Outcome.CONVERGED
-    assert compiled.iterations == general.iterations
+    assert compiled.iterations == general.iterations or (alone and compiled.iterations < general.iterations)
     assert abs(compiled.initial_cost / general.initial_cost - 1) < 1e-10
     assert abs(compiled.cost / general.cost - 1) < 1e-10
     assert abs(compiled.noise_factor / general.noise_factor - 1) < 1e-8
@@ -61,7 +65,51 @@ def test_lines_and_poses_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cos
 
 @pytest.mark.parametrize("cost", ["sector", "whitened"])
 def test_lines_alone_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: str) -> None:
-    assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False))
+    assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False), alone=True)
+
+
+def test_no_line_alone_depends_on_another() -> None:
+    """Of lines with as many wrong observations as good ones, each ends where it does without the others, and soon."""
+    scene = row(lines=120, reach=8, seed=7)
+    wrong = torch.rand(len(scene.arcs), generator=torch.Generator().manual_seed(0)) < 0.4
+    bearings = torch.where(wrong[:, None, None], scene.arcs.bearings + 0.02, scene.arcs.bearings)
+    arcs = dataclasses.replace(scene.arcs, bearings=bearings / bearings.norm(dim=-1, keepdim=True))
+    options = {"cost": "whitened", "refine_poses": False, "loss": Loss("cauchy", 2.0)}
+    costs: list[float] = []
+    together = adjust_lines(arcs, scene.lines, scene.poses, **options, callback=lambda step: costs.append(step.cost))  # type: ignore[arg-type]
+    assert together.outcome is Outcome.CONVERGED and together.iterations < 60 and costs == sorted(costs, reverse=True)
+    total = 0.0
+    for track in range(arcs.tracks):
+        own = arcs.rows(arcs.track == track)
+        one = dataclasses.replace(own, track=torch.zeros_like(own.track), tracks=1)
+        line = scene.lines[torch.tensor([track])]
+        alone = adjust_lines(one, line, scene.poses, **options)  # type: ignore[arg-type]
+        sigma = alone.line_covariance[0].diagonal().clamp_min(0).sqrt()
+        assert abs(float(alone.state.chart.phi[0] - together.state.chart.phi[track])) < 1e-3 * float(sigma[3])
+        total += alone.cost
+    assert abs(total / together.cost - 1) < 1e-9
+
+
+@pytest.mark.parametrize("loss", [Loss(), Loss("cauchy", 1.5)])
+def test_the_bend_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
+    """Of residuals that are linear, half the second derivative of the sum of the loss is E."""
+    generator = torch.Generator().manual_seed(1)
+    start, rows = (torch.randn(9, *shape, generator=generator, dtype=torch.float64) for shape in ((2,), (2, 4)))
+
+    def total(step: torch.Tensor) -> torch.Tensor:
+        return loss((start + rows @ step).square().sum(-1))[0].sum()
+
+    expected = torch.autograd.functional.hessian(total, torch.zeros(4, dtype=torch.float64)) / 2
+    square = start.square().sum(-1)
+    assert loss.name == "none" or bool((square > 1.5**2).any() and (square < 1.5**2).any())
+    root = loss(square)[1].sqrt()[:, None]
+    by_line, r = (root[..., None] * rows).reshape(9, 8).numpy(), (root * start).numpy()
+    none = np.zeros(0)
+    views = Views(none, none, none, none, none, LOSS_KINDS[loss.name], loss.scale)
+    e, gradient = np.empty((4, 4)), np.empty(4)
+    line_block(by_line, r, 9, e, gradient)
+    bend(views, 9, by_line, r, e)
+    np.testing.assert_allclose(np.tril(e), np.tril(expected.numpy()), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("held", [(0,), (2, 7), (4,)])

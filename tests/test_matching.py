@@ -143,6 +143,23 @@ def test_errors_of_poses_widen_the_slack(name: str) -> None:
     assert matched(name).slack_px < slack < found.slack_px
 
 
+@pytest.mark.parametrize("name", ["fisheye", "pinhole"])
+def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
+    """Half of the lines give precise arcs, the others pieces that are twice as noisy as they say, as texture does."""
+    scene = room(name)
+    precise = scene.arcs(0.1, 3)
+    parts = [precise.rows(np.flatnonzero(scene.line % 2 == 0))]
+    for seed in (4, 5):
+        pieces = scene.cut(seed)
+        texture = pieces.arcs(1.0, seed + 1).rows(np.flatnonzero(pieces.line % 2 == 1))
+        parts.append(replace(texture, covariance_px2=texture.covariance_px2 / 4))
+    order = np.argsort(np.concatenate([arcs.image for arcs in parts]), kind="stable")
+    names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
+    arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
+    assert [chosen_slack(arcs, near, seed) for seed in range(3)] == [SLACKS_PX[0]] * 3
+
+
 def test_too_little_tolerance_costs_tracks() -> None:
     scene = room("fisheye")
     arcs = scene.arcs(0.3, 3, poses=shaken(scene.poses, 0.2, 10.0, 9))

@@ -4,6 +4,7 @@ Frames are renumbered so that the band of the reduced system is narrow, lines ar
 neighbours in memory, and observations are sorted by line. See `schur_kernel.py` for the arithmetic.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,17 +14,30 @@ from torch import Tensor
 
 from omnilines.adjustment import covariance_kernel, schur_kernel, step_kernel
 from omnilines.adjustment.engine_layout import Layout, layout
-from omnilines.adjustment.line_kernel import FrameSums, LineBlocks, LineStates, Views
+from omnilines.adjustment.line_kernel import (
+    MOVING,
+    SETTLED,
+    SINGULAR,
+    STALLED,
+    FrameSums,
+    LineBlocks,
+    LineSearch,
+    LineStates,
+    Views,
+)
 from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.geometry.line_chart import LineChart
-from omnilines.least_squares import Loss, Minimum, Outcome, Step
+from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
 from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import ReducedSystem
 from omnilines.least_squares.threads import in_shares
 
 COMPILED_COSTS = ("sector", "whitened", "bartoli-sturm")
 LOSS_KINDS = {"none": 0, "huber": 1, "cauchy": 2}
+TOLERANCE, EXACT_FIT, FIRST_DAMPING = 1e-12, 1e-30, 1e-4
+"""Of a line alone, as `minimise` has them."""
+LINE_OUTCOMES = {SETTLED: Outcome.CONVERGED, STALLED: Outcome.STALLED, SINGULAR: Outcome.DEGENERATE}
 
 
 def is_compiled(problem: LineProblem, state: LinesAndPoses) -> bool:
@@ -59,14 +73,18 @@ class LineEngine:
 
     def cost(self, state: LinesAndPoses) -> float:
         """Sum of the loss, and of the prior."""
-        pose, lines = self._poses(state), self._lines(state.chart)
-        parts = in_shares(lambda _, low, high: step_kernel.cost_of_lines(low, high, self.views, pose, lines), self.layout.shares)
-        return float(sum(parts)) + self._prior_cost(state)
+        return float(self._costs(self._poses(state), self._lines(state.chart)).sum()) + self._prior_cost(state)
+
+    def minimise(
+        self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None = None
+    ) -> Minimum[LinesAndPoses]:
+        """Levenberg-Marquardt: of everything together, or of each line alone where all poses are held."""
+        if len(self.problem.free):
+            return minimise(self, state, max_iterations, callback=callback)
+        return self._minimise_lines(state, max_iterations, callback)
 
     def step(self, state: LinesAndPoses, damping: float) -> Step[LinesAndPoses] | None:
-        """The step from a state; None where the equations are singular."""
-        if not len(self.problem.free):
-            return self._step_of_lines(state, damping)
+        """The step of frames and lines from a state; None where the equations are singular."""
         reduction = self._reduce(state, damping)
         if reduction is None or reduction.system is None:
             return None
@@ -89,14 +107,34 @@ class LineEngine:
         cost = sum(part[0] for part in parts) + self._prior_cost(trial)
         return Step(trial, float(cost), promised + float(sum(part[1] for part in parts)))
 
-    def _step_of_lines(self, state: LinesAndPoses, damping: float) -> Step[LinesAndPoses] | None:
-        trial = replace(state, chart=self._empty_chart(state.chart))
-        pose, lines, into = self._poses(state), self._lines(state.chart), self._lines(trial.chart)
-        parts = in_shares(
-            lambda _, low, high: step_kernel.step_lines(low, high, self.views, pose, lines, damping, into), self.layout.shares
-        )
-        cost, promised, singular = (sum(values) for values in zip(*parts, strict=True))
-        return None if singular else Step(trial, float(cost), float(promised))
+    def _minimise_lines(
+        self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None
+    ) -> Minimum[LinesAndPoses]:
+        """All poses held: no line is slowed down, or let rise, by another. What is promised of them all when they have settled
+        is less than the tolerance of the whole cost."""
+        pose, lines = self._poses(state), self._lines(state.chart)
+        lines = lines._replace(centre=lines.centre.copy(), turn=lines.turn.copy(), phi=lines.phi.copy())
+        cost = self._costs(pose, lines)
+        damping, growth = np.full(len(cost), FIRST_DAMPING), np.full(len(cost), 2.0)
+        search = LineSearch(cost, damping, growth, np.full(len(cost), MOVING, dtype=np.int8))
+        initial, iteration = float(cost.sum()), 0
+        while iteration < max_iterations and (search.end == MOVING).any():
+            iteration += 1
+            moved = self._step_lines(pose, lines, search)
+            if callback is not None:
+                callback(Progress(iteration, float(cost.sum()), float(damping.max()), moved > 0))
+        outcome = Outcome.OUT_OF_ITERATIONS
+        if not (search.end == MOVING).any():
+            outcome = LINE_OUTCOMES[int(search.end.max(initial=SETTLED))]
+        centre, turn, phi = (torch.from_numpy(array) for array in (lines.centre, lines.turn, lines.phi))
+        end = replace(state, chart=replace(state.chart, centre=centre, S=turn, phi=phi))
+        return Minimum(end, outcome, float(cost.sum()), initial, iteration)
+
+    def _step_lines(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates, search: LineSearch) -> int:
+        """One step of every line that still moves, in place; how many did."""
+        least = (TOLERANCE * float(search.cost.sum()) + EXACT_FIT * self.residuals) / len(search.cost)
+        work = (self.views, pose, lines, search, least)
+        return sum(in_shares(lambda _, low, high: step_kernel.step_lines(low, high, *work), self.layout.shares))
 
     def _reduce(self, state: LinesAndPoses, damping: float) -> _Reduction | None:
         """One pass over the lines; None where a line's block is singular."""
@@ -148,6 +186,12 @@ class LineEngine:
         """B in the order of the engine's frames."""
         gauge = self.problem.gauge(state).numpy()
         return gauge.reshape(len(self.problem.free), 6, gauge.shape[1])[self.layout.rank].reshape(gauge.shape)
+
+    def _costs(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates) -> Float[np.ndarray, " t"]:
+        """Loss of the observations of each line."""
+        cost = np.empty(self.problem.arcs.tracks)
+        in_shares(lambda _, low, high: step_kernel.cost_of_lines(low, high, self.views, pose, lines, cost), self.layout.shares)
+        return cost
 
     def _poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
         poses = state.rig_from_world[self.layout.frames]

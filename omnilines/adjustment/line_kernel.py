@@ -81,6 +81,20 @@ class LineBlocks(NamedTuple):
     """Of E without damping (t x 4)."""
 
 
+class LineSearch(NamedTuple):
+    """How far each of t lines is, where all frames are held and every line is a problem of its own."""
+
+    cost: np.ndarray
+    damping: np.ndarray
+    growth: np.ndarray
+    """By which the damping is multiplied next, should a step be refused."""
+    end: np.ndarray
+    """MOVING, or how it ended (int8)."""
+
+
+MOVING, SETTLED, STALLED, SINGULAR = 0, 1, 2, 3
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
 def view(pose, f, c0, c1, c2, m0, m1, m2, d0, d1, d2):

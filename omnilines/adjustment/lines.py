@@ -19,7 +19,7 @@ from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, minimise, solve
+from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, solve
 from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import moved_to, usable_device
 
@@ -102,7 +102,7 @@ def adjust_lines(
         return _with_uncertainty(arcs, freedom, prior, found)
     if is_compiled(problem, state):
         engine = LineEngine(problem, loss or Loss(), _layout_that_fits(problem))
-        found = engine.finish(minimise(engine, state, max_iterations, callback=callback)).end
+        found = engine.finish(engine.minimise(state, max_iterations, callback)).end
         return _with_sparse_uncertainty(problem, found, engine.layout)
     require_for_general(arcs, problem.structure.kept_size)
     solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback)
@@ -197,7 +197,7 @@ def _with_sparse_uncertainty(problem: LineProblem, found: Minimum[LinesAndPoses]
     """The same by the compiled engine: only the blocks that are needed of the covariance of all poses are formed."""
     freedom, state = problem.freedom, found.state
     engine = LineEngine(LineProblem(problem.arcs, "whitened", freedom, state, problem.prior), Loss(), laid_out)
-    whitened = engine.finish(minimise(engine, state, max_iterations=0))
+    whitened = engine.finish(engine.minimise(state, 0))
     variance = _variance(engine.problem, whitened)
     of_frames, of_lines = whitened.covariances()
     pose_covariance = torch.zeros(len(freedom.held_frames), 6, 6, dtype=torch.float64)

@@ -1,7 +1,7 @@
 """The line engine's other passes: the step of every line, with the cost that it leads to.
 
 After the frames' step d the lines follow, E dl = g - sum J_i' (P_i d): a directional derivative of each observation, which needs
-neither Jacobian formed. With all frames held a line depends on no other, and one pass does everything.
+neither Jacobian formed. With all frames held a line depends on no other, and each goes its own way to its minimum.
 """
 
 import math
@@ -11,7 +11,12 @@ import numpy as np
 from numba import njit
 
 from omnilines.adjustment.line_kernel import (
+    CAUCHY,
     FAST,
+    MOVING,
+    SETTLED,
+    SINGULAR,
+    STALLED,
     backward,
     factorise,
     forward,
@@ -23,6 +28,9 @@ from omnilines.adjustment.line_kernel import (
     view,
 )
 from omnilines.adjustment.schur_kernel import line_block, observe
+
+MOST_DAMPING = 1e16
+"""Beyond it a step moves nothing."""
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -59,8 +67,8 @@ def pull(views, place, pose, step, centre, rho, turn, phi, right):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def move_line(line, right, factor, gradient, diagonal, damping, lines, moved, step, turned):
-    """Solve for one line's step and take it into `moved`; returns the decrease that the linear model promises of it."""
+def move_line(line, right, factor, gradient, diagonal, damping, lines, new_centre, new_turn, step, turned):
+    """Solve for one line's step and take it; returns the decrease that the linear model promises of it, and the new phi."""
     y0, y1, y2, y3 = forward(factor, right[0], right[1], right[2], right[3])
     step[0], step[1], step[2], step[3] = backward(factor, y0, y1, y2, y3)
     if lines.held[line]:
@@ -68,10 +76,8 @@ def move_line(line, right, factor, gradient, diagonal, damping, lines, moved, st
     promised = 0.0
     for x in range(4):
         promised += step[x] * (gradient[x] + damping * diagonal[x] * step[x])
-    moved.phi[line] = retract(
-        lines.centre[line], lines.rho[line], lines.turn[line], lines.phi[line], step, moved.centre[line], moved.turn[line], turned
-    )
-    return promised
+    phi = retract(lines.centre[line], lines.rho[line], lines.turn[line], lines.phi[line], step, new_centre, new_turn, turned)
+    return promised, phi
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -86,43 +92,104 @@ def follow_frames(low, high, views, pose, moved_pose, step, lines, damping, solv
             right[x] = solved.gradient[line, x]
         if not lines.held[line]:
             pull(views, place, pose, step, lines.centre[line], lines.rho[line], lines.turn[line], lines.phi[line], right)
-        promised += move_line(
-            line, right, solved.factors[line], solved.gradient[line], solved.diagonal[line], damping, lines, moved, own, turned
+        decrease, moved.phi[line] = move_line(
+            line,
+            right,
+            solved.factors[line],
+            solved.gradient[line],
+            solved.diagonal[line],
+            damping,
+            lines,
+            moved.centre[line],
+            moved.turn[line],
+            own,
+            turned,
         )
+        promised += decrease
         cost += line_cost(views, place, moved_pose, moved.centre[line], lines.rho[line], moved.turn[line], moved.phi[line])
     return cost, promised
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def step_lines(low, high, views, pose, lines, damping, moved):
-    """Lines at the places low to high, all frames held: (cost after the step, decrease promised, number of singular blocks)."""
+def step_lines(low, high, views, pose, lines, search, least):
+    """One step of every line at the places low to high that still moves, all frames held; changes `lines` and `search`.
+
+    Each has its own damping, refuses what does not lower its own cost, and is settled once its linear model promises no more
+    than `least`. The rules are those of `levenberg_marquardt.minimise`. Returns how many lines moved.
+    """
     most = most_views(views, low, high)
     by_line, by_frame, r = np.zeros((most, 8)), np.zeros((most, 2, 6)), np.empty((most, 2))
-    e, factor, gradient, diagonal = np.empty((4, 4)), np.empty(10), np.empty(4), np.empty(4)
-    own, turned = np.empty(4), np.empty((3, 3))
-    cost = promised = 0.0
-    singular = 0
+    e, bent, factor, gradient, diagonal = np.empty((4, 4)), np.empty((4, 4)), np.empty(10), np.empty(4), np.empty(4)
+    own, turned, new_centre, new_turn = np.empty(4), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    moved = 0
     for place in range(low, high):
         line = views.order[place]
+        if search.end[line] != MOVING:
+            continue
         observe(views, place, pose, lines, r, by_line, by_frame)
-        line_block(by_line, r, views.start[place + 1] - views.start[place], e, gradient)
+        count = views.start[place + 1] - views.start[place]
+        line_block(by_line, r, count, e, gradient)
+        bent[:] = e
+        bend(views, count, by_line, r, bent)
+        damping = search.damping[line]
+        # Away from the minimum the loss may bend more than the residuals.
+        if factorise(bent, damping, factor):
+            e[:] = bent
+        elif not factorise(e, damping, factor):
+            refuse(search, line, max(damping, 1e-12))
+            if search.damping[line] > MOST_DAMPING:
+                search.end[line] = SINGULAR
+            continue
         for x in range(4):
             diagonal[x] = e[x, x]
-        if not factorise(e, damping, factor):
-            singular += 1
+        promised, phi = move_line(line, gradient, factor, gradient, diagonal, damping, lines, new_centre, new_turn, own, turned)
+        if promised <= least:
+            search.end[line] = SETTLED
+        cost = line_cost(views, place, pose, new_centre, lines.rho[line], new_turn, phi)
+        if cost < search.cost[line]:
+            ratio = (search.cost[line] - cost) / promised
+            search.damping[line] = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-15)
+            search.growth[line], search.cost[line] = 2.0, cost
+            lines.centre[line], lines.turn[line], lines.phi[line] = new_centre, new_turn, phi
+            moved += 1
             continue
-        promised += move_line(line, gradient, factor, gradient, diagonal, damping, lines, moved, own, turned)
-        cost += line_cost(views, place, pose, moved.centre[line], lines.rho[line], moved.turn[line], moved.phi[line])
-    return cost, promised, singular
+        refuse(search, line, damping)
+        if search.damping[line] > MOST_DAMPING and search.end[line] == MOVING:
+            search.end[line] = STALLED
+    return moved
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def cost_of_lines(low, high, views, pose, lines):
-    """Loss of all observations of the lines at the places low to high."""
-    total = 0.0
+def bend(views, count, by_line, r, e):
+    """Take from E the curvature of the loss, -2 L'' (J'r)(J'r)' of each observation, from rows weighted by the root of L'.
+
+    Without it convergence is slow where a line has as many doubtful observations as good ones. That of Huber's loss jumps, and
+    steps that rely on it circle.
+    """
+    if views.kind != CAUCHY:
+        return
+    share = 2.0 / (views.scale * views.scale)
+    for i in range(count):
+        for x in range(4):
+            g = by_line[i, x] * r[i, 0] + by_line[i, 4 + x] * r[i, 1]
+            for y in range(x + 1):
+                e[x, y] -= share * g * (by_line[i, y] * r[i, 0] + by_line[i, 4 + y] * r[i, 1])
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def refuse(search, line, damping):
+    """More damping for the next step of a line."""
+    search.damping[line] = damping * search.growth[line]
+    search.growth[line] *= 2.0
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@no_type_check
+def cost_of_lines(low, high, views, pose, lines, cost):
+    """Loss of the observations of each line at the places low to high, into `cost` (t)."""
     for place in range(low, high):
         line = views.order[place]
-        total += line_cost(views, place, pose, lines.centre[line], lines.rho[line], lines.turn[line], lines.phi[line])
-    return total
+        cost[line] = line_cost(views, place, pose, lines.centre[line], lines.rho[line], lines.turn[line], lines.phi[line])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose
@@ -26,6 +26,8 @@ SLACKS_PX = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 """Standard deviations that are tried, from exact poses to poor ones."""
 SAMPLED_PAIRS, LEAST_SAMPLED = 2_000_000, 250
 """Arcs that the slack is chosen by: as many as give so many pairs with another arc, or the least number."""
+PRECISE_SHARE = 0.25
+"""Of the arcs of each photo, those of least stated noise: the others do not tell one slack from another."""
 SHOWING_SHARE = 0.25
 """Of them, those whose residuals are looked at."""
 ENOUGH = 0.6
@@ -80,7 +82,7 @@ def match_arcs(
 
 
 def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: int) -> float:
-    """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of arcs.
+    """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of the precise ones.
 
     Too little of it and true partners miss each other: the best line of an arc stands out less from its best rival than under
     another slack, or the residuals of the lines that stand out most show more noise than was allowed for. Chance gains too, and
@@ -88,7 +90,7 @@ def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: in
     stands out more than by chance.
     """
     rng = np.random.default_rng(seed)
-    chosen = np.sort(rng.permutation(len(arcs))[: max(SAMPLED_PAIRS // len(arcs), LEAST_SAMPLED)])
+    chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), LEAST_SAMPLED), rng)
     turned = arcs.with_poses(_turned(arcs.poses, rng))
     found = [find_hypotheses(arcs.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
     chance = [find_hypotheses(turned.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
@@ -102,6 +104,24 @@ def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: in
         if _shown_slack(arcs, chosen, found[k], SLACKS_PX[k]) <= SLACKS_PX[k]:
             return SLACKS_PX[k]
     return SLACKS_PX[most]
+
+
+def _sample(arcs: ViewedArcs, count: int, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
+    """Arcs drawn from the precise ones of each photo.
+
+    Among dense texture, a slack below the noise of short arcs is lost in what that noise is misstated by, and a larger one lets
+    arcs of neighbouring edges agree: their lines gain, and leave no rival.
+    """
+    order = np.lexsort((_stated_px(arcs), arcs.image))
+    rank = np.arange(len(arcs)) - arcs.starts[arcs.image]
+    of_photo = np.bincount(arcs.image, minlength=arcs.images)[arcs.image]
+    precise = order[rank < max(PRECISE_SHARE, count / len(arcs)) * of_photo]
+    return np.sort(rng.permutation(precise)[:count])
+
+
+def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
+    """Standard deviation (px) of each arc across it, of its worse end."""
+    return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
 def _turned(poses: Pose, rng: np.random.Generator) -> Pose:
@@ -119,7 +139,7 @@ def _shown_slack(arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypothese
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
     level = noise_level(arcs.widened(slack_px).tracks(member, track, len(best)))
-    stated = float(np.median(arcs.packed[member, 12:].max(-1) / arcs.px_rad[member]))
+    stated = float(np.median(_stated_px(arcs)[member]))
     square = level**2 * (stated**2 + slack_px**2) - stated**2
     return math.sqrt(square) if square > 0 else (0.0 if math.isfinite(level) else slack_px)
 
