@@ -179,6 +179,19 @@ def test_photos_without_a_pose_are_placed_by_the_lines_of_the_others(room, rebui
     assert off_m(found, truth) < 0.002
 
 
+def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, capsys):
+    """Poses are held: that of one photo is wrong by 40 degrees."""
+    poses = read_poses(room / "poses.csv")
+    turn = torch.tensor([[0.0, np.radians(40.0), 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    given = Pose.stack([(Pose.exp(turn) @ poses.cam_from_world[:1])[0], *poses.cam_from_world[1:]])
+    write_poses(tmp_path / "poses.csv", ImagePoses(poses.images, given, ("cam0",) * VIEWS))
+    shutil.copy(room / "calibration.yaml", tmp_path)
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    assert call(room / "photos", tmp_path, tmp_path / "scene", "--tolerance-px", "0.1") == 0
+    said = capsys.readouterr().err
+    assert "Lines explain few of the arcs of view00.png (" in said and "view01.png" not in said
+
+
 def off_m(found: ImagePoses, truth: ImagePoses) -> float:
     """Mean distance of the camera centres from the true ones after the best similarity."""
     centres, true = found.cam_from_world.centre, truth.cam_from_world.centre

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from camera_models import Calibration, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
@@ -25,6 +27,8 @@ from omnilines.report import write_report
 from omnilines.structure.families import line_families
 
 WORK, STAMP = "work", "done.json"
+HARDLY_EXPLAINED = 0.4
+"""Of the share of arcs that lines explain in the median photo: below it a photo is named."""
 
 
 def reconstruct_photos(
@@ -131,7 +135,22 @@ def _of_poses(source: str, posed: PhotoPoses, scene: PhotoScene) -> tuple[str, .
     lost = {name: why for name, why in posed.left_out.items() if name not in known}
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
     doubts = doubt(len(lost), len(known) + len(lost)) if source == "sfm" else ()
-    return (*lost.values(), *([by_lines] if placed else []), *posed.notes, *doubts)
+    return (*lost.values(), *([by_lines] if placed else []), *posed.notes, *doubts, *_hardly_explained(scene))
+
+
+def _hardly_explained(scene: PhotoScene) -> tuple[str, ...]:
+    """Which photos show far fewer of the lines than others do: a wrong pose explains arcs by chance only."""
+    arcs = np.bincount(scene.segments.image, minlength=len(scene.segments.images))
+    shown = np.bincount(scene.segments.image[scene.supported >= 0], minlength=len(arcs))
+    share = shown / np.maximum(arcs, 1)
+    few = np.flatnonzero((share < HARDLY_EXPLAINED * np.median(share)) & (arcs > 0))
+    if not len(few):
+        return ()
+    names = ", ".join(f"{scene.segments.images[k]} ({shown[k]} of {arcs[k]})" for k in few.tolist())
+    return (
+        f"Lines explain few of the arcs of {names}; half of the photos have {100 * np.median(share):.0f} % explained or more. "
+        "Their poses may be wrong, or they show what others do not.",
+    )
 
 
 def refined_cameras(cameras: Calibration, scene: PhotoScene) -> Calibration:
