@@ -22,13 +22,14 @@ from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
 from omnilines.matching.known_lines import KnownLines
 from omnilines.matching.tracks import MOST_CHI_SQUARE, REACH_PX
 
-REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12))
-"""Arcs are given to lines that lie so near, one after the other."""
+REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12, 0.0))
+"""Arcs are given to lines that lie so near, one after the other; in the end, to those as near as their noise allows."""
 STEPS = 3
 """Refinements for each reach."""
 REACH_SIGMAS = 3.0
 """A reach is so many standard deviations of what is left of the error of the pose."""
 BEND = 2.0
+"""Standard deviations at which a residual counts half (Cauchy loss)."""
 LEAST_ARCS = 4
 """Three determine a pose in general, and nothing tells whether they are right."""
 
@@ -46,16 +47,10 @@ class PlacedByLines:
     """Of `KnownLines`."""
 
 
-def refined_by_lines(arcs: ViewedArcs, known: KnownLines, first_reach_rad: float = REACHES_RAD[0]) -> PlacedByLines | None:
+def refined_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | None:
     """The pose of the one photo of `arcs` near the one it has; None where lines near it do not determine one."""
-    for reach in (reach for reach in REACHES_RAD if reach <= first_reach_rad):
-        for _ in range(STEPS):
-            moved = _step(arcs, known, reach)
-            if moved is None:
-                return None
-            arcs = moved
-    for _ in range(STEPS):
-        moved = _step(arcs, known, 0.0)
+    for reach in np.repeat(REACHES_RAD, STEPS).tolist():
+        moved = _step(arcs, known, reach)
         if moved is None:
             return None
         arcs = moved
@@ -88,13 +83,13 @@ def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs |
     arc, line = known.near(arcs, np.maximum(REACH_SIGMAS * spread.max(-1), REACH_PX * arcs.px_rad))
     alike = known.looks_like(arcs, arc, line)
     likely = alike >= LEAST_LIKENESS
-    arc, line, alike = arc[likely], line[likely], alike[likely]
-    residual, jacobian = _linearised(arcs, known, arc, line)
-    arc_, line_, _ = _best(arc, line, alike, (residual / spread[arc]).__pow__(2).sum(-1))
-    if len(arc_) < LEAST_ARCS:
+    arc, line = arc[likely], line[likely]
+    distance, _ = _linearised(arcs, known, arc, line)
+    arc, line, _ = _best(arc, line, alike[likely], ((distance / spread[arc]) ** 2).sum(-1))
+    if len(arc) < LEAST_ARCS:
         return None
-    residual, jacobian = _linearised(arcs, known, arc_, line_)
-    residual, jacobian = residual / spread[arc_], jacobian / spread[arc_][..., None]
+    residual, jacobian = _linearised(arcs, known, arc, line)
+    residual, jacobian = residual / spread[arc], jacobian / spread[arc][..., None]
     weight = 1.0 / (1.0 + (residual / BEND) ** 2)
     normal = np.einsum("nki,nk,nkj->ij", jacobian, weight, jacobian)
     unit = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
@@ -109,6 +104,7 @@ def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs |
 def _linearised(
     arcs: ViewedArcs, known: KnownLines, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2 6"]]:
+    """h of both ends of arcs from lines, and its derivative by the left perturbation of the pose."""
     rotation, shift = arcs.poses.rotation[0].numpy(), arcs.poses.translation[0].numpy()
     direction = known.direction[line] @ rotation.T
     moment = known.moment[line] @ rotation.T + np.cross(shift, direction)
