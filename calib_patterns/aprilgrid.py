@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid, bit_rectangles
 from calib_patterns._pattern import format_length_mm, parse_length
-from calib_patterns.corner_growth import CornerKind
+from calib_patterns.corner_kind import CornerKind
 from calib_patterns.saddle import WINDOW_SQUARES
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily

@@ -35,6 +35,8 @@ def matched(
     `search`: the photo in 8 bits in which the piece was found, not mirrored; `x_m`, `y_m`: the lines that the board's corners lie
     on, and the ends of the outermost cells, ascending.
     """
+    if not len(piece.places):
+        return None
     low = piece.places.min(0)
     wide, tall = np.ptp(piece.places, axis=0) + 1
     grid = np.full((tall, wide, 2), np.nan)

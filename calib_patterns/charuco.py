@@ -15,7 +15,9 @@ from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid, bit_rectangles
 from calib_patterns._pattern import format_length_mm, parse_length
-from calib_patterns.corner_growth import CornerKind
+from calib_patterns.corner_kind import CornerKind, squares_kind
+from calib_patterns.partial import grown, own
+from calib_patterns.saddle_points import Lattice
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
@@ -124,12 +126,22 @@ class ChArUco(TagBoard):
             black.append(bit_rectangles(self.family.bits(tag), float(left), float(top), self.marker_m))
         return CellGrid.of_rectangles(np.concatenate(black))
 
+    @property
+    def _strip(self) -> float:
+        """How far from their sides fits look into white squares, in squares."""
+        return _PLAIN_SHARE * 0.5 * (1.0 - self.marker_m / self.square_m)
+
     @cached_property
     def corner_kind(self) -> CornerKind:
         corners = self.points_m[:, :2]
         column, row = np.rint(corners / self.square_m).astype(np.int64).T
-        sign = np.where((column + row) % 2 == 1, 1.0, -1.0)
-        strip = _PLAIN_SHARE * 0.5 * (1.0 - self.marker_m / self.square_m)
-        # White quadrants are (+, +) and (-, -) where the sign is positive, the other two elsewhere; black ones hold no tag.
-        diagonal = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
-        return CornerKind(corners, sign, np.where(diagonal, strip, np.inf), self.square_m, self.square_m)
+        return squares_kind(corners, np.where((column + row) % 2 == 1, 1.0, -1.0), self.square_m, self._strip)
+
+    def _with_more_corners(self, grey: np.ndarray, piece: Lattice, factors: Float[np.ndarray, "2"]) -> Lattice:
+        if len(piece.places) > self.nx * self.ny:
+            return piece
+        # The corners of all squares are alike: no id is needed to find those around a piece. What is invented at the end of the
+        # board does not matter, since they are found once more with their ids.
+        found, places = grown(grey, piece, factors, self.nx - 1, self.ny - 1, strip=self._strip, strict=False)
+        kept = own(places, self.nx - 1, self.ny - 1)
+        return Lattice((found.pixels[kept] + 0.5) / factors - 0.5, places[kept], piece.bright)

@@ -5,34 +5,27 @@ what is known, and the next ones are predicted from them, until nothing is gaine
 show.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from calib_patterns._pattern import Detection
+from calib_patterns.corner_kind import MIN_CLEARNESS, CornerKind, accepted
 from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, LocalMap, disagreement, local_map
-from calib_patterns.saddle import MAX_SIGMA_PX, SETTLED_GRID_PX, SETTLED_PX, SaddleFit, fit_corners
+from calib_patterns.saddle import SETTLED_GRID_PX, SETTLED_PX, SaddleFit
 
 MAX_PREDICTION_SIGMA = 0.25
 """Corners are looked for where the map is this certain, in squares."""
 MAX_GUESS_SIGMA, MAX_GUESS_STEP, ALIKE = 1.0, 0.25, 1.4
 """Where nothing certain is left, less certain predictions are tried too, in squares; corners found there have to be nearer to
 them and as contrasted and clear as the others, within this factor."""
-MAX_STEP = 0.4
-"""How far from its prediction a corner may be, in squares."""
-MIN_CLEARNESS = 3.5
-"""Contrast of a corner over what its fit leaves."""
-MIN_CONTRAST = 0.2
-"""Contrast of a corner, as a share of the median."""
-MAX_BLUR, LIKE_BLUR, MAX_LIKE_BLUR, MUCH_BLUR = 0.24, 1.3, 0.3, 3.0
-"""Standard deviation of the profile across an edge: in squares; over the usual one and in squares where that is as wide; and how
-many times the usual one it is nowhere."""
 MIN_NARROW_PX = 8.0
 """Squares that are at least this wide are also tried with half the window."""
-MUCH_MORE = 1.5
-"""Fits that leave this many times what others do have something in their window that is not of the corner."""
+MORE, MUCH_MORE = 1.2, 1.5
+"""Fits that leave these many times what others do have something in their window that is not of the corner: of the same corner
+without the insides of its squares (0.95 to 1.05 where these are of one colour), and of other corners or half the window."""
 AS_CLEAR = 0.25
 """Contrast over what its fit leaves, as a share of what that is among the corners around it: beyond the end of a board a blurred
 edge fits like a poor corner."""
@@ -43,59 +36,8 @@ MOST_SIGMA = 10.0
 SETTLED_SHARE = 0.04
 """A fit has settled when a step is shorter than this share of the usual standard deviation of corners."""
 MIN_CORNERS = 4
-_MAX_ROUNDS = 30
+_MAX_ROUNDS, _MAX_FINISHES = 30, 3
 _FIELDS = ("pixels", "sigma_px", "contrast", "residual", "blur_px", "converged")
-
-
-@dataclass(frozen=True)
-class CornerKind:
-    """What the print looks like around its corners, for `fit_corners` and for telling a corner from what is none."""
-
-    corners_m: Float[np.ndarray, "n 2"]
-    sign: Float[np.ndarray, " n"]
-    """+1 where the quadrant towards +x and +y is white, -1 where it is black."""
-    plain: Float[np.ndarray, "n 2 2"]
-    """See `fit_corners`."""
-    square_m: float
-    """Side of the squares around the corners, which the windows are sized by."""
-    spacing_m: float
-    """Typical distance of neighbouring corners, the unit of the local map."""
-
-    def at(self, chosen: Int[np.ndarray, " k"]) -> "CornerKind":
-        """Some of the corners."""
-        return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
-
-    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float, settled_px: float = SETTLED_PX) -> SaddleFit:
-        """The saddles near the predicted places."""
-        share = self.square_m / self.spacing_m
-        first, second = places.first * share, places.second * share**2
-        return fit_corners(
-            grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
-        )
-
-    def narrowed(self) -> "CornerKind":
-        """With windows of half the width."""
-        return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain)
-
-    def square_px(self, places: LocalMap) -> Float[np.ndarray, " n"]:
-        """Width of the squares in the photo, where they are the most foreshortened."""
-        return places.spacing_px * self.square_m / self.spacing_m
-
-
-def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float, blur_px: float) -> Bool[np.ndarray, " n"]:
-    """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, near their
-    prediction, and no more blurred than their squares are wide or, where the usual `blur_px` (infinite while nothing is known) is
-    about that, than the others.
-    """
-    strength = kind.sign * fit.contrast
-    square_px = kind.square_px(places)
-    clear = (strength > MIN_CLEARNESS * fit.residual) & (strength > MIN_CONTRAST * contrast)
-    near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(MAX_STEP * square_px, 2.0)
-    alike = np.minimum(LIKE_BLUR * blur_px, MAX_LIKE_BLUR * square_px)
-    widest = np.minimum(np.maximum(MAX_BLUR * square_px, 1.4), max(MUCH_BLUR * blur_px, 1.4))
-    sharp = fit.blur_px.max(1) < np.maximum(widest, alike)
-    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < MAX_SIGMA_PX)
-    return good
 
 
 def _inside(pixels: Float[np.ndarray, "n 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
@@ -110,6 +52,8 @@ class _Growth:
     grey: np.ndarray
     kind: CornerKind
     seeds: KnownCorners
+    strict: bool
+    """See `grow_corners`."""
     good: Bool[np.ndarray, " n"]
     fit: SaddleFit
 
@@ -198,23 +142,37 @@ class _Growth:
                 self.look(missing[ahead], _at(places, ahead), narrow=True)
                 self.drop_what_disagrees()
 
+    def finish(self) -> None:
+        """What needs the others for comparison, until nothing changes: once wrong corners are gone, right ones may be found."""
+        for _ in range(_MAX_FINISHES):
+            before = self.good.copy()
+            self.grow()
+            if self.strict:
+                self.settle()
+            self.look_closely()
+            self.look_again()
+            self.drop_what_is_unclear()
+            self.drop_what_disagrees()
+            if (self.good == before).all():
+                break
+
     def look_again(self) -> None:
-        """Fit corners that leave more than others do with half the window: the next edge may be nearer than a square away. The
-        smaller window is taken where it leaves clearly less."""
-        if not self.good.any():
-            return
-        usual = float(np.median(self.fit.residual[self.good]))
-        chosen = np.flatnonzero(self.good & (self.fit.residual > MUCH_MORE * usual))
+        """Fit the corners without the insides of the squares, which may hold a tag. Those that then still leave more than others
+        are fitted with half the window: the next edge may be nearer than a square away. What leaves clearly less is taken."""
+        chosen = np.flatnonzero(self.good)
         if not chosen.size:
             return
         places = local_map(self.known(), self.kind.corners_m[chosen], self.kind.spacing_m)
-        wide = self.kind.square_px(places) >= MIN_NARROW_PX
-        chosen, places = chosen[wide], _at(places, wide)
-        if not chosen.size:
-            return
-        kind = self.kind.at(chosen).narrowed()
+        self.take_if_clearer(self.kind.at(chosen).along_edges(), chosen, places, MORE)
+        much = self.fit.residual[chosen] > MUCH_MORE * np.median(self.fit.residual[chosen])
+        much &= self.kind.square_px(places) >= MIN_NARROW_PX
+        if much.any():
+            self.take_if_clearer(self.kind.at(chosen[much]).narrowed(), chosen[much], _at(places, much), MUCH_MORE)
+
+    def take_if_clearer(self, kind: CornerKind, chosen: Int[np.ndarray, " k"], places: LocalMap, more: float) -> None:
+        """Fit the chosen corners with the windows of another kind, and keep what leaves less than before by the factor `more`."""
         fit = kind.fit(self.grey, places, self.blur_px, self.settled_px)
-        better = accepted(kind, fit, places, self.contrast, self.blur_px) & (self.fit.residual[chosen] > MUCH_MORE * fit.residual)
+        better = accepted(kind, fit, places, self.contrast, self.blur_px) & (self.fit.residual[chosen] > more * fit.residual)
         _put(self.fit, chosen[better], _rows(fit, better))
 
     def drop_what_disagrees(self) -> None:
@@ -261,10 +219,12 @@ def _put(fit: SaddleFit, rows: Int[np.ndarray, " k"], new: SaddleFit) -> None:
         getattr(fit, name)[rows] = getattr(new, name)
 
 
-def grow_corners(grey: np.ndarray, kind: CornerKind, seeds: KnownCorners) -> Detection:
+def grow_corners(grey: np.ndarray, kind: CornerKind, seeds: KnownCorners, *, strict: bool = False) -> Detection:
     """Every corner of a board that a photo shows, grown from known places of the board; ids are rows of `kind`.
 
     `grey`: (h, w) of any depth, the board seen from its front. `seeds`: at least three places, known to about a pixel.
+    `strict`: each round of growth is settled before the next, which loses some blurred corners. That is for a `kind` that goes on
+    beyond the end of the board, where edges of squares and margin look like poor corners.
     """
     count = len(kind.corners_m)
     none = SaddleFit(
@@ -275,15 +235,11 @@ def grow_corners(grey: np.ndarray, kind: CornerKind, seeds: KnownCorners) -> Det
         np.ones((count, 2)),
         np.zeros(count, dtype=bool),
     )
-    growth = _Growth(grey, kind, seeds, np.zeros(count, dtype=bool), none)
-    growth.grow()
-    growth.settle()
-    growth.grow()
-    growth.settle()
-    growth.look_closely()
-    growth.look_again()
-    growth.drop_what_is_unclear()
-    growth.drop_what_disagrees()
+    growth = _Growth(grey, kind, seeds, strict, np.zeros(count, dtype=bool), none)
+    for _ in range(1 if strict else 2):
+        growth.grow()
+        growth.settle()
+    growth.finish()
     ids = np.flatnonzero(growth.good)
     # What lies half under something else fits, but far worse than the rest.
     ids = ids[growth.fit.sigma_px[ids] < MOST_SIGMA * np.median(growth.fit.sigma_px[ids])] if len(ids) else ids

@@ -19,7 +19,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection, Pattern, check_image
-from calib_patterns.corner_growth import MIN_CORNERS, MIN_NARROW_PX, CornerKind, accepted
+from calib_patterns.corner_growth import MIN_CORNERS, MIN_NARROW_PX
+from calib_patterns.corner_kind import CornerKind, accepted
 from calib_patterns.detection import grey_of
 from calib_patterns.local_map import KnownCorners, LocalMap, local_map
 from calib_patterns.pose_refit import FREEDOM, refit_pose, robust_scale_px

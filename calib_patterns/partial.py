@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection
-from calib_patterns.corner_growth import CornerKind, grow_corners
+from calib_patterns.corner_growth import grow_corners
+from calib_patterns.corner_kind import squares_kind
 from calib_patterns.grid_checks import GOES_ON
 from calib_patterns.local_map import KnownCorners
 from calib_patterns.saddle_points import POINT_SIGMA_PX, Lattice, lattices, quarter_turn, saddle_points
@@ -42,15 +43,15 @@ def visible_part(
     """
     flaw = None
     for piece in lattices(saddle_points(search), LEAST_CORNERS, MOST_PIECES):
-        kept = _own(piece.places, nx, ny)
+        kept = own(piece.places, nx, ny)
         piece = Lattice(piece.pixels[kept], piece.places[kept], piece.bright)
         if not _has_block(piece.places):
             continue
         if len(piece.places) > (nx + 2) * (ny + 2):
             flaw = flaw or GOES_ON
             continue
-        found, places = _grown(grey, piece, (piece.pixels + 0.5) * factors - 0.5, float(factors.max()), nx, ny)
-        kept = _own(places, nx, ny)
+        found, places = grown(grey, piece, factors, nx, ny)
+        kept = own(places, nx, ny)
         if not _has_block(places[kept]):
             continue
         if not _fits(places[kept], nx, ny):
@@ -85,7 +86,7 @@ def _has_block(places: Int[np.ndarray, "m 2"]) -> bool:
     return bool(np.lib.stride_tricks.sliding_window_view(grid, (3, 3)).all((2, 3)).any())
 
 
-def _own(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> Bool[np.ndarray, " m"]:
+def own(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> Bool[np.ndarray, " m"]:
     """Which corners are left without sparse rows and columns at the border, taken off while they are too many for the board."""
     kept = np.ones(len(places), dtype=bool)
     while kept.any() and not _fits(places[kept], nx, ny):
@@ -102,20 +103,31 @@ def _own(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> Bool[np.ndarray, "
     return kept
 
 
-def _grown(
-    grey: np.ndarray, piece: Lattice, pixels: Float[np.ndarray, "m 2"], factor: float, nx: int, ny: int
+def grown(
+    grey: np.ndarray,
+    piece: Lattice,
+    factors: Float[np.ndarray, "2"],
+    nx: int,
+    ny: int,
+    *,
+    strip: float = 1.0,
+    strict: bool = True,
 ) -> tuple[Detection, Int[np.ndarray, "k 2"]]:
-    """The corners of the piece, of what the board can have around it and of one row and column more, fitted, with their places:
-    a board that goes on shows it there."""
+    """The corners of a piece, of what a board of nx x ny can have around it and of one row and column more, fitted, with their
+    places: a board that goes on shows it there.
+
+    `factors` as in `visible_part`; `strip`: how far the white squares are plain along their sides, in squares;
+    `strict` as in `grow_corners`.
+    """
     extent, low = _extent(piece.places), piece.places.min(0)
     ways = np.array([way for way in ((nx, ny), (ny, nx)) if (extent <= way).all()] or [(0, 0)])
     around = np.maximum((ways - extent).max(0), 0) + 1
     columns, rows = (np.arange(low[k] - around[k], low[k] + extent[k] + around[k]) for k in (0, 1))
     places = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
-    sign = _signs(places, piece.bright)
-    kind = CornerKind(places.astype(np.float64), sign, np.ones((len(places), 2, 2)), 1.0, 1.0)
-    seeds = KnownCorners(piece.places.astype(np.float64), pixels, np.full(len(pixels), POINT_SIGMA_PX * factor))
-    found = grow_corners(grey, kind, seeds)
+    kind = squares_kind(places.astype(np.float64), _signs(places, piece.bright), 1.0, strip)
+    pixels = (piece.pixels + 0.5) * factors - 0.5
+    seeds = KnownCorners(piece.places.astype(np.float64), pixels, np.full(len(pixels), POINT_SIGMA_PX * float(factors.max())))
+    found = grow_corners(grey, kind, seeds, strict=strict)
     return found, places[found.ids]
 
 

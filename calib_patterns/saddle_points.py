@@ -76,9 +76,9 @@ def quarter_turn(times: int) -> Int[np.ndarray, "2 2"]:
     return np.asarray(np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), times))
 
 
-def saddle_points(grey: np.ndarray) -> SaddlePoints:
-    """The strongest saddle points of an 8-bit photo (h, w), one for each place."""
-    found = [_at_scale(grey.astype(np.float32), sigma) for sigma in SCALES_PX]
+def saddle_points(grey: np.ndarray, scales_px: tuple[float, ...] = SCALES_PX) -> SaddlePoints:
+    """The strongest saddle points of an 8-bit photo (h, w) at some scales, one for each place."""
+    found = [_at_scale(grey.astype(np.float32), sigma) for sigma in scales_px]
     points = SaddlePoints(*(np.concatenate([getattr(part, name) for part in found]) for name in _FIELDS))
     order = np.argsort(-points.response)[:MOST_PEAKS]
     if not order.size:

@@ -5,15 +5,16 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from calib_patterns._cells import CellGrid
 from calib_patterns._pattern import Detection, Pattern, check_image
 from calib_patterns.board_match import matched
-from calib_patterns.corner_growth import MIN_CORNERS, CornerKind, grow_corners
+from calib_patterns.corner_growth import MIN_CORNERS, grow_corners
+from calib_patterns.corner_kind import CornerKind
 from calib_patterns.detection import LEAST_SIDE_PX, grey_of, searched, stretched, why_not
 from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, local_map
-from calib_patterns.partial import LEAST_CORNERS, MOST_PIECES
-from calib_patterns.saddle_points import lattices, saddle_points
+from calib_patterns.saddle_points import SAME_PLACE_PX, SCALES_PX, Lattice, lattices, saddle_points
 from calib_patterns.tag_decoding import likeness
 from calib_patterns.tags import TagFamily, codes_of, find_tags, tag_corners
 
@@ -21,6 +22,14 @@ LEAST_LIKENESS = 0.4
 """Of the tags of a board to what is seen in their places: their own reach 0.5 with blur of 2 px and bits of 1.3, others 0.2."""
 CERTAIN_TAG = 0.1
 """A tag's corners are known when their standard deviation is below this share of its side."""
+LEAST_SEEDS, MOST_PIECES = 4, 6
+"""Corners of a piece that may lead to the others: a square; and such pieces that are tried at each set of scales."""
+_SCALES_PX = (SCALES_PX, *((scale,) for scale in SCALES_PX))
+"""All together, then each alone: where squares are small, the bits of tags are saddle points of the finer scales that lie between
+the corners."""
+MUCH, MOST_GROWN = 0.5, 3
+"""No more pieces are tried once one with this share of the board's corners, or so many that had more corners around them, look
+like no part of it: the photo shows another board, or texture."""
 FEW = 0.9
 """With a smaller share of the corners than this the board is also looked for without reading its tags."""
 
@@ -64,7 +73,8 @@ class TagBoard(Pattern):
         return self.cells.reflectance(points_m, footprint_m)
 
     def detect(self, image: np.ndarray, *, mirrored: bool = False) -> tuple[Detection, str | None]:
-        """Every visible corner with its id; part of the board is enough, from one tag with its corners on."""
+        """Every visible corner with its id; part of the board is enough, from one tag with its corners on, or two
+        where tags have few bits."""
         check_image(image)
         grey = grey_of(image)
         if min(grey.shape) < LEAST_SIDE_PX:
@@ -85,8 +95,8 @@ class TagBoard(Pattern):
         return found, None
 
     def _grown(self, grey: np.ndarray, seeds: KnownCorners) -> Detection:
-        """The corners grown from known places, none where the tags among them are not those of the board: clutter reads as a tag
-        now and then, and corners of boards with other tags are alike."""
+        """The corners grown from known places, none where the tags among them are not seen to be those of the board: clutter
+        reads as a tag now and then, and corners of boards with other tags are alike."""
         found = grow_corners(grey, self.corner_kind, seeds)
         if not len(found):
             return found
@@ -98,7 +108,7 @@ class TagBoard(Pattern):
         inside = ((quads >= 0) & (quads <= np.array(grey.shape[::-1]) - 1)).all((1, 2))
         tags = np.flatnonzero(inside & (sigma_px < CERTAIN_TAG * side_px))
         if not len(tags):
-            return found
+            return Detection.empty()
         alike = likeness(stretched(grey), quads[tags], codes_of(self.family, len(quads)), tags)
         return found if alike > LEAST_LIKENESS else Detection.empty()
 
@@ -109,12 +119,25 @@ class TagBoard(Pattern):
         `grey`: (h, w) of any depth, not mirrored.
         """
         search, factors = searched(grey)
-        for piece in lattices(saddle_points(search), LEAST_CORNERS, MOST_PIECES):
-            seeds = matched(search, piece, self, *self.lines_m)
-            if seeds is not None:
-                pixels = (seeds.pixels + 0.5) * factors - 0.5
-                return KnownCorners(seeds.board_m, pixels, seeds.sigma_px * float(factors.max()))
+        tried, grown = np.zeros((0, 2)), 0
+        for scales_px in _SCALES_PX:
+            for piece in lattices(saddle_points(search, scales_px), LEAST_SEEDS, MOST_PIECES):
+                # Part of what did not stand out does so even less.
+                if len(tried) and np.max(cKDTree(tried).query(piece.pixels)[0]) < SAME_PLACE_PX:
+                    continue
+                whole = self._with_more_corners(grey, piece, factors)
+                seeds = matched(search, whole, self, *self.lines_m)
+                if seeds is not None:
+                    pixels = (seeds.pixels + 0.5) * factors - 0.5
+                    return KnownCorners(seeds.board_m, pixels, seeds.sigma_px * float(factors.max()))
+                tried, grown = np.concatenate([tried, whole.pixels]), grown + (len(whole.places) > len(piece.places))
+                if grown == MOST_GROWN or len(whole.places) >= MUCH * len(self.points_m):
+                    return None
         return None
+
+    def _with_more_corners(self, grey: np.ndarray, piece: Lattice, factors: Float[np.ndarray, "2"]) -> Lattice:
+        """A piece with the corners around it, where they can be found without ids; `grey` and `factors` as in `visible_part`."""
+        return piece
 
     def _why_not(self, grey: np.ndarray, *, tags_found: bool) -> str:
         if tags_found:

@@ -5,6 +5,7 @@ Any dictionary of few bits decodes some of the clutter of a photo, so a tag coun
 of which lies where the local affine maps of its neighbours expect it.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -67,6 +68,8 @@ class _Search:
 
 _SEARCHES = (_Search(1.0, 1), _Search(2.0, 2), _Search(0.5, 1))
 """`widen` for tags that touch other black."""
+LEAST_EVIDENCE_BITS = 12.0
+"""What tags that agree have to exceed chance by. A single tag of 16 bits reaches 9 on a board of 30 tags, one of 25 bits 13."""
 _CORRECTED_SHARE = 0.6
 """Of the wrong bits that a dictionary could put right: clutter reads as a tag less often."""
 
@@ -129,19 +132,32 @@ def _unshrunk(pixels: Float[np.ndarray, "n 4 2"], widen: int) -> Float[np.ndarra
 
 
 def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
-    """The tags of a board in a photo of 8 bits, each at most once, none that disagrees with the others.
+    """The tags of a board in a photo of 8 bits, each at most once, none that disagrees with the others, and so many that chance
+    does not explain them: two of the tags of 16 bits, one of most others. None where most tags disagree, as they do on a board
+    of another number of squares.
 
     `board_m`: the corners of every tag of the board, in OpenCV's order, rows by id. The search ends when all are found, or some
     and then no more.
     """
-    found = kept = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+    found = kept = none = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
     for tags in _searched(image, family, len(board_m)):
         before = len(kept.ids)
         found = Tags(*(np.concatenate(columns) for columns in _columns(found, tags)))
         kept = _agreeing(found, board_m)
         if len(kept.ids) == len(board_m) or len(kept.ids) == before > 0:
             break
-    return kept
+    most = 2 * len(kept.ids) >= len(np.unique(found.ids))
+    return kept if most and _evidence_bits(kept, family, len(board_m)) > LEAST_EVIDENCE_BITS else none
+
+
+def _evidence_bits(tags: Tags, family: TagFamily, count: int) -> float:
+    """By how many bits tags that agree exceed what random bits read as: the id and the turn of the first are free, of the others
+    given by their places."""
+    if not len(tags.ids):
+        return 0.0
+    bits = family.opencv.markerSize**2
+    alike = sum(math.comb(bits, wrong) for wrong in range(codes_of(family, count).max_wrong_bits + 1))
+    return len(tags.ids) * (bits - math.log2(alike)) - math.log2(4 * count)
 
 
 def _columns(a: Tags, b: Tags) -> tuple[tuple[np.ndarray, np.ndarray], ...]:

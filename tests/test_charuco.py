@@ -1,14 +1,20 @@
 """ChArUco boards: OpenCV's geometry, print and numbering; detection through wide lenses, whole and in part."""
 
+import math
+
 import cv2
 import numpy as np
 import pytest
+import torch
 from tag_views import CAMERAS, check_partial, views
 
 import calib_patterns
+from calib_patterns.board_poses import random_board_poses
 from calib_patterns.charuco import TAGS_OF_DICTIONARY, ChArUco
 from calib_patterns.rendering import render_target
+from calib_patterns.tags import find_tags
 from camera_models.errors import InputError
+from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 
@@ -89,6 +95,33 @@ def test_one_tag_with_its_corners_is_enough() -> None:
     found, reason = BOARD.detect(np.ascontiguousarray(view.image[low[1] : high[1], low[0] : high[0]]))
     assert reason is None and set(np.arange(48).reshape(6, 8)[1:4, 2:5].ravel()) <= set(found.ids)
     assert np.linalg.norm(found.pixels + low - view.truth[found.ids], axis=1).max() < 0.3
+
+
+def test_squares_lead_where_no_tag_can_be_read() -> None:
+    """Squares of 12 px near the rim, blurred, of which four corners in a square are all that the search for pieces finds: others
+    are grown around them, and all tags together tell which part of the board it is. Not with the tags of other dictionaries."""
+    model = OpenCVFisheye([230.0, 230.0, 639.5, 479.5, 0.01, -0.002, 0.0005, 0.0], (1280, 960))
+    pose = random_board_poses(BOARD, model, 8, math.radians(108.0), min_spacing_px=12.0, seed=77)[3]
+    image = render_target(BOARD, model, pose, blur_px=1.2, noise_grey=5.0, vignetting=0.2, seed=3)
+    assert isinstance(BOARD, ChArUco)
+    assert len(find_tags(image, BOARD.family, BOARD.tag_corners_m).ids) == 0
+    truth = model.project(pose.transform(torch.as_tensor(BOARD.points_m)))[0].numpy()
+    found, reason = BOARD.detect(image)
+    assert reason is None and found.ids.tolist() == list(range(48))
+    assert np.abs(found.pixels - truth).max() < 0.25
+    others = ("DICT_6X6_250", "DICT_ARUCO_ORIGINAL")
+    for dictionary in others:
+        assert len(calib_patterns.pattern(f"charuco:9x7:30mm:22mm:{dictionary}").detect(image)[0]) == 0
+    assert len(others) == 2
+
+
+@pytest.mark.parametrize("size", ["10x7", "7x9", "12x9"])
+def test_a_board_of_another_size_is_refused(size: str) -> None:
+    """Its tags are read, but most of them lie elsewhere on the board."""
+    found, reason = calib_patterns.pattern(f"charuco:{size}:30mm:22mm:DICT_5X5_100").detect(
+        views(SPEC, "fisheye-190", 4, 12.0)[1].image
+    )
+    assert len(found) == 0 and reason is not None
 
 
 def test_sigma_states_the_error() -> None:

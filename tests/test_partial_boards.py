@@ -14,6 +14,7 @@ from calib_patterns import pattern
 from calib_patterns._pattern import Detection
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.grid_checks import flaw_of, good_corners
+from calib_patterns.partial import visible_part
 from calib_patterns.rendering import render_target
 from calib_patterns.saddle import fit_corners, fit_saddles
 from calib_patterns.saddle_kernel import BUFFER_ROWS, JACOBIAN, LEFT, linearised
@@ -111,7 +112,7 @@ def test_a_board_of_fewer_corners_is_a_part_of_a_larger_one() -> None:
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.full)])
 def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
-    """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 3 are not found, 5.1 percent
+    """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 2 are not found, 4.9 percent
     are found farther off. Most of those are the list's error. In the board's outermost rows, which are cut off, corners lie 0.2
     to 0.4 mm inside their grid where both tools agree, and by ours elsewhere too. At the dark rim the list drifts outwards by up
     to 0.4 px from where the corners on which both agree say, ours by 0.05."""
@@ -131,7 +132,37 @@ def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
             design = np.concatenate([np.rint(corners.board_m[theirs, :2] / 0.0075), np.ones((len(hit), 1))], 1)[hit]
             np.testing.assert_allclose(design @ np.linalg.lstsq(design, places, rcond=None)[0], places, atol=1e-6)
             listed, near, photos = listed + len(hit), near + int(hit.sum()), photos + 1
-    assert photos >= 4 and near >= 0.945 * listed and found_at_all >= 0.998 * listed, (near, found_at_all, listed)
+    assert photos >= 4 and near >= 0.95 * listed and found_at_all >= 0.998 * listed, (near, found_at_all, listed)
+
+
+def board_with_tags(seed: int, square_px: int = 40) -> np.ndarray:
+    """Squares in 9 columns and 8 rows within a white margin; every other black one has white bits inside a border of 2/8."""
+    rng, cell = np.random.default_rng(seed), square_px // 8
+    light = np.kron(np.indices((8, 9)).sum(0) % 2, np.ones((square_px, square_px)))
+    for row, column in np.argwhere((np.indices((8, 9)).sum(0) % 4) == 0):
+        inside = np.s_[row * square_px + 2 * cell :, column * square_px + 2 * cell :]
+        light[inside][: 4 * cell, : 4 * cell] = np.kron(rng.integers(0, 2, (4, 4)), np.ones((cell, cell)))
+    return np.pad(np.where(light > 0, 220, 20).astype(np.uint8), square_px, constant_values=220)
+
+
+@pytest.mark.parametrize("square_px", [13.0, 16.0])
+def test_tags_inside_squares_do_not_move_corners(square_px: float) -> None:
+    """A plain board with tags in its black squares, as `ov_plane`: their bits drew corners away by 0.11 and 0.06 px RMS."""
+    x, y = np.meshgrid(np.arange(1, 9), np.arange(1, 8))
+    drawn = np.stack([x, y], -1).reshape(-1, 2) * 40.0 + 39.5
+    errors = []
+    for seed in range(4):
+        scale, angle, rng = square_px / 40.0, math.radians(10 + 17 * seed), np.random.default_rng(seed)
+        along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-0.8 * math.sin(angle), 0.9 * math.cos(angle)])
+        matrix = np.column_stack([scale * along, scale * across, [150.0, 40.0]])
+        soft = cv2.GaussianBlur(board_with_tags(seed), (0, 0), 1.2 / scale)
+        image = cv2.warpAffine(soft, matrix, (400, 320), borderValue=128.0) + rng.normal(0.0, 1.5, (320, 400))
+        search = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        found, flaw = visible_part(search, search, np.ones(2), 8, 7, False)
+        assert found is not None and flaw is None and len(found) == 56
+        truth = drawn @ matrix[:, :2].T + matrix[:, 2]
+        errors.append(np.linalg.norm(found.pixels[:, None] - truth, axis=-1).min(1))
+    assert len(errors) == 4 and np.sqrt((np.concatenate(errors) ** 2).mean() / 2) < 0.04
 
 
 def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:

@@ -121,6 +121,21 @@ def test_cells_merge_edges_that_only_rounding_sets_apart() -> None:
     np.testing.assert_allclose(thin, [0.5, 0.0, 1.0], atol=1e-9)
 
 
+def test_one_tag_of_few_bits_is_no_evidence() -> None:
+    """Sixteen bits are read in clutter now and then, thirty-six are not."""
+    board = np.array([[[k % 3, k // 3]] for k in range(30)]) + 0.6 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    counts = {}
+    for name in ("16h5", "36h11"):
+        family = TagFamily(f"APRILTAG_{name}", 2, touching=False)
+        image = np.full((200, 400), 220, dtype=np.uint8)
+        for tags in (1, 2):
+            cells = np.kron(family.bits(tags - 1), np.ones((8, 8)))
+            left = 40 + int((tags - 1) * len(cells) / 0.6)
+            image[40 : 40 + len(cells), left : left + len(cells)] = np.where(cells, 30, 220)
+            counts[name, tags] = len(find_tags(image, family, board).ids)
+    assert counts == {("16h5", 1): 0, ("16h5", 2): 2, ("36h11", 1): 1, ("36h11", 2): 2}
+
+
 def test_opencv_and_our_reading_agree() -> None:
     """On OpenCV's own picture of a tag, turned and scaled."""
     matrix = cv2.getRotationMatrix2D((70, 70), 33.0, 0.8)

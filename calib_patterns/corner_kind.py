@@ -1,0 +1,82 @@
+"""What the print looks like around the corners of a board, and which fits are corners of that kind."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from calib_patterns.local_map import LocalMap
+from calib_patterns.saddle import MAX_SIGMA_PX, SETTLED_PX, WINDOW_SQUARES, SaddleFit, fit_corners
+
+MAX_STEP = 0.4
+"""How far from its prediction a corner may be, in squares."""
+MIN_CLEARNESS = 3.5
+"""Contrast of a corner over what its fit leaves."""
+MIN_CONTRAST = 0.2
+"""Contrast of a corner, as a share of the median."""
+MAX_BLUR, LIKE_BLUR, MAX_LIKE_BLUR, MUCH_BLUR = 0.24, 1.3, 0.3, 3.0
+"""Standard deviation of the profile across an edge: in squares; over the usual one and in squares where that is as wide; and how
+many times the usual one it is nowhere."""
+
+
+@dataclass(frozen=True)
+class CornerKind:
+    """What the print looks like around its corners, for `fit_corners` and for telling a corner from what is none."""
+
+    corners_m: Float[np.ndarray, "n 2"]
+    sign: Float[np.ndarray, " n"]
+    """+1 where the quadrant towards +x and +y is white, -1 where it is black."""
+    plain: Float[np.ndarray, "n 2 2"]
+    """See `fit_corners`."""
+    square_m: float
+    """Side of the squares around the corners, which the windows are sized by."""
+    spacing_m: float
+    """Typical distance of neighbouring corners, the unit of the local map."""
+
+    def at(self, chosen: Int[np.ndarray, " k"]) -> "CornerKind":
+        """Some of the corners."""
+        return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
+
+    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float, settled_px: float = SETTLED_PX) -> SaddleFit:
+        """The saddles near the predicted places."""
+        share = self.square_m / self.spacing_m
+        first, second = places.first * share, places.second * share**2
+        return fit_corners(
+            grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
+        )
+
+    def narrowed(self) -> "CornerKind":
+        """With windows of half the width."""
+        return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain)
+
+    def along_edges(self) -> "CornerKind":
+        """With the pixels within half a window of either edge only, without the insides of the squares."""
+        return replace(self, plain=np.minimum(self.plain, 0.5 * WINDOW_SQUARES))
+
+    def square_px(self, places: LocalMap) -> Float[np.ndarray, " n"]:
+        """Width of the squares in the photo, where they are the most foreshortened."""
+        return places.spacing_px * self.square_m / self.spacing_m
+
+
+def squares_kind(
+    corners_m: Float[np.ndarray, "n 2"], sign: Float[np.ndarray, " n"], square_m: float, strip: float = 1.0
+) -> CornerKind:
+    """The corners of a checkerboard whose black squares are plain, the white ones as far as `strip` squares from their sides."""
+    white = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
+    return CornerKind(corners_m, sign, np.where(white, strip, np.inf), square_m, square_m)
+
+
+def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float, blur_px: float) -> Bool[np.ndarray, " n"]:
+    """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, near their
+    prediction, and no more blurred than their squares are wide or, where the usual `blur_px` (infinite while nothing is known) is
+    about that, than the others.
+    """
+    strength = kind.sign * fit.contrast
+    square_px = kind.square_px(places)
+    clear = (strength > MIN_CLEARNESS * fit.residual) & (strength > MIN_CONTRAST * contrast)
+    near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(MAX_STEP * square_px, 2.0)
+    alike = np.minimum(LIKE_BLUR * blur_px, MAX_LIKE_BLUR * square_px)
+    widest = np.minimum(np.maximum(MAX_BLUR * square_px, 1.4), max(MUCH_BLUR * blur_px, 1.4))
+    sharp = fit.blur_px.max(1) < np.maximum(widest, alike)
+    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < MAX_SIGMA_PX)
+    return good
