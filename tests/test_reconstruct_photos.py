@@ -190,6 +190,7 @@ def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, c
     assert call(room / "photos", tmp_path, tmp_path / "scene", "--tolerance-px", "0.1") == 0
     said = capsys.readouterr().err
     assert "Lines explain few of the arcs of view00.png (" in said and "view01.png" not in said
+    assert "Lines explain few of the arcs of view00.png (" in (tmp_path / "scene" / "report.html").read_text()
 
 
 def off_m(found: ImagePoses, truth: ImagePoses) -> float:

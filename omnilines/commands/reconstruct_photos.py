@@ -121,10 +121,10 @@ def _written(
         write_recording(files[-1], lines, scene.scene.poses, final)
     families = line_families(lines)
     summary = scene_summary(scene, len(photos), families)
-    sections = scene_sections(scene, final, photos, families, summary)
-    files.append(write_report(folder / "report.html", "Line scene", sections))
     skipped = tuple(f"{arcs.photo.name} is skipped: {arcs.reason}" for arcs in found if arcs.reason is not None)
     notes = (*skipped, *_of_poses(poses, posed, scene), *remarks, *summary.notes)
+    sections = scene_sections(scene, final, photos, families, replace(summary, notes=notes))
+    files.append(write_report(folder / "report.html", "Line scene", sections))
     return CommandResult((summary,), scene_data(scene, families), files=tuple(files), report=files[-1], warnings=notes)
 
 
