@@ -31,8 +31,10 @@ ANGLE_RAD = math.radians(3.0)
 LEAST_SHARE, MOST_ROTATIONS = 0.6, 48
 """Of the arcs that the best rotation explains."""
 PARALLEL_RAD, AGREES_RAD = math.radians(2.0), math.radians(2.0)
+"""An arc is parallel to a line, and agrees with a place: the rotation is known to a degree or so."""
 LEAST_ALIKE = 0.2
 AXES, TRIED, PLACES, HEIGHTS = 3, 1500, 4, 3
+"""Families asked for a place, pairs of their lines tried, places kept of each family, and heights of each place."""
 STARTS = 30
 
 
