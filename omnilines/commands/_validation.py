@@ -111,7 +111,8 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
     """The lines of the board from the corners of all photos with a pose, and how many corners were set aside.
 
     Every end point has the accuracy that the detector states for it. A corner is set aside where it does not agree with what the
-    other photos say of its line, never for its place on the board: that is what is being checked.
+    other photos say of its line, never for its place on the board: that is what is being checked. A line none of whose corners
+    agree is wrong as a whole, and stays.
     """
     posed = {view.image: view.cam_from_board for view in calibration.views if view.cam_from_board is not None}
     poses = ImagePoses(tuple(posed), Pose.stack(list(posed.values())), ("cam0",) * len(posed))
@@ -128,7 +129,11 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
         outlying = off > REJECT_SIGMA * NORMAL_MAD * np.nanmedian(off)
         if not outlying.any():
             break
-        kept[ends[rows][outlying]] = False
+        fewer = kept.copy()
+        fewer[ends[rows][outlying]] = False
+        if len(board_lines(corners, fewer).ends_m) < len(board.ends_m):
+            break
+        kept = fewer
     board, _ = _board_segments(corners, kept)
     scene = reconstruct_lines(board.segments, poses, calibration, cost=COST)
     _require_all(scene, truth.pattern)
