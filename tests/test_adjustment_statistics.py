@@ -63,7 +63,7 @@ def test_covariances_cover_the_truth(name, cost, seeds):
             assert 0.88 <= items.mean() <= 0.99
 
 
-@pytest.mark.parametrize("trials", [range(4), pytest.param(range(4, 100), marks=pytest.mark.full)], ids=["4", "all"])
+@pytest.mark.parametrize("trials", [range(2), pytest.param(range(2, 100), marks=pytest.mark.full)], ids=["2", "all"])
 def test_poor_poses_lead_to_the_same_optimum(trials):
     """Poses off by 5 degrees and 0.3 m on the wide set-up: at least 98 of 100 reach what a start from the truth reaches."""
     missed = []
@@ -82,4 +82,4 @@ def test_poor_poses_lead_to_the_same_optimum(trials):
         if not (np.isfinite(found.residual_px).all() and found.adjusted.cost <= best.cost * (1 + 1e-6)):
             missed.append(seed)
     print(f"{len(trials) - len(missed)} of {len(trials)} reach the optimum")
-    assert len(missed) <= 2
+    assert len(missed) <= round(0.02 * len(trials))

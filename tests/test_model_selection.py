@@ -97,7 +97,7 @@ def test_ov_plane_train_and_test(shared_data):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["fisheye1", "kaidan", pytest.param("gopro", marks=pytest.mark.full)])
+@pytest.mark.parametrize("name", ["fisheye1", *(pytest.param(name, marks=pytest.mark.full) for name in ("kaidan", "gopro"))])
 def test_held_out_views_of_published_corners(shared_data, name):
     """The model taken predicts views at least as well as the degree-4 polynomial of the published fits."""
     folder = shared_data / "calibration" / name

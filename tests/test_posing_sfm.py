@@ -245,7 +245,7 @@ def test_poses_of_rendered_rooms_are_found(tmp_path, model, fov, views):
     assert np.median(rotation) < 0.8
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_poses_of_photos_that_share_little_are_called_doubtful(tmp_path):
     """80 degrees, 30 from photo to photo: a third is left out, and half of the others are 15 cm off with good residuals."""
     found, truth = of_room(tmp_path, "pinhole", None, 12, (640, 640))

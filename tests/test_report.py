@@ -458,7 +458,7 @@ def settled(page: Page, element: Locator) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.full)])
 def test_page_in_chromium(chromium: str, report_file: pathlib.Path, scheme: str) -> None:
     with opened(chromium, report_file, scheme) as (page, messages, requests):
         scene = page.locator(".plot", has=page.locator("canvas"))

@@ -70,7 +70,7 @@ def errors_of(result: RigCalibration, rig: RigScene) -> tuple[torch.Tensor, torc
 
 
 RIGS = {"outward": lambda: outward_rig(60), "mixed": lambda: mixed_rig(60), "chain": lambda: chain_rig(8)}
-SEEDS = [pytest.param(name, 10, marks=pytest.mark.slow) for name in ("mixed", "chain")]
+SEEDS = [pytest.param("chain", 10, marks=pytest.mark.slow)]
 SEEDS += [pytest.param(name, count, marks=pytest.mark.full) for name, count in (("outward", 50), ("mixed", 50), ("chain", 200))]
 
 

@@ -64,7 +64,7 @@ def test_wheel_holds_exactly_the_three_packages(wheel: pathlib.Path) -> None:
     assert licences == {"LICENSE", "THIRD_PARTY.md"}
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_wheel_works_in_an_empty_environment(wheel: pathlib.Path, tmp_path: pathlib.Path) -> None:
     environment, elsewhere = tmp_path / "env", tmp_path / "elsewhere"
     elsewhere.mkdir()
