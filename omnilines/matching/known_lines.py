@@ -8,10 +8,15 @@ from jaxtyping import Bool, Float, Int
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypothesis_kernel import likenesses
+from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
 from omnilines.matching.track_kernel import near_lines
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
+
+MOST_CHI_SQUARE = 18.0
+"""Of both ends of an arc from a line, in its noise and the line's: one true arc in 8,000 is farther off."""
+REACH_PX = 3.0
+"""An arc is compared with lines that pass so near, and as much farther as its noise asks for."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,24 @@ class KnownLines:
         spread = torch.eye(2, dtype=torch.float64) + at.jacobian @ covariance @ at.jacobian.mT
         square = (at.residual * torch.linalg.solve(spread, at.residual)).sum(-1)
         return torch.nan_to_num(square, nan=torch.inf).numpy()
+
+    def explaining(
+        self, arcs: ViewedArcs
+    ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square."""
+        arc, line = self.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+        square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line)
+        fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
+        return arc[fits], line[fits], alike[fits], square[fits]
+
+
+def most_likely(
+    arc: Int[np.ndarray, " k"], alike: Float[np.ndarray, " k"], square: Float[np.ndarray, " k"]
+) -> Int[np.ndarray, " m"]:
+    """The row with the most likely line of every arc that has any."""
+    order = np.lexsort((square - 2.0 * np.log(alike), arc))
+    _, first = np.unique(arc[order], return_index=True)
+    return order[first]
 
 
 def known_lines(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation) -> KnownLines:

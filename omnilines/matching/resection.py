@@ -19,8 +19,7 @@ from jaxtyping import Float, Int
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
-from omnilines.matching.known_lines import KnownLines
-from omnilines.matching.tracks import MOST_CHI_SQUARE, REACH_PX
+from omnilines.matching.known_lines import REACH_PX, KnownLines, most_likely
 
 REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12, 0.0))
 """Arcs are given to lines that lie so near, one after the other; in the end, to those as near as their noise allows."""
@@ -59,21 +58,9 @@ def refined_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | Non
 
 def explained_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines:
     """The pose that the photo has, with the arcs that lines explain."""
-    arc, line = known.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
-    square, alike = known.chi_square(arcs, arc, line), known.looks_like(arcs, arc, line)
-    fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
-    arc, line, alike = _best(arc[fits], line[fits], alike[fits], square[fits])
-    return PlacedByLines(arcs.poses, float(alike.sum()), arc, line)
-
-
-def _best(
-    arc: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"], alike: Float[np.ndarray, " n"], square: Float[np.ndarray, " n"]
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """The most likely line of every arc that has any."""
-    order = np.lexsort((square - 2.0 * np.log(alike), arc))
-    _, first = np.unique(arc[order], return_index=True)
-    best = order[first]
-    return arc[best], line[best], alike[best]
+    arc, line, alike, square = known.explaining(arcs)
+    best = most_likely(arc, alike, square)
+    return PlacedByLines(arcs.poses, float(alike[best].sum()), arc[best], line[best])
 
 
 def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs | None:
@@ -85,7 +72,8 @@ def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs |
     likely = alike >= LEAST_LIKENESS
     arc, line = arc[likely], line[likely]
     distance, _ = _linearised(arcs, known, arc, line)
-    arc, line, _ = _best(arc, line, alike[likely], ((distance / spread[arc]) ** 2).sum(-1))
+    best = most_likely(arc, alike[likely], ((distance / spread[arc]) ** 2).sum(-1))
+    arc, line = arc[best], line[best]
     if len(arc) < LEAST_ARCS:
         return None
     residual, jacobian = _linearised(arcs, known, arc, line)

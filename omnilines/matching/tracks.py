@@ -12,8 +12,7 @@ from jaxtyping import Bool, Int
 
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses
-from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
-from omnilines.matching.known_lines import known_lines
+from omnilines.matching.known_lines import known_lines, most_likely
 from omnilines.matching.track_kernel import claim, needed, united
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import robust_triangulate
@@ -22,10 +21,6 @@ ROUNDS = 3
 """Times that arcs are given to lines anew."""
 FIRST_VIEWS = 3
 """Photos that see a line before it is looked at: two planes always meet in a line."""
-MOST_CHI_SQUARE = 18.0
-"""Of both ends of an arc from a line, in its noise and the line's: one true arc in 8,000 is farther off."""
-REACH_PX = 3.0
-"""An arc is compared with lines that pass so near, and as much farther as its noise asks for."""
 AGREES = 0.5
 """Agreement, at most 1, with which an arc counts fully: more than where only one of its sides looks the same."""
 SAME_SHARE = 0.6
@@ -155,13 +150,8 @@ def _nearest_lines(
 ) -> tuple[Int[np.ndarray, " n"], _Candidates]:
     """The track whose line explains each arc best, -1 for none, and all that explain it."""
     known = known_lines(arcs, track, lines)
-    arc, line = known.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
-    square, alike = known.chi_square(arcs, arc, line), known.looks_like(arcs, arc, line)
-    fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
-    arc, line, cost = arc[fits], line[fits], square[fits] - 2.0 * np.log(alike[fits])
-    order = np.lexsort((cost, arc))
-    _, first = np.unique(arc[order], return_index=True)
-    best = order[first]
+    arc, line, alike, square = known.explaining(arcs)
+    best = most_likely(arc, alike, square)
     nearest = np.full_like(track, -1)
     nearest[arc[best]] = known.track[line[best]]
     return nearest, _Candidates(arc, known.track[line])
