@@ -237,18 +237,23 @@ def _half_way(difference: np.ndarray, steady: np.ndarray, last: int, step: int, 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, most_px: float) -> None:
+def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, off: np.ndarray, most_px: float, last_px: float) -> None:
     """Move the first and last sample (n, 2) of each arc, and where it ends, inwards to where the edge lies on the circle.
 
     There the mean residual of the next five samples that have one is at most `most_px`; it is more where the end of the arc
-    follows another edge nearby.
+    follows another edge nearby. And the mean of the outermost two places `off`, supported or not, is at most `last_px`, or twice
+    its standard deviation where noise makes that more: at a corner the edge turns away within a few pixels.
     """
     for arc in range(len(found)):
+        if found[arc, 0] < 0:
+            continue
+        known = residual[found[arc, 0] : found[arc, 1] + 1]
+        known = np.abs(known[~np.isnan(known)])
+        scatter = 1.4826 * np.median(known) if len(known) else 0.0
+        last = max(last_px, math.sqrt(2.0) * scatter)
         for side in range(2):
             step = 1 if side == 0 else -1
             n, stop = found[arc, side], found[arc, 1 - side]
-            if n < 0:
-                continue
             while (stop - n) * step > 5:
                 total, count, m = 0.0, 0, n
                 while count < 5 and (stop - m) * step >= 0:
@@ -256,7 +261,7 @@ def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, most_px: fl
                         total += residual[m]
                         count += 1
                     m += step
-                if count == 0 or abs(total) <= most_px * count:
+                if (count == 0 or abs(total) <= most_px * count) and abs(off[n] + off[n + step]) <= 2.0 * last:
                     break
                 n += step
             if n != found[arc, side]:

@@ -29,6 +29,13 @@ LEAST_EVIDENCE = 1000.0
 """Its mean height over the noise, times the information (1/px^2) that its places give on its distance from the arc."""
 MOST_UNSTEADY_PX, MOST_SCATTER_PX = 0.7, 0.35
 """Scatter of its places about a constant distance, and about a great circle."""
+CLOSE_BLURS = 1.3
+"""Steps nearer to each other, in units of the blur, look like one step of another shape: pixels undersample an edge that runs
+along them, and blur changes over a photo."""
+OTHER_BLURS = np.array([0.85, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0, 2.4])
+"""Over the photo's, with which the known steps are tried instead."""
+MOST_LEFT, MOST_LEFT_CLOSE = 0.6, 0.35
+"""Share of what the known steps leave of the profiles, with the blur that suits them best, that one more step may leave."""
 MOST_HIDDEN_PX = 5.0
 LEAST_HIDDEN_BLOCKS = 7
 
@@ -78,7 +85,7 @@ def _settled(
     """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges."""
     start = np.concatenate([offset[blocks.owner, None], blocks.place[:, :-1]], -1)
     more = replace(blocks, count=blocks.count + 1)
-    place, variance, heights, _ = fit_places(more, start, WIDE_TAPER_PX, blur_px)
+    place, variance, heights, rest = fit_places(more, start, WIDE_TAPER_PX, blur_px)
     shift = place[:, 0].copy()
     weight = 1.0 / (variance + SCATTER_PX**2)
     change, inverse, scatter, used, _ = fit_circles(
@@ -91,5 +98,8 @@ def _settled(
     own = np.linalg.norm([blocks.mean(channel.copy()) for channel in heights[:, 1].T], axis=0)
     edge = (used >= LEAST_HIDDEN_BLOCKS) & (evidence > LEAST_EVIDENCE) & (height > LEAST_RATIO * own)
     edge &= (unsteady < MOST_UNSTEADY_PX) & (np.sqrt(scatter) < MOST_SCATTER_PX)
+    close = np.abs(blocks.mean(shift - place[:, 1])) < CLOSE_BLURS * blur_px
+    blurred = np.min([blocks.mean(fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px * b)[3]) for b in OTHER_BLURS], axis=0)
+    edge &= blocks.mean(rest) < np.where(close, MOST_LEFT_CLOSE, MOST_LEFT) * blurred
     floor = floor_covariance(arcs, blocks.owner, blocks.rate, FLOOR_PX)
     return moved(arcs, change, inverse * scatter[:, None, None] + floor), edge

@@ -38,6 +38,8 @@ BIAS = 2.0
 """Standard deviation by what lies beside the edge, over the difference between a wide and a narrow window."""
 MOST_OFF_PX = 0.4
 """Mean distance of the last few edge places from an arc that ends there."""
+LAST_OFF_PX = 0.25
+"""Of the outermost two."""
 _ARCS = 4_000
 """Refitted at a time."""
 
@@ -120,7 +122,8 @@ def _refit(photo: Photo, whole: Arcs, rows: Int[np.ndarray, " n"], beyond_px: fl
     covariance += floor_covariance(arcs, at.owner, at.rate, FLOOR_PX)
     # What lies beside the edge pulls a wide window more than a narrow one.
     covariance += BIAS**2 * bias[:, :, None] * bias[:, None]
-    trim(found, place, residual, MOST_OFF_PX)
+    on_circle = at.rate * (change[at.owner] * np.stack([np.cos(at.angle), np.sin(at.angle)], -1)).sum(-1)
+    trim(found, place, residual, shift + on_circle, MOST_OFF_PX, LAST_OFF_PX)
     low, high = _ends(at, place)
     contrast = np.sqrt(np.bincount(at.owner, strength * usable, len(arcs)) / np.maximum(used, 1))
     refitted = replace(moved(arcs, change, covariance), low=low, high=high).keep(kept).centred()
