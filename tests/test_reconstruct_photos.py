@@ -58,9 +58,9 @@ def test_lines_lie_on_the_edges_of_the_room(room, rebuilt):
     assert set(lines.status) == {"ok"}
     # Three where all of their arcs agree.
     assert (lines.views >= 3).all() and (lines.views >= 4).mean() > 0.5
-    # A pixel is 7 mm a metre away.
-    assert found.precision[2] > 0.8
-    assert found.median_error_m < 0.01
+    # A pixel is 7 mm a metre away. Six such rooms: 0.69 to 0.81, 2.4 to 4.7 mm.
+    assert found.precision[2] > 0.75
+    assert found.median_error_m < 0.005
     assert found.direction_deg(50) < 0.3
     assert found.repeated_share < 0.05
 

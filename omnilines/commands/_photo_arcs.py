@@ -20,7 +20,7 @@ from omnilines.extraction import extract_arcs
 from omnilines.files import PhotoRef, read_photo
 from omnilines.matching.appearance import side_colours
 
-LEAST_PX = 15.0
+LEAST_PX = 13.0
 """Arcs as short as this are used: other photos confirm them or not."""
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
 

@@ -12,6 +12,8 @@ from numba import njit
 LEAST_SCALE_PX = 0.05
 """Of the robust weights: smaller residuals are not told apart."""
 ROUNDS = 4
+CORNER_SAMPLES = 10
+"""An edge turns away at a corner within so many samples."""
 
 
 @njit(cache=True, nogil=True)
@@ -261,8 +263,14 @@ def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, off: np.nda
                         total += residual[m]
                         count += 1
                     m += step
-                if (count == 0 or abs(total) <= most_px * count) and abs(off[n] + off[n + step]) <= 2.0 * last:
+                if count == 0 or abs(total) <= most_px * count:
                     break
                 n += step
+            for m in range(n, n + step * CORNER_SAMPLES, step):
+                if (stop - m) * step <= 5:
+                    break
+                if abs(off[m] + off[m + step]) <= 2.0 * last:
+                    n = m
+                    break
             if n != found[arc, side]:
                 found[arc, side], place[arc, side] = n, n - 0.5 * step

@@ -22,7 +22,7 @@ from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
 from omnilines.extraction.merging import duplicates, merged
 from omnilines.extraction.neighbours import fit_together, photo_blur
-from omnilines.extraction.refit import Photo, Refitted, refit
+from omnilines.extraction.refit import Photo, Refitted, joined, refit
 
 LEAST_PX = 25.0
 """Shorter arcs are not given back, unless they are asked for."""
@@ -108,8 +108,10 @@ def extract_arcs(
     for _ in range(ROUNDS):
         fitted = refit(photo, arcs, BEYOND_PX)
         good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
-        arcs = merged(photo, fitted.arcs.keep(good), fitted.length_px[good])
-    return _finished(photo, refit(photo, arcs, LAST_BEYOND_PX), max(noise, LEAST_NOISE), least_px)
+        arcs = joined([fitted.arcs.keep(good), fitted.cut])
+        arcs = merged(photo, arcs, lengths_px(model, arcs))
+    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
+    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
 
 
 def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> ExtractedArcs:

@@ -30,6 +30,8 @@ SCATTER_PX = 0.02
 """Standard deviation of a place in a profile without noise."""
 FLOOR_PX = 0.015
 """Standard deviation across the arc that no number of pixels lowers."""
+MUCH_WORSE = 4.0
+"""Variance of an arc fitted with others over its own, from which on the former is not believed."""
 MOST_OFF_PX = 0.4
 LEAST_BLOCKS = 4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
@@ -75,7 +77,9 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     """Arcs that have others beside them over CROWDED of their length, fitted anew with them; the others are as they were.
 
     The covariance holds the scatter of the places, and how much the arc moves where the window is wider or the blur another:
-    the first tells of edges beside it that are not known.
+    the first tells of edges beside it that are not known. Where that makes it much worse than that of the arc by itself, the
+    steps are not those of the photo (sharpened or rounded edges), and the arc stays as it was; how far both are apart goes into
+    its covariance.
     """
     arcs = known.arcs
     whole = known.crossed(model, np.arange(len(arcs)))
@@ -92,11 +96,21 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
         covariance += share**2 * bias[:, :, None] * bias[:, None]
     low, high = _trimmed(crowded, blocks, residual, variance)
     fitted = replace(moved(crowded, change, covariance), low=low, high=high)
-    rows = rows[used >= LEAST_BLOCKS]
+    alone = crowded.covariance + change[:, :, None] * change[:, None]
+    worse = _across(crowded, covariance) > MUCH_WORSE * _across(crowded, crowded.covariance)
+    stays = replace(crowded, covariance=alone)
     result = arcs.keep(np.arange(len(arcs)))
-    for field in fields(Arcs):
-        getattr(result, field.name)[rows] = getattr(fitted, field.name)[used >= LEAST_BLOCKS]
+    for better, those in ((fitted, ~worse), (stays, worse)):
+        those &= used >= LEAST_BLOCKS
+        for field in fields(Arcs):
+            getattr(result, field.name)[rows[those]] = getattr(better, field.name)[those]
     return result.centred()
+
+
+def _across(arcs: Arcs, covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
+    """Mean variance across arcs, rad^2."""
+    half = 0.5 * (arcs.high - arcs.low)
+    return covariance[:, 0, 0] + covariance[:, 1, 1] * half**2 / 3.0
 
 
 def _trimmed(

@@ -4,10 +4,11 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
+from omnilines.extraction.bend_kernel import bends
 from omnilines.extraction.circle_kernel import fit_circles, reach, trim
 from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import Edgels, grey_unit
@@ -40,6 +41,13 @@ MOST_OFF_PX = 0.4
 """Mean distance of the last few edge places from an arc that ends there."""
 LAST_OFF_PX = 0.25
 """Of the outermost two."""
+BEND_PX, BEND_RATIO = 0.8, 20.0
+"""An arc bends where the circle through one part passes so far from the end of the other, and two circles gain so much over one:
+F of two and n - 4 degrees of freedom, over the correlation of the residuals."""
+LEAST_PART = 8
+"""Samples on either side of a bend."""
+LEAST_CUT = 12
+"""Samples cut off an arc that may be one themselves."""
 _ARCS = 4_000
 """Refitted at a time."""
 
@@ -67,6 +75,19 @@ class Refitted:
     """Grey levels of 255, root mean square along the arc; of the sum over the channels."""
     blur_px: Float[np.ndarray, " n"]
     """Standard deviation of the blurred step that explains the mean profile best."""
+    bend: Float[np.ndarray, " n"]
+    """Angle on the arc where it bends; NaN where it does not."""
+    cut: Arcs
+    """What was cut off the arcs as they were: beyond a gap, or on another edge."""
+
+    def straight(self) -> Arcs:
+        """The arcs, those that bend in two parts, and what was cut off."""
+        arcs, bend = self.arcs, self.bend
+        bent = bend > arcs.low
+        bent &= bend < arcs.high
+        before, after = arcs.keep(bent), arcs.keep(bent)
+        parts = [replace(before, high=bend[bent]), replace(after, low=bend[bent])]
+        return joined([arcs.keep(~bent), *parts, self.cut]).centred()
 
 
 @functools.cache
@@ -79,11 +100,12 @@ def refit(photo: Photo, arcs: Arcs, beyond_px: float) -> Refitted:
     parts = [_refit(photo, arcs, np.arange(k, min(k + _ARCS, len(arcs))), beyond_px) for k in range(0, len(arcs), _ARCS)]
     if not parts:
         nothing = np.zeros(0)
-        return Refitted(arcs, np.zeros(0, dtype=np.int64), nothing, nothing, nothing, nothing)
+        return Refitted(arcs, np.zeros(0, dtype=np.int64), nothing, nothing, nothing, nothing, nothing, arcs)
     if len(parts) == 1:
         return parts[0]
-    names = ("rows", "support", "length_px", "contrast", "blur_px")
-    return Refitted(joined([part.arcs for part in parts]), *(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+    names = ("rows", "support", "length_px", "contrast", "blur_px", "bend")
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Refitted(arcs=joined([part.arcs for part in parts]), cut=joined([part.cut for part in parts]), **columns)
 
 
 def joined(parts: list[Arcs]) -> Arcs:
@@ -118,15 +140,21 @@ def _refit(photo: Photo, whole: Arcs, rows: Int[np.ndarray, " n"], beyond_px: fl
     wide, _ = shifts(step, strength, usable, at.starts, *_filters(WIDE_TAPER_PX))
     bias = fit_circles(at.starts, at.angle, at.rate, wide, strength, usable, MOST_SHIFT_PX)[0] - change
     kept = (used >= 6) & (found[:, 0] >= 0) & (found[:, 1] > found[:, 0])
-    covariance = inverse * (variance * _correlation(residual, at.owner))[:, None, None]
+    correlation = _correlation(residual, at.owner)
+    where, ratio, off = bends(at.starts, found, at.angle, at.rate, shift, strength, usable, MOST_SHIFT_PX, LEAST_PART)
+    bend = np.where((ratio > BEND_RATIO * correlation) & (off > BEND_PX), at.angle[where], np.nan)
+    covariance = inverse * (variance * correlation)[:, None, None]
     covariance += floor_covariance(arcs, at.owner, at.rate, FLOOR_PX)
     # What lies beside the edge pulls a wide window more than a narrow one.
     covariance += BIAS**2 * bias[:, :, None] * bias[:, None]
     on_circle = at.rate * (change[at.owner] * np.stack([np.cos(at.angle), np.sin(at.angle)], -1)).sum(-1)
     trim(found, place, residual, shift + on_circle, MOST_OFF_PX, LAST_OFF_PX)
+    cut = _cut(arcs, at, support & at.valid & inside, found)
     low, high = _ends(at, place)
     contrast = np.sqrt(np.bincount(at.owner, strength * usable, len(arcs)) / np.maximum(used, 1))
     refitted = replace(moved(arcs, change, covariance), low=low, high=high).keep(kept).centred()
+    # Angles are counted from the middle of the arc, which has moved.
+    bend = bend[kept] - 0.5 * (low + high)[kept]
     return Refitted(
         refitted,
         rows[kept],
@@ -134,7 +162,23 @@ def _refit(photo: Photo, whole: Arcs, rows: Int[np.ndarray, " n"], beyond_px: fl
         (found[:, 1] - found[:, 0] + 1.0)[kept],
         contrast[kept],
         BLURS_PX[blur.astype(np.int64)][kept],
+        bend,
+        cut,
     )
+
+
+def _cut(arcs: Arcs, at: Samples, edge: Bool[np.ndarray, " m"], found: Int[np.ndarray, "n 2"]) -> Arcs:
+    """What of the arcs as they were lies before and after the samples found, where that is mostly an edge and long enough."""
+    index, total = np.arange(len(edge)), np.concatenate([[0], np.cumsum(edge)])
+    first = np.minimum.reduceat(np.where(edge, index, len(edge)), at.starts[:-1])
+    last = np.maximum.reduceat(np.where(edge, index, -1), at.starts[:-1])
+    begin = np.concatenate([first, found[:, 1] + 1])
+    end = np.concatenate([found[:, 0] - 1, last])
+    owner = np.tile(np.arange(len(arcs)), 2)
+    rows = np.flatnonzero((found[owner, 0] >= 0) & (end - begin >= LEAST_CUT))
+    begin, end = begin[rows], end[rows]
+    mostly = 2 * (total[end + 1] - total[begin]) > end - begin
+    return replace(arcs.keep(owner[rows]), low=at.angle[begin], high=at.angle[end]).keep(mostly).centred()
 
 
 def moved(arcs: Arcs, change: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"]) -> Arcs:
