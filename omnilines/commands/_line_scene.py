@@ -1,14 +1,14 @@
 """Arcs of photos with poses -> adjusted lines, clipped to what the photos show, and what every stage kept and dropped."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Int
 
-from camera_models import Calibration, GeometryError
+from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.commands._common import ProgressCallback
@@ -17,6 +17,7 @@ from omnilines.commands._photo_arcs import FoundArcs
 from omnilines.commands._viewed_arcs import segments_of, viewed_arcs
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
+from omnilines.matching.chance import chance_of_lines
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.records import ImagePoses, Lines, Segments, StageCount
 from omnilines.structure.clipping import Stretches, supported_stretches
@@ -26,6 +27,8 @@ MOST_SLACKS = 3.0
 LEAST_RMS_PX = 1.5
 LEAST_ROUNDS, MOST_ROUNDS = 2, 5
 """Times that arcs are matched where poses are refined."""
+MOST_CHANCE = 1e-3
+"""A line is dropped that photos would show with a larger probability if it were not there."""
 LEAST_LENGTH_SIGMA = 3.0
 """A line shorter than so many standard deviations of its ends across it has no direction."""
 
@@ -89,7 +92,7 @@ def photo_scene(
         if moved is None and turn >= LEAST_ROUNDS:
             break
         poses, cameras = scene.poses if moved is None else moved, refined
-    return _clipped(found, segments, matched, scene, options)
+    return _clipped(found, segments, matched, scene, _refined(cameras, scene), options)
 
 
 def _require(matched: Matched) -> None:
@@ -128,13 +131,18 @@ def _adjusted(
     )
 
 
-def _refined(cameras: Calibration, scene: LineScene) -> dict:
+def _refined(cameras: Calibration, scene: LineScene) -> dict[str, CameraModel]:
     """The cameras as they were refined, where they were."""
     return dict(zip(cameras.cameras, scene.cameras, strict=True)) if scene.cameras else dict(cameras.cameras)
 
 
 def _clipped(
-    found: Sequence[FoundArcs], segments: Segments, matched: Matched, scene: LineScene, options: SceneOptions
+    found: Sequence[FoundArcs],
+    segments: Segments,
+    matched: Matched,
+    scene: LineScene,
+    cameras: Mapping[str, CameraModel],
+    options: SceneOptions,
 ) -> PhotoScene:
     """The lines that pass, clipped, and the counts of all stages."""
     lines = scene.lines
@@ -143,26 +151,28 @@ def _clipped(
     far = known & (lines.rms_px > limit_px)
     weak = known & ~far & (np.array(lines.status) == "weak")
     kept = np.flatnonzero(known & ~far & ~weak)
-    stretches = _supported(matched, kept, scene)
+    seen = _supported(matched, kept, scene)
+    camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
+    stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images])
+    unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
     table, row = _table(lines, scene, kept, stretches)
     if not len(table):
         none = f"{int((~known).sum())} have no line in space, {int(far.sum())} lie more than {limit_px:.1f} px from their arcs"
         raise GeometryError(
-            f"No line was left: of {len(lines)} triangulated, {none}, {int(weak.sum())} are too uncertain, and {len(kept)} are "
-            f"nowhere supported by {options.least_views} photos; give photos from more places."
+            f"No line was left: of {len(lines)} triangulated, {none}, {int(weak.sum())} are too uncertain, {unsupported} are "
+            f"nowhere shown by {options.least_views} photos, and {by_chance} by chance alone; give photos from more places."
         )
-    unsupported = len(kept) - len(np.unique(stretches.line))
     filtered = (
         *((f"status {status}", count) for status, count in Counter(lines.status).items() if status not in ("ok", "weak")),
         (f"more than {limit_px:.1f} px from their arcs", int(far.sum())),
         ("weak: too uncertain for their distance", int(weak.sum())),
-        ("nowhere supported by enough photos", unsupported),
+        ("nowhere supported by enough photos", int(unsupported)),
+        ("by chance as many photos would show them", int(by_chance)),
     )
     stages = (*_arc_stages(found, segments, matched), StageCount("lines", len(table), _counted(filtered)))
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
-    names = (*table.tracks,)
-    labelled = replace(segments, track=supported, tracks=names)
-    return PhotoScene(replace(scene, lines=table), labelled, stages, matched.slack_px, supported)
+    segments = replace(segments, track=supported, tracks=table.tracks)
+    return PhotoScene(replace(scene, lines=table), segments, stages, matched.slack_px, supported)
 
 
 def _counted(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
@@ -173,7 +183,7 @@ def _arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched
     total = sum(map(len, found))
     hypotheses, tracks = matched.hypotheses, matched.tracks
     partner = hypotheses.candidates > 0
-    several = partner & (_photos_of(matched) >= 2)
+    several = partner & (matched.agreeing_photos() >= 2)
     member = int((tracks.track >= 0).sum())
     return (
         StageCount("detected arcs", total, _counted([("photos skipped", sum(arcs.reason is not None for arcs in found))])),
@@ -201,14 +211,6 @@ def _arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched
     )
 
 
-def _photos_of(matched: Matched) -> Int[np.ndarray, " n"]:
-    """Number of other photos that support the best line of every arc."""
-    support = matched.hypotheses.support
-    photo = np.where(support >= 0, matched.arcs.image[support], -1)
-    photo.sort(axis=1)
-    return ((photo[:, 1:] != photo[:, :-1]) & (photo[:, 1:] >= 0)).sum(1) + (photo[:, 0] >= 0)
-
-
 def _lines_of(scene: LineScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
     ends = torch.as_tensor(scene.lines.ends_m[tracks])
     return PlueckerLines.from_points(ends[:, 0], ends[:, 1])
@@ -216,9 +218,8 @@ def _lines_of(scene: LineScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
 
 def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene) -> Stretches:
     """Stretches of the lines `kept`, numbered as there."""
-    arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
-    rows, line = _members(matched, kept)
-    lines = _lines_of(scene, kept)
+    arcs, lines = matched.arcs.with_poses(scene.poses.cam_from_world), _lines_of(scene, kept)
+    rows, line = matched.tracks.members(kept)
     positions, sigma, in_front = arcs.places(lines, rows, line)
     return supported_stretches(
         lines,
@@ -230,13 +231,14 @@ def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene) 
     )
 
 
-def _members(matched: Matched, kept: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """The arcs of the lines `kept`, and the place of the line of each among them."""
-    place = np.full(len(matched.tracks), -1)
-    place[kept] = np.arange(len(kept))
-    own = np.where(matched.tracks.track >= 0, place[matched.tracks.track], -1)
-    rows = np.flatnonzero(own >= 0)
-    return rows, own[rows]
+def _beyond_chance(
+    matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene, stretches: Stretches, cameras: Sequence[CameraModel]
+) -> Stretches:
+    """The stretches that more photos show than would by chance; `cameras` has one for each photo."""
+    own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
+    lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
+    chance = chance_of_lines(matched.arcs.with_poses(scene.poses.cam_from_world), lines, stretches.positions_m, own, cameras)
+    return stretches.rows(np.flatnonzero(chance <= MOST_CHANCE))
 
 
 def _table(
@@ -281,7 +283,7 @@ def _arcs_of_stretches(
     matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene, stretches: Stretches, row: Int[np.ndarray, " s"]
 ) -> Int[np.ndarray, " n"]:
     """The row of the table that every arc supports: of the stretches of its line the one that it overlaps most."""
-    rows, line = _members(matched, kept)
+    rows, line = matched.tracks.members(kept)
     positions, in_front = matched.arcs.with_poses(scene.poses.cam_from_world).positions(_lines_of(scene, kept), rows, line)
     first, last = (np.searchsorted(stretches.line, line, side) for side in ("left", "right"))
     arc = np.repeat(np.arange(len(rows)), last - first)

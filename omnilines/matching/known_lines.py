@@ -83,7 +83,7 @@ def known_lines(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangula
     chosen = lines.lines[torch.as_tensor(known)]
     direction, moment = chosen.direction.numpy(), chosen.moment.numpy()
     along = arcs.packed[member, 3:6] - arcs.packed[member, :3]
-    colours = _colours(arcs, member, own, (along * direction[own]).sum(-1) < 0, len(known))
+    colours = mean_colours(arcs, member, own, (along * direction[own]).sum(-1) < 0, len(known))
     return KnownLines(lines, known, direction, moment, _spans(chosen, arcs, member, own), colours)
 
 
@@ -97,9 +97,10 @@ def _spans(
     return np.stack([low, high], -1)
 
 
-def _colours(
+def mean_colours(
     arcs: ViewedArcs, rows: Int[np.ndarray, " m"], line: Int[np.ndarray, " m"], against: Bool[np.ndarray, " m"], count: int
 ) -> Float[np.ndarray, "l 2 3"]:
+    """Colours on both sides of `count` lines: the means of their arcs `rows`, of which some run against their lines."""
     colours = np.where(against[:, None, None], arcs.colours[rows][:, ::-1], arcs.colours[rows])
     there = ~np.isnan(colours)
     total, seen = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))

@@ -51,6 +51,13 @@ class Matched:
     tracks: Tracks
     slack_px: float
 
+    def agreeing_photos(self) -> Int[np.ndarray, " n"]:
+        """Number of other photos that support the best line of every arc."""
+        support = self.hypotheses.support
+        photo = np.where(support >= 0, self.arcs.image[support], -1)
+        photo.sort(axis=1)
+        return ((photo[:, 1:] != photo[:, :-1]) & (photo[:, 1:] >= 0)).sum(1) + (photo[:, 0] >= 0)
+
 
 def match_arcs(
     arcs: ViewedArcs,

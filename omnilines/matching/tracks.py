@@ -48,6 +48,14 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.lines)
 
+    def members(self, kept: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        """The arcs of the tracks `kept`, and the place of the track of each among them."""
+        place = np.full(len(self), -1)
+        place[kept] = np.arange(len(kept))
+        own = np.where(self.track >= 0, place[self.track], -1)
+        rows = np.flatnonzero(own >= 0)
+        return rows, own[rows]
+
 
 def build_tracks(
     arcs: ViewedArcs, found: Hypotheses, least_views: int, progress: Callable[[int, int], None] = lambda done, total: None

@@ -24,6 +24,10 @@ class Stretches:
     views: Int[np.ndarray, " k"]
     """Photos that show some of it."""
 
+    def rows(self, chosen: Int[np.ndarray, " m"]) -> "Stretches":
+        """Some of them, in this order."""
+        return Stretches(self.line[chosen], self.positions_m[chosen], self.ends_m[chosen], self.views[chosen])
+
 
 def supported_stretches(
     lines: PlueckerLines,

@@ -1,0 +1,123 @@
+"""Which photos show a line, and where else in them it would be shown, compiled.
+
+`no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, LEAST_OVERLAP, likeness
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def shown_and_beside(
+    direction: np.ndarray,
+    moment: np.ndarray,
+    span: np.ndarray,
+    line_colours: np.ndarray,
+    own: np.ndarray,
+    packed: np.ndarray,
+    px_rad: np.ndarray,
+    colours: np.ndarray,
+    starts: np.ndarray,
+    reach_px: float,
+    most_square: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of l lines in m photos: (l, m) widths (px) within which an arc of the photo shows the line, NaN where none does; and the
+    length (px) of all other places, up to `reach_px` to both sides, at which arcs of the photo would show it.
+
+    `span` (l, 2) are the positions along each line between which it is known, `own` (n,) the line of each arc or -1. The plane
+    of a line is turned by t about an axis square to the middle of the line: distances h from it become h - t cos(f), f the
+    angle from that middle. An arc shows it where the sum of (h - t cos f)^2 / s^2 over its ends is at most `most_square`.
+    """
+    lines, photos = len(direction), len(starts) - 1
+    width, beside = np.full((lines, photos), np.nan), np.zeros((lines, photos))
+    low, high, at = np.empty(len(packed)), np.empty(len(packed)), np.empty(4)
+    for line in range(lines):
+        for photo in range(photos):
+            count = 0
+            for arc in range(starts[photo], starts[photo + 1]):
+                mine = own[arc] == line
+                flipped = _seen(packed[arc], direction[line], moment[line], span[line], (reach_px + 6.0) * px_rad[arc], mine, at)
+                if flipped < 0:
+                    continue
+                first, second = at[2] / packed[arc, 12], at[3] / packed[arc, 13]
+                h, k = at[0] / packed[arc, 12], at[1] / packed[arc, 13]
+                square = first * first + second * second
+                middle = (h * first + k * second) / square
+                rest = most_square - (h * h + k * k - middle * middle * square)
+                if not mine and (rest <= 0.0 or likeness(line_colours[line], colours[arc], flipped > 0) < LEAST_LIKENESS):
+                    continue
+                middle, half = middle / px_rad[arc], math.sqrt(max(rest, 0.0) / square) / px_rad[arc]
+                if mine or abs(middle) < half:
+                    if not width[line, photo] >= 2.0 * half:
+                        width[line, photo] = 2.0 * half
+                else:
+                    low[count], high[count] = max(middle - half, -reach_px), min(middle + half, reach_px)
+                    count += 1
+            beside[line, photo] = _covered(low[:count], high[:count])
+    return width, beside
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _seen(
+    p: np.ndarray, d: np.ndarray, moment: np.ndarray, span: np.ndarray, most_rad: float, mine: bool, out: np.ndarray
+) -> int:
+    """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
+
+    1 where the arc runs against the line, 0 where along it, -1 where it lies farther off than `most_rad` or not beside the line.
+    """
+    mx = moment[0] - (p[10] * d[2] - p[11] * d[1])
+    my = moment[1] - (p[11] * d[0] - p[9] * d[2])
+    mz = moment[2] - (p[9] * d[1] - p[10] * d[0])
+    distance = math.sqrt(mx * mx + my * my + mz * mz)
+    out[0] = (p[0] * mx + p[1] * my + p[2] * mz) / distance
+    out[1] = (p[3] * mx + p[4] * my + p[5] * mz) / distance
+    if not mine and max(abs(out[0]), abs(out[1])) > most_rad:
+        return -1
+    # To the point of the line nearest to the centre: d x m.
+    tx, ty, tz = (d[1] * mz - d[2] * my) / distance, (d[2] * mx - d[0] * mz) / distance, (d[0] * my - d[1] * mx) / distance
+    first = math.atan2(p[0] * d[0] + p[1] * d[1] + p[2] * d[2], p[0] * tx + p[1] * ty + p[2] * tz)
+    last = math.atan2(p[3] * d[0] + p[4] * d[1] + p[5] * d[2], p[3] * tx + p[4] * ty + p[5] * tz)
+    base = p[9] * d[0] + p[10] * d[1] + p[11] * d[2]
+    begin, end = math.atan2(span[0] - base, distance), math.atan2(span[1] - base, distance)
+    low, high = min(first, last), max(first, last)
+    shared = min(end, high) - max(begin, low)
+    if not mine and (high - low > math.pi or shared < LEAST_OVERLAP * min(end - begin, high - low)):
+        return -1
+    middle = 0.5 * (begin + end)
+    out[2], out[3] = math.cos(first - middle), math.cos(last - middle)
+    return 1 if last < first else 0
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _covered(low: np.ndarray, high: np.ndarray) -> float:
+    """Length of the union of intervals."""
+    total, end = 0.0, -np.inf
+    for k in np.argsort(low):
+        total += max(high[k] - max(low[k], end), 0.0)
+        end = max(end, high[k])
+    return total
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def at_least(chance: np.ndarray, could: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Probability that at least times[l] of the independent events chance[l, could[l]] come true."""
+    found = np.empty(len(chance))
+    for line in range(len(chance)):
+        just = np.zeros(chance.shape[1] + 1)
+        just[0] = 1.0
+        for photo in range(chance.shape[1]):
+            if could[line, photo]:
+                for k in range(chance.shape[1], 0, -1):
+                    just[k] += chance[line, photo] * (just[k - 1] - just[k])
+                just[0] *= 1.0 - chance[line, photo]
+        found[line] = just[times[line] :].sum()
+    return found
