@@ -149,14 +149,15 @@ def test_past_a_half_turn_and_over_the_pole() -> None:
     assert found.length_px[error < math.radians(0.5)].sum() > 2 * 180
 
 
-def test_the_rim_of_the_image_circle_is_no_arc() -> None:
+@pytest.mark.parametrize("noise", [1.0, 8.0])
+def test_the_rim_of_the_image_circle_is_no_arc(noise: float) -> None:
     """A bright disc with nothing in it; a dark side of the scene does not hide the rim."""
     rays = bearings_of(FISHEYE)
     theta = np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
     inside = theta < math.radians(62.0)
     image = np.where(inside[..., None], 150.0, 5.0) + np.zeros(3)
     image[inside & (rays[..., 0] > 0.6)] = 8.0
-    image = byte(image + np.random.default_rng(0).standard_normal(image.shape))
+    image = byte(image + noise * np.random.default_rng(0).standard_normal(image.shape))
     circle = image_circle(image, FISHEYE)
     assert circle is not None
     radius = float(FISHEYE.project(np.array([math.sin(math.radians(62.0)), 0.0, math.cos(math.radians(62.0))]))[0][0]) - 161.2

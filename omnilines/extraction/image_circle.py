@@ -50,9 +50,13 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     way = np.stack([np.cos(turn), np.sin(turn)], -1)
     room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
     border = room.min(-1) - 1.0
-    outermost = centre + np.maximum(border[:, None] - np.arange(4), 0.0)[..., None] * way[:, None]
-    dark = float(np.percentile(_brightest(image, outermost) / grey_unit(image), 2))
-    depths, threshold = int(border.max()), (dark + STEP_GREY) * grey_unit(image)
+    outermost = centre + np.maximum(border[:, None] - np.arange(DARK_PX), 0.0)[..., None] * way[:, None]
+    outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), 2, axis=1)
+    dark = float(np.percentile(outer, 2))
+    # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
+    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(LEAST_RAYS * RAYS)]]
+    threshold = max(dark + STEP_GREY, float(np.percentile(darkest, 98))) * grey_unit(image)
+    depths = int(border.max())
     light = first_light(image.reshape(height, width, -1), centre, way, border, depths, threshold)
     begins_dark = (light >= DARK_PX) & (light < depths)
     if dark >= DARK_GREY or begins_dark.mean() < LEAST_RAYS:
