@@ -25,7 +25,7 @@ def poses_by_lines(
     arcs = matched.arcs.with_poses(poses.cam_from_world)
 
     def mended(k: int) -> Pose | None:
-        better = mended_pose(arcs.of_photo(k), lines_of_others(arcs, matched.tracks, k))
+        better = mended_pose(arcs.of_photo(k), lines_of_others(arcs, matched.tracks, k), seed)
         return None if better is None else better.pose
 
     moved = on_all_cores(mended, range(len(poses)), "mending poses by lines", progress)

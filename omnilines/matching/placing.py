@@ -19,6 +19,8 @@ from omnilines.triangulation.batches import triangulate_on
 
 CLEARLY_MORE = 1.1
 """Times what the pose that a photo has explains: then another near it is better."""
+HARDLY_EXPLAINED = 0.25
+"""Share of the arcs of a photo below which its pose may be wrong altogether."""
 ABOVE_CHANCE, LEAST_SCORE = 1.5, 12.0
 """Times what the best of the other poses explains, and the least, for the pose of a photo that had none."""
 OTHER_RAD, OTHER_SHARE = math.radians(3.0), 0.05
@@ -33,12 +35,17 @@ def lines_of_others(arcs: ViewedArcs, tracks: Tracks, image: int | None) -> Know
     return known_lines(arcs, track, found)
 
 
-def mended_pose(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | None:
-    """A pose near that of the one photo of `arcs` that explains clearly more of them; None where there is none."""
-    better = refined_by_lines(arcs, known)
-    if better is None or better.score <= CLEARLY_MORE * explained_by_lines(arcs, known).score:
-        return None
-    return better
+def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
+    """A pose that explains clearly more of the one photo of `arcs` than the one it has; None where there is none.
+
+    It is looked for nearby, and anywhere where hardly any arcs are explained.
+    """
+    own, near = explained_by_lines(arcs, known), refined_by_lines(arcs, known)
+    best = own if near is None or near.score <= CLEARLY_MORE * own.score else near
+    if best.score < HARDLY_EXPLAINED * len(arcs):
+        far = placed_anywhere(arcs, known, seed)
+        best = best if far is None or far.score <= ABOVE_CHANCE * best.score else far
+    return None if best is own else best
 
 
 def placed_anywhere(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
