@@ -32,6 +32,8 @@ FLOOR_PX = 0.015
 """Standard deviation across the arc that no number of pixels lowers."""
 MUCH_WORSE = 4.0
 """Variance of an arc fitted with others over its own, from which on the former is not believed."""
+ALONE_SHARE = 2.0
+"""Standard deviation of the latter by what it does not know of, over the difference between both."""
 MOST_OFF_PX = 0.4
 LEAST_BLOCKS = 4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
@@ -96,7 +98,7 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
         covariance += share**2 * bias[:, :, None] * bias[:, None]
     low, high = _trimmed(crowded, blocks, residual, variance)
     fitted = replace(moved(crowded, change, covariance), low=low, high=high)
-    alone = crowded.covariance + change[:, :, None] * change[:, None]
+    alone = crowded.covariance + ALONE_SHARE**2 * change[:, :, None] * change[:, None]
     worse = _across(crowded, covariance) > MUCH_WORSE * _across(crowded, crowded.covariance)
     stays = replace(crowded, covariance=alone)
     result = arcs.keep(np.arange(len(arcs)))
