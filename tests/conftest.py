@@ -1,7 +1,9 @@
 """Shapes and types of every signature are enforced while testing (jaxtyping with beartype)."""
 
+import gc
 import os
 import pathlib
+from collections.abc import Generator
 
 # The workers of pytest-xdist share the cores: more threads than one each wait for each other, busily, and small systems of
 # equations take ten times as long. NumPy's linear algebra reads this when it is loaded: in the workers, which inherit it, and in
@@ -19,6 +21,17 @@ torch.set_num_threads(1)
 cv2.setNumThreads(1)
 
 DATA = pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported while tests are collected stays: a million objects, which are not searched for garbage then nor later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

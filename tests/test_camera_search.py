@@ -19,6 +19,7 @@ from camera_models import Calibration, CameraModel, InputError, save
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pose import Pose
 from camera_models.scaramuzza import Scaramuzza
+from omnilines.calibration.select import Candidate
 from omnilines.cli import main
 from omnilines.commands import calibrate as calibrate_module
 from omnilines.commands import detect as detect_module
@@ -205,10 +206,11 @@ def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeyp
         # The models are compared once, by the final corners.
         original = calibrate_module.select_model
         sizes = []
+        two = (Candidate("opencv-fisheye", {}), Candidate("scaramuzza", {"degree": 4}))
 
         def selecting(corners: object, *args: object, **options: object) -> object:
             sizes.append(len(corners))  # type: ignore[arg-type]
-            return original(corners, *args, **options)  # type: ignore[arg-type]
+            return original(corners, *args, candidates=two, **options)  # type: ignore[arg-type]
 
         monkeypatch.setattr(calibrate_module, "select_model", selecting)
     result = calibrate_photos([photo_set.folder], SPEC, tmp_path, model=model)

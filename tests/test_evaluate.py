@@ -229,7 +229,11 @@ def test_photos_are_named_in_order_and_differ_by_seed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "fov"),
-    [("opencv-fisheye", 190.0), ("pinhole", 90.0), pytest.param("scaramuzza", 220.0, marks=pytest.mark.full)],
+    [
+        ("opencv-fisheye", 190.0),
+        pytest.param("pinhole", 90.0, marks=pytest.mark.full),
+        pytest.param("scaramuzza", 220.0, marks=pytest.mark.full),
+    ],
 )
 def test_calibration_from_white_noise_agrees_with_its_covariance(name: str, fov: float) -> None:
     """The other half of `validate`, without a detector: over hidden lenses the statistic follows its distribution."""

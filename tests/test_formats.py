@@ -24,6 +24,7 @@ EXAMPLES = [(name, index, model) for name, _ in MODELS for index, model in enume
 PAIRS = [(entry.name, model, f"{entry.name}-{name}-{index}") for entry in FORMATS for name, index, model in EXAMPLES]
 EACH_PAIR = pytest.mark.parametrize(("name", "model"), [pair[:2] for pair in PAIRS], ids=[pair[2] for pair in PAIRS])
 EACH = pytest.mark.parametrize("name", FORMAT_NAMES)
+LONG_TO_FIT = ("kalibr", "basalt", "mrcal", "ros")
 
 
 def suffixes(name: str) -> tuple[str, ...]:
@@ -195,7 +196,9 @@ def test_a_rig_with_a_frame_of_its_own(name: str, tmp_path: Path) -> None:
         assert (first.rotation - torch.eye(3)).abs().max() == 0 and first.translation.abs().max() == 0
 
 
-@EACH
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.full) if name in LONG_TO_FIT else name for name in FORMAT_NAMES]
+)
 def test_what_is_not_held_is_fitted_or_refused(name: str, tmp_path: Path) -> None:
     """The error stated is the one measured here on every fifth pixel; what cannot be fitted says why."""
     target = format_named(name)

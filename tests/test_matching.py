@@ -86,7 +86,7 @@ def test_nearly_all_arcs_find_their_line(name: str) -> None:
         assert float(np.median(line_errors(scene, found))) < 0.006
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", FEW_CAMERAS)
 def test_arcs_in_pieces_find_their_line(name: str) -> None:
     scene = room(name).cut(4)
     found = match_arcs(scene.arcs(0.3, 5))
@@ -189,7 +189,7 @@ def separation_px(scene: MatchingScene, arcs: ViewedArcs, line: int, other: int)
     return float(np.median(off.abs().amax(-1).numpy() / arcs.px_rad[rows]))
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", FEW_CAMERAS)
 def test_parallel_edges_two_centimetres_apart_stay_two_lines(name: str) -> None:
     """Those that the photos tell apart: by five standard deviations in the middle one of them."""
     scene, pairs = with_twins(name, 0.02)

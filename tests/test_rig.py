@@ -135,7 +135,10 @@ def omnidir_pair(folder) -> tuple[Corners, list, list, list]:
     return corners, first, second, board
 
 
-@pytest.mark.parametrize(("model", "loss"), [("scaramuzza", "none"), ("scaramuzza", "cauchy"), ("unified", "none")])
+@pytest.mark.parametrize(
+    ("model", "loss"),
+    [("scaramuzza", "none"), ("scaramuzza", "cauchy"), pytest.param("unified", "none", marks=pytest.mark.full)],
+)
 def test_real_stereo_pair_is_nearly_as_good_together_as_alone(shared_data, model, loss):
     corners, *_ = omnidir_pair(shared_data / "calibration/omnidir_corners")
     kinds = {name: CameraSetup((704, 576), model) for name in ("cam0", "cam1")}

@@ -154,7 +154,9 @@ def fisheyes(names: tuple[str, ...], focal_px: float, side_px: int) -> dict[str,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("specification", ["aprilgrid:4x4:40mm:0.3:36h11", "checkerboard:7x5:30mm"])
+@pytest.mark.parametrize(
+    "specification", [pytest.param("aprilgrid:4x4:40mm:0.3:36h11", marks=pytest.mark.full), "checkerboard:7x5:30mm"]
+)
 def test_folders_of_photos(tmp_path, capsys, specification):
     """Two fisheyes of 220 degrees that look 100 degrees apart, the board mostly at the rims of both: everything within the stated
     uncertainty; a photo without a partner is named and used."""

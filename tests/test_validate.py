@@ -199,7 +199,7 @@ def test_wrong_corners_are_set_aside_for_what_the_other_photos_say(noisy: Noisy)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "fov"), [("opencv-fisheye", 190.0), ("pinhole", 90.0)])
+@pytest.mark.parametrize(("model", "fov"), [("opencv-fisheye", 190.0), pytest.param("pinhole", 90.0, marks=pytest.mark.full)])
 def test_lines_hold_over_seeds_and_lenses(model: str, fov: float) -> None:
     """With corners as good as stated the statistic is chi-square, less what camera and poses take out of the noise."""
     shares = []
@@ -233,7 +233,10 @@ def test_photos_of_a_misprinted_board_do_not_hold(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "fov"), [("opencv-fisheye", 190), ("scaramuzza", 190), ("scaramuzza", 220), ("pinhole", 90)])
+@pytest.mark.parametrize(
+    ("model", "fov"),
+    [("opencv-fisheye", 190), pytest.param("scaramuzza", 190, marks=pytest.mark.full), ("scaramuzza", 220), ("pinhole", 90)],
+)
 def test_the_whole_path_holds(model: str, fov: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out = run(capsys, "validate", "--model", model, "--fov-deg", fov, *SMALL, "--seed", 5, "--out", tmp_path, "--json")
     data = json.loads(out)

@@ -135,10 +135,11 @@ def test_what_is_wrong_exits_with_one(
 
 
 def test_a_wrong_focal_length_is_seen_by_the_arcs(done: Done) -> None:
+    """Two percent: 3.6 px at the border of these photos."""
     rebuilt = done.rebuilt
     camera = rebuilt.cameras["cam0"]
     parameters = camera.parameters.clone()
-    parameters[:2] *= 1.01
+    parameters[:2] *= 1.02
     wrong = replace(rebuilt.cameras, cameras={"cam0": camera.with_parameters(parameters)})
     checks = compare_scene(done.truth, replace(rebuilt, cameras=wrong)).checks
     assert ON_EDGE in [check.name for check in checks if not check.holds]
