@@ -10,9 +10,10 @@ import torch
 from matching_scenes import looking, random_arcs, room, shaken
 
 from camera_models.pose import Pose
+from omnilines.matching.known_lines import KnownLines
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.matching.photo_starts import meeting_directions, parallel_directions, start_poses
-from omnilines.matching.placing import lines_of_others, mended_pose, placed_anywhere
+from omnilines.matching.placing import lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.resection import _linearised, explained_by_lines, refined_by_lines
 
 FEW_CAMERAS = ["fisheye", "panorama", *(pytest.param(name, marks=pytest.mark.full) for name in ("scaramuzza", "pinhole"))]
@@ -42,11 +43,33 @@ def test_a_photo_without_a_pose_is_placed_by_the_lines_of_the_others(name: str, 
     truth, found = room(name).poses, matched(name, least == SEEN)
     for k in asked(found, least):
         own = found.arcs.of_photo(k).with_poses(Pose.identity(1))
-        one = placed_anywhere(own, lines_of_others(found.arcs, found.tracks, k), 0)
+        one = placed_anywhere(own, others(found, k), 0)
         assert one is not None
         degrees, metres = apart(one.pose, truth[[k]])
         assert degrees < 0.2 and metres < 0.01
         assert len(one.arc) > 0.8 * (found.arcs.image == k).sum()
+
+
+def everything(found: Matched) -> KnownLines:
+    return lines_of_tracks(found.arcs, found.tracks.track, len(found.tracks))
+
+
+def others(found: Matched, k: int) -> KnownLines:
+    return lines_of_others(everything(found), found.arcs, found.tracks, k)
+
+
+def test_lines_of_the_others_are_those_of_all_their_arcs() -> None:
+    found = matched("fisheye", True)
+    for k in (0, 3):
+        track = np.where(found.arcs.image == k, -1, found.tracks.track)
+        expected, fast = lines_of_tracks(found.arcs, track, len(found.tracks)), others(found, k)
+        order = np.argsort(fast.track)
+        np.testing.assert_array_equal(fast.track[order], expected.track)
+        for name in ("direction", "moment", "spans", "colours"):
+            np.testing.assert_allclose(getattr(fast, name)[order], getattr(expected, name), rtol=1e-6, atol=1e-6)
+        # Charts may differ where two cameras are equally far; what the lines explain does not.
+        arcs = found.arcs.of_photo(k)
+        assert abs(explained_by_lines(arcs, fast).score - explained_by_lines(arcs, expected).score) < 1e-6
 
 
 @pytest.mark.parametrize("name", FEW_CAMERAS)
@@ -54,7 +77,7 @@ def test_a_pose_that_is_off_is_mended_and_a_right_one_is_left(name: str) -> None
     truth, found = room(name).poses, matched(name, True)
     off = shaken(truth, 0.7, 30.0, 8)
     for k in asked(found):
-        known, own = lines_of_others(found.arcs, found.tracks, k), found.arcs.of_photo(k)
+        known, own = others(found, k), found.arcs.of_photo(k)
         assert mended_pose(own, known, 0) is None
         better = mended_pose(own.with_poses(off[[k]]), known, 0)
         assert better is not None
@@ -68,7 +91,7 @@ def test_a_pose_that_is_wrong_altogether_is_found_anew(name: str) -> None:
     truth, found = room(name).poses, matched(name, True)
     away = Pose.exp(torch.tensor([[0.0, math.pi / 2.0, 0.0, 0.5, 0.0, 0.0]], dtype=torch.float64))
     for k in asked(found):
-        known, own = lines_of_others(found.arcs, found.tracks, k), found.arcs.of_photo(k)
+        known, own = others(found, k), found.arcs.of_photo(k)
         better = mended_pose(own.with_poses(away @ truth[[k]]), known, 0)
         assert better is not None
         degrees, metres = apart(better.pose, truth[[k]])
@@ -78,7 +101,7 @@ def test_a_pose_that_is_wrong_altogether_is_found_anew(name: str) -> None:
 def test_the_pose_scatters_as_its_arcs_do() -> None:
     """Refined from the true pose with other noise each time: the residuals of arcs in their noise are as noise is."""
     found = matched("fisheye", True)
-    known = lines_of_others(found.arcs, found.tracks, 2)
+    known = others(found, 2)
     one = refined_by_lines(found.arcs.of_photo(2), known)
     assert one is not None
     residual, _ = _linearised(found.arcs.of_photo(2).with_poses(one.pose), known, one.arc, one.line)
@@ -89,7 +112,7 @@ def test_the_pose_scatters_as_its_arcs_do() -> None:
 @pytest.mark.parametrize("name", FEW_CAMERAS)
 def test_a_photo_of_elsewhere_is_not_placed(name: str) -> None:
     found = matched(name, True)
-    known = lines_of_others(found.arcs, found.tracks, None)
+    known = everything(found)
     strangers = random_arcs(name, 2, 60, 9)
     for k in range(2):
         own = strangers.of_photo(k).with_poses(Pose.identity(1))
@@ -100,7 +123,7 @@ def test_a_photo_of_elsewhere_is_not_placed(name: str) -> None:
 
 def test_the_jacobian_is_that_of_finite_differences() -> None:
     found = matched("scaramuzza", True)
-    own, known = found.arcs.of_photo(1), lines_of_others(found.arcs, found.tracks, None)
+    own, known = found.arcs.of_photo(1), everything(found)
     pairs = explained_by_lines(own, known)
     _, jacobian = _linearised(own, known, pairs.arc, pairs.line)
     for k, step in enumerate(1e-6 * torch.eye(6, dtype=torch.float64)):
@@ -125,11 +148,11 @@ def test_directions_are_those_of_parallel_lines_and_where_their_circles_meet() -
 def test_lines_of_one_direction_place_nothing() -> None:
     """Nor do photos with hardly any arcs: the height of the camera along the lines stays open."""
     found = matched("fisheye", True)
-    own, known = found.arcs.of_photo(0), lines_of_others(found.arcs, found.tracks, None)
+    own, known = found.arcs.of_photo(0), everything(found)
     upright = np.flatnonzero(np.abs(known.direction[:, 2]) > 0.99)
     assert len(upright) >= 4
     members = np.isin(found.tracks.track, upright)
-    only = lines_of_others(found.arcs, replace(found.tracks, track=np.where(members, found.tracks.track, -1)), None)
+    only = lines_of_tracks(found.arcs, np.where(members, found.tracks.track, -1), len(found.tracks))
     for arcs in (own, own.rows(np.arange(3))):
         assert len(start_poses(arcs.with_poses(Pose.identity(1)), only, 0)) == 0
         assert placed_anywhere(arcs, only, 0) is None

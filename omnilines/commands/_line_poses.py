@@ -9,7 +9,7 @@ from omnilines.commands._photo_arcs import FoundArcs
 from omnilines.commands._viewed_arcs import viewed_arcs
 from omnilines.commands.detect import on_all_cores
 from omnilines.matching.match import Matched
-from omnilines.matching.placing import lines_of_others, mended_pose, placed_anywhere
+from omnilines.matching.placing import lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.records import ImagePoses
 
 
@@ -23,13 +23,13 @@ def poses_by_lines(
     if poses.frames is not None:
         return None
     arcs = matched.arcs.with_poses(poses.cam_from_world)
+    known = lines_of_tracks(arcs, matched.tracks.track, len(matched.tracks))
 
     def mended(k: int) -> Pose | None:
-        better = mended_pose(arcs.of_photo(k), lines_of_others(arcs, matched.tracks, k), seed)
+        better = mended_pose(arcs.of_photo(k), lines_of_others(known, arcs, matched.tracks, k), seed)
         return None if better is None else better.pose
 
     moved = on_all_cores(mended, range(len(poses)), "mending poses by lines", progress)
-    known = lines_of_others(arcs, matched.tracks, None)
 
     def placed(photo: FoundArcs) -> Pose | None:
         alone = ImagePoses((photo.photo.name,), Pose.identity(1), (photo.camera,))

@@ -1,12 +1,13 @@
 """Lines that are known, and which arcs of photos with poses could show them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
 from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
 from omnilines.matching.track_kernel import near_lines
@@ -21,11 +22,13 @@ REACH_PX = 3.0
 
 @dataclass(frozen=True)
 class KnownLines:
-    """l lines of the tracks of a triangulation, with what their arcs say of them."""
+    """l lines of tracks, with what their arcs say of them."""
 
-    triangulation: Triangulation
     track: Int[np.ndarray, " l"]
     """The track of each: those that have a line."""
+    chart: LineChart
+    covariance: Float[torch.Tensor, "l 4 4"]
+    """In the chart."""
     direction: Float[np.ndarray, "l 3"]
     moment: Float[np.ndarray, "l 3"]
     spans: Float[np.ndarray, "l 2"]
@@ -35,6 +38,20 @@ class KnownLines:
 
     def __len__(self) -> int:
         return len(self.track)
+
+    def rows(self, chosen: Bool[np.ndarray, " l"]) -> "KnownLines":
+        """Some of them."""
+        table = (self.direction, self.moment, self.spans, self.colours)
+        index = torch.as_tensor(chosen)
+        return KnownLines(self.track[chosen], self.chart[index], self.covariance[index], *(part[chosen] for part in table))
+
+    def and_also(self, more: "KnownLines") -> "KnownLines":
+        """These lines, and others after them."""
+        chart = LineChart(*(torch.cat([getattr(one.chart, f.name) for one in (self, more)]) for f in fields(LineChart)))
+        names = ("direction", "moment", "spans", "colours")
+        table = (np.concatenate([getattr(self, name), getattr(more, name)]) for name in names)
+        track = np.concatenate([self.track, more.track])
+        return KnownLines(track, chart, torch.cat([self.covariance, more.covariance]), *table)
 
     def looks_like(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Likeness of the colours beside arcs and lines, in (0, 1]."""
@@ -47,9 +64,8 @@ class KnownLines:
 
     def chi_square(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""
-        chosen, index = torch.as_tensor(self.track), torch.as_tensor(line)
-        at = linearise(arcs.tracks(arc, line, len(self)), self.triangulation.chart[chosen])
-        covariance = self.triangulation.covariance[chosen][index]
+        at = linearise(arcs.tracks(arc, line, len(self)), self.chart)
+        covariance = self.covariance[torch.as_tensor(line)]
         spread = torch.eye(2, dtype=torch.float64) + at.jacobian @ covariance @ at.jacobian.mT
         square = (at.residual * torch.linalg.solve(spread, at.residual)).sum(-1)
         return torch.nan_to_num(square, nan=torch.inf).numpy()
@@ -80,11 +96,13 @@ def known_lines(arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangula
     place[known] = np.arange(len(known))
     member = np.flatnonzero(place[track] >= 0)
     own = place[track[member]]
-    chosen = lines.lines[torch.as_tensor(known)]
+    index = torch.as_tensor(known)
+    chosen = lines.lines[index]
     direction, moment = chosen.direction.numpy(), chosen.moment.numpy()
     along = arcs.packed[member, 3:6] - arcs.packed[member, :3]
     colours = mean_colours(arcs, member, own, (along * direction[own]).sum(-1) < 0, len(known))
-    return KnownLines(lines, known, direction, moment, _spans(chosen, arcs, member, own), colours)
+    spans = _spans(chosen, arcs, member, own)
+    return KnownLines(known, lines.chart[index], lines.covariance[index], direction, moment, spans, colours)
 
 
 def _spans(

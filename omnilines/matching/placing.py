@@ -5,9 +5,11 @@ most of them under the right one, a small share under any other. What the best o
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Int
 
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
@@ -27,12 +29,22 @@ OTHER_RAD, OTHER_SHARE = math.radians(3.0), 0.05
 """Poses are others that are turned by so much, or stand apart by this share of the extent of the lines."""
 
 
-def lines_of_others(arcs: ViewedArcs, tracks: Tracks, image: int | None) -> KnownLines:
-    """The lines of tracks as all photos but one show them, from the poses of `arcs`; with None as all show them."""
-    track = tracks.track if image is None else np.where(arcs.image == image, -1, tracks.track)
+def lines_of_tracks(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> KnownLines:
+    """The lines of `count` tracks from the poses of `arcs`; `track` is that of every arc, -1 for none."""
     rows = np.flatnonzero(track >= 0)
-    found = triangulate_on(torch.device("cpu"), "ml", arcs.tracks(rows, track[rows], len(tracks)))
+    found = triangulate_on(torch.device("cpu"), "ml", arcs.tracks(rows, track[rows], count))
     return known_lines(arcs, track, found)
+
+
+def lines_of_others(known: KnownLines, arcs: ViewedArcs, tracks: Tracks, image: int) -> KnownLines:
+    """The lines of tracks as all photos but one show them; `known` as all do. Only those that the one shows are not the same."""
+    own = np.unique(tracks.track[(arcs.image == image) & (tracks.track >= 0)])
+    if not len(own):
+        return known
+    number = np.full(len(tracks) + 1, -1)
+    number[own] = np.arange(len(own))
+    without = lines_of_tracks(arcs, np.where(arcs.image == image, -1, number[tracks.track]), len(own))
+    return known.rows(~np.isin(known.track, own)).and_also(replace(without, track=own[without.track]))
 
 
 def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
