@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.circle_kernel import own_samples
+
 
 @njit(cache=True, nogil=True)
 @no_type_check
@@ -47,15 +49,10 @@ def bends(
         begin, end = max(found[arc, 0], starts[arc]), found[arc, 1] + 1
         if found[arc, 0] < 0 or end - begin < 2 * least:
             continue
-        chosen = np.empty(end - begin, dtype=np.int64)
-        count = 0
-        for n in range(begin, end):
-            if usable[n] and abs(shift[n]) < most_shift_px:
-                chosen[count] = n
-                count += 1
+        chosen = own_samples(begin, end, shift, usable, most_shift_px)
+        count = len(chosen)
         if count < 2 * least:
             continue
-        chosen = chosen[:count]
         middle = np.median(strength[chosen])
         sums = np.zeros((count + 1, 6))
         for i in range(count):

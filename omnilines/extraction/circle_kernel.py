@@ -18,7 +18,7 @@ CORNER_SAMPLES = 10
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _chosen(begin: int, end: int, shift: np.ndarray, usable: np.ndarray, most_shift_px: float) -> np.ndarray:
+def own_samples(begin: int, end: int, shift: np.ndarray, usable: np.ndarray, most_shift_px: float) -> np.ndarray:
     """Samples of an arc that are usable and not of another edge."""
     chosen = np.empty(end - begin, dtype=np.int64)
     count = 0
@@ -80,7 +80,7 @@ def fit_circles(
     used = np.zeros(arcs)
     residual = np.full(len(angle), np.nan)
     for arc in range(arcs):
-        chosen = _chosen(starts[arc], starts[arc + 1], shift, usable, most_shift_px)
+        chosen = own_samples(starts[arc], starts[arc + 1], shift, usable, most_shift_px)
         count = len(chosen)
         if count < 3:
             continue
