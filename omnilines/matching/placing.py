@@ -21,7 +21,7 @@ from omnilines.triangulation.batches import triangulate_on
 
 CLEARLY_MORE = 1.1
 """Times what the pose that a photo has explains: then another near it is better."""
-HARDLY_EXPLAINED = 0.25
+FEW_EXPLAINED = 0.25
 """Share of the arcs of a photo below which its pose may be wrong altogether."""
 ABOVE_CHANCE, LEAST_SCORE = 1.5, 12.0
 """Times what the best of the other poses explains, and the least, for the pose of a photo that had none."""
@@ -54,7 +54,7 @@ def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines
     """
     own, near = explained_by_lines(arcs, known), refined_by_lines(arcs, known)
     best = own if near is None or near.score <= CLEARLY_MORE * own.score else near
-    if best.score < HARDLY_EXPLAINED * len(arcs):
+    if best.score < FEW_EXPLAINED * len(arcs):
         far = placed_anywhere(arcs, known, seed)
         best = best if far is None or far.score <= ABOVE_CHANCE * best.score else far
     return None if best is own else best
