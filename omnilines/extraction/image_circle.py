@@ -12,7 +12,7 @@ from omnilines.extraction.rim_kernel import first_light
 
 RAYS = 360
 DARK_GREY = 40.0
-"""Grey level of 255 that what lies outside does not exceed."""
+"""Grey level of 255 that what lies outside does not exceed, noise and all."""
 STEP_GREY = 6.0
 """Above what lies outside: light."""
 DARK_PX = 8
@@ -23,6 +23,8 @@ LEAST_RAYS = 0.15
 """Share of all rays that must end in the dark."""
 LEAST_AGREEING = 0.5
 """Share of them that must meet the first light on one circle."""
+MOST_LIGHT = 0.2
+"""Share of the pixels outside the circle that may be brighter than DARK_GREY: flares, a halo of the rim, a printed date."""
 MARGIN_SHARE, MARGIN_PX = 0.01, 4.0
 """What is left out inside the rim."""
 MASK_MARGIN_PX = 3
@@ -40,7 +42,8 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     """Centre (u, v) and radius (px) of the circle outside which a photo is dark, or None where there is none.
 
     From the border inwards along rays to the camera's centre pixel, each finds its first light. Where most of those that begin
-    in the dark find it on one circle (the best of random triples), that is the rim; others met a dark part of the scene.
+    in the dark find it on one circle (the best of random triples), and all is dark outside it, that is the rim; others met a dark
+    part of the scene.
     """
     height, width = image.shape[:2]
     centre = model.centre_px.detach().numpy()
@@ -55,14 +58,17 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     dark = float(np.percentile(outer, 2))
     # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
     darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(LEAST_RAYS * RAYS)]]
-    threshold = max(dark + STEP_GREY, float(np.percentile(darkest, 98))) * grey_unit(image)
+    threshold = max(dark + STEP_GREY, float(np.percentile(darkest, 98)))
+    if threshold >= DARK_GREY:
+        return None
+    threshold *= grey_unit(image)
     depths = int(border.max())
     light = first_light(image.reshape(height, width, -1), centre, way, border, depths, threshold)
     begins_dark = (light >= DARK_PX) & (light < depths)
-    if dark >= DARK_GREY or begins_dark.mean() < LEAST_RAYS:
+    if begins_dark.mean() < LEAST_RAYS:
         return None
-    rim = centre + (border - light)[begins_dark, None] * way[begins_dark]
-    return _common_circle(rim)
+    circle = _common_circle(centre + (border - light)[begins_dark, None] * way[begins_dark])
+    return circle if circle is not None and _dark_outside(image, circle) else None
 
 
 def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarray, "*n 2"]) -> UInt[np.ndarray, "*n"]:
@@ -71,6 +77,17 @@ def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarra
     height, width = image.shape[:2]
     grey = image.reshape(height * width, -1)[row.clip(0, height - 1) * width + column.clip(0, width - 1)]
     return functools.reduce(np.maximum, np.moveaxis(grey, -1, 0))
+
+
+def _dark_outside(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float]) -> bool:
+    """Whether hardly any pixel outside the circle is light, and some are outside."""
+    u, v, radius = circle
+    height, width = image.shape[:2]
+    row, column = np.nonzero(
+        (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] > (radius * (1.0 + SAME_SHARE)) ** 2
+    )
+    grey = image.reshape(height, width, -1)[row, column].max(-1)
+    return len(grey) > 0 and float((grey > DARK_GREY * grey_unit(image)).mean()) < MOST_LIGHT
 
 
 def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, float] | None:

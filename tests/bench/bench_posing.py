@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from camera_models import Pinhole, load
+from courtyard import read_courtyard
+
+from camera_models import load
 from camera_models.formats import read as read_calibration
-from camera_models.pose import Pose
 from omnilines.commands.render_scene import write_scene
 from omnilines.files import find_photos, read_photo
 from omnilines.geometry.alignment import similarity_alignment
@@ -67,20 +68,13 @@ def rooms(views: int, side: int, seeds: list[int]) -> None:
 
 
 def castle(photos: int) -> None:
-    """Surveyed cameras: K, three zeros, R (camera to world, rows), centre, size, for the full-size images."""
-    folder = DATA / "lines" / "castle30"
-    names, poses, cameras = [], [], {}
-    for file in sorted((folder / "cameras").glob("*.camera"))[:photos]:
-        values = [float(value) for value in file.read_text().split()]
-        k, world_from_cam, centre = np.reshape(values[:9], (3, 3)), np.reshape(values[12:21], (3, 3)), np.array(values[21:24])
-        names.append(file.name.removesuffix(".camera"))
-        poses.append(Pose.of(world_from_cam.T.copy(), -world_from_cam.T @ centre))
-        half = {"fx": k[0, 0] / 2, "fy": k[1, 1] / 2, "cx": (k[0, 2] + 0.5) / 2 - 0.5, "cy": (k[1, 2] + 0.5) / 2 - 0.5}
-        cameras["cam0"] = Pinhole.from_mapping(half, read_photo(folder / "images" / names[-1]).shape[1::-1])
+    data = DATA / "lines" / "castle30"
+    poses, camera = read_courtyard(data)
+    names, truth = poses.images[:photos], poses.cam_from_world[:photos]
     with tempfile.TemporaryDirectory() as work:
-        read = (folder / "images").joinpath
-        found, seconds = timed(names, lambda n: read_photo(read(n)), cameras, dict.fromkeys(names, "cam0"), Path(work))
-    print(row("castle30", found, ImagePoses(tuple(names), Pose.stack(poses)), seconds), flush=True)
+        read = (data / "images").joinpath
+        found, seconds = timed(names, lambda n: read_photo(read(n)), {"cam0": camera}, dict.fromkeys(names, "cam0"), Path(work))
+    print(row("castle30", found, ImagePoses(names, truth), seconds), flush=True)
 
 
 def hall() -> None:

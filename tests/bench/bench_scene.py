@@ -1,6 +1,6 @@
-"""Lines of a rendered room and of a real courtyard from photos with known poses: ours beside pylimap 2.0.0.
+"""Lines of a rendered room from photos with known poses: ours beside pylimap 2.0.0.
 
-    python tests/bench/bench_scene.py [--views 20] [--seed 0] [--work DIR] [--methods ours 90 120 cube best] [--castle DIR]
+    python tests/bench/bench_scene.py [--views 20] [--seed 0] [--work DIR] [--methods ours 90 120 cube best]
 
 The room of `omnilines render scene`: 190 degree fisheye, 1100x1100, noise of 2 grey levels, exact calibration and poses. pylimap
 takes pinhole cameras, so it is given views of `omnilines rectify`, with the poses of the views: one of 90 degrees a photo, one
@@ -25,25 +25,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-import torch
 from timing import print_table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import camera_models
-from camera_models import Calibration, Pinhole
-from camera_models.pose import Pose
 from camera_models.views import axis_from_camera, views
 from omnilines.cli import main as omnilines
 from omnilines.commands.rectify import rectify
 from omnilines.commands.render_scene import render_scene
 from omnilines.evaluate_scene import scene_scores
-from omnilines.files import read_lines, read_poses, read_segments, write_poses
-from omnilines.files.colmap_images import write_colmap_images
+from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.files.true_edges import Stretches, TrueEdges, read_stretches, read_true_edges
-from omnilines.records import ImagePoses
 from omnilines.scenes import SCENES
 
 HERE = Path(__file__).resolve().parent
@@ -51,9 +45,7 @@ PEERS = HERE.parents[1] / ".venv-peers" / "bin" / "python"
 SIZE, FOV_DEG, NOISE = (1100, 1100), 190.0, 2.0
 PEER_SECONDS = 3600
 LEAST_VIEWS = 4
-HELD_OUT = 10
-"""Every tenth photo of the courtyard, from the sixth on, is left out of the estimate."""
-SEEN_PX, MATCHED_PX, NEAR_PX, PARALLEL_DEG = 40.0, 5.0, 2.0, 3.0
+SEEN_PX = 40.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +66,6 @@ METHODS = {
     "cube": Method("pylimap, cube, default", "cube", None, "grey", 20, False),
     "best": Method("pylimap, cube, best", "cube", None, "colour", None, True),
 }
-CASTLE_METHOD = Method("pylimap", "perspective", None, "grey", 20, True)
 
 
 @dataclass(frozen=True)
@@ -245,106 +236,6 @@ def room_table(work: Path, scene: str, count: int, seed: int, methods: Sequence[
     )
 
 
-def castle(data: Path, work: Path) -> tuple[Path, ImagePoses, Pinhole]:
-    """The courtyard's cameras at half size as calibration.yaml, poses.csv and a COLMAP model beside links to its photos."""
-    folder = work / "castle"
-    (folder / "colmap").mkdir(parents=True, exist_ok=True)
-    files = sorted((data / "cameras").glob("*.camera"))
-    tables = [np.array(" ".join(file.read_text().split()).split(), dtype=np.float64) for file in files]
-    k, size = tables[0][:9], tables[0][24:26]
-    assert all((table[:9] == k).all() and len(table) == 26 for table in tables)
-    half = {"fx": k[0] / 2, "fy": k[4] / 2, "cx": (k[2] + 0.5) / 2 - 0.5, "cy": (k[5] + 0.5) / 2 - 0.5}
-    camera = Pinhole.from_mapping(half, (int(size[0]) // 2, int(size[1]) // 2))
-    rotation = torch.as_tensor(np.stack([table[12:21].reshape(3, 3).T for table in tables]))
-    centre = torch.as_tensor(np.stack([table[21:24] for table in tables]))
-    names = tuple(file.name.removesuffix(".camera") for file in files)
-    pose = Pose(rotation, -(rotation @ centre[..., None])[..., 0])
-    table = ImagePoses(names, pose, ("cam0",) * len(names))
-    camera_models.save(folder / "calibration.yaml", Calibration({"cam0": camera}))
-    write_poses(folder / "poses.csv", table)
-    write_colmap_images(folder / "colmap", {"cam0": camera}, table)
-    for name in names:
-        if not (folder / name).exists():
-            (folder / name).symlink_to(data / "images" / name)
-    return folder, table, camera
-
-
-def distances_px(ends_m: np.ndarray, poses: Pose, camera: Pinhole, segment_px: np.ndarray) -> np.ndarray:
-    """(n,) RMS distance of both ends of a segment from the image of its line; of a pinhole that is straight."""
-    with torch.no_grad():
-        points, _ = camera.project(poses.transform(torch.as_tensor(ends_m)).numpy())
-    along = points[:, 1] - points[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
-    return np.sqrt((((segment_px - points[:, :1]) * normal[:, None]).sum(-1) ** 2).mean(-1))
-
-
-def held_out(found: Found, poses: ImagePoses, camera: Pinhole, folder: Path, names: Sequence[str]) -> tuple[float, float, int]:
-    """Lines of four photos and more, projected into photos that they were not made from: median distance (px) of the nearest
-    LSD segment along them, where one is within MATCHED_PX; share of all with one within NEAR_PX; and how many there were."""
-    best = []
-    share = np.linspace(0.0, 1.0, 201)[:, None]
-    for name in names:
-        pose = poses.cam_from_world[poses.images.index(name)]
-        found_px = cv2.createLineSegmentDetector().detect(cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE))[0]
-        segments = found_px.reshape(-1, 2, 2).astype(np.float64)
-        segments = segments[np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1) >= SEEN_PX / 2]
-        direction = segments[:, 1] - segments[:, 0]
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        for ends in found.ends_m[found.photos >= LEAST_VIEWS]:
-            points = pose.transform(torch.as_tensor(ends[:1] + share * (ends[1:] - ends[:1])))
-            pixel, valid = camera.project(points.numpy())
-            inside = pixel[valid & ((pixel >= 0) & (pixel <= np.array(camera.image_size) - 1)).all(-1)]
-            if len(inside) < 2 or np.linalg.norm(inside[-1] - inside[0]) < SEEN_PX:
-                continue
-            length = float(np.linalg.norm(inside[-1] - inside[0]))
-            along = (inside[-1] - inside[0]) / length
-            step = segments - inside[0]
-            across = np.sqrt(((step @ np.array([-along[1], along[0]])) ** 2).mean(-1))
-            middle = (step @ along).mean(-1)
-            fits = (np.abs(direction @ along) > math.cos(math.radians(PARALLEL_DEG))) & (middle > 0) & (middle < length)
-            best.append(float(across[fits].min(initial=math.inf)))
-    distance = np.array(best)
-    return float(np.median(distance[distance < MATCHED_PX])), float((distance < NEAR_PX).mean()), len(distance)
-
-
-def castle_table(data: Path, work: Path, methods: Sequence[str]) -> None:
-    """The courtyard without every tenth photo, and how its lines lie in these; pylimap with its separate adjustment."""
-    folder, poses, camera = castle(data, work)
-    left_out = poses.images[HELD_OUT // 2 :: HELD_OUT]
-    kept = [name for name in poses.images if name not in left_out]
-    photos = work / "castle_kept"
-    photos.mkdir(exist_ok=True)
-    for name in kept:
-        if not (photos / name).exists():
-            (photos / name).symlink_to(data / "images" / name)
-    rows = []
-    for label in methods:
-        if label == "ours":
-            found = ours(photos, folder / "calibration.yaml", folder / "poses.csv", work / "castle_ours")
-        else:
-            found = pylimap(folder, kept, CASTLE_METHOD, 0.0)
-        used = found.photos[found.line] >= LEAST_VIEWS
-        place = [poses.images.index(photo) for photo, wanted in zip(found.photo, used, strict=True) if wanted]
-        error = distances_px(found.ends_m[found.line[used]], poses.cam_from_world[place], camera, found.segment_px[used])
-        median, near, count = held_out(found, poses, camera, folder, left_out)
-        rows.append(
-            [
-                "omnilines" if label == "ours" else CASTLE_METHOD.name,
-                str(len(found.ends_m)),
-                str(int((found.photos >= LEAST_VIEWS).sum())),
-                f"{np.median(error):.3f}",
-                f"{median:.3f}",
-                f"{100 * near:.1f} of {count}",
-                f"{found.seconds:.1f}",
-            ]
-        )
-    print_table(
-        f"castle30, {len(kept)} photos; held out: {', '.join(left_out)}",
-        ["method", "lines", f">= {LEAST_VIEWS} photos", "reprojection px", "held-out px", f"% within {NEAR_PX:.0f} px", "s"],
-        rows,
-    )
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--scene", choices=SCENES, default="room")
@@ -352,12 +243,8 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, default=os.environ.get("OMNILINES_BENCH"))
     parser.add_argument("--methods", nargs="+", default=["ours", *METHODS], choices=["ours", *METHODS])
-    parser.add_argument("--castle", type=Path, help="the folder lines/castle30: its table instead of the room's")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(options.work or folder)
         place.mkdir(parents=True, exist_ok=True)
-        if options.castle:
-            castle_table(options.castle.resolve(), place, ["ours", "pylimap"] if "ours" in options.methods else ["pylimap"])
-        else:
-            room_table(place, options.scene, options.views, options.seed, options.methods)
+        room_table(place, options.scene, options.views, options.seed, options.methods)

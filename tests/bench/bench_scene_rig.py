@@ -9,25 +9,24 @@ without an arc are hidden; the shares by chance are those of the same lines draw
 """
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-import torch
 from timing import print_table
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from held_out import MATCHED_PX, NEAR_PX, held_out
+
 import camera_models
-from camera_models import CameraModel
 from camera_models.formats import read as read_calibration
-from camera_models.pose import Pose
 from omnilines.cli import main as omnilines
 from omnilines.extraction import extract_arcs
 from omnilines.files import read_lines, read_photo, read_poses
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rigs" / "omnimvs" / "itbt_sample"
-SEEN_PX, NEAR_PX, MATCHED_PX, SHIFTED_PX = 40.0, 2.0, 5.0, 15.0
-LEAST_COSINE = np.cos(np.radians(3.0))
-SAMPLES = 401
 
 
 def reconstructed(folder: Path, instant: str, cameras: list[str], calibration: Path, out: Path) -> bool:
@@ -41,48 +40,6 @@ def reconstructed(folder: Path, instant: str, cameras: list[str], calibration: P
     except SystemExit as finished:
         return not finished.code
     return True
-
-
-def drawn(ends_m: np.ndarray, pose: Pose, camera: CameraModel) -> list[np.ndarray]:
-    """The visible part of each line in a photo (k, 2), of those that are long enough."""
-    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
-    curves = []
-    for ends in ends_m:
-        points = pose.transform(torch.as_tensor(ends[:1] + share * (ends[1:] - ends[:1])))
-        pixel, valid = camera.project(points.numpy())
-        inside = valid & ((pixel >= 0) & (pixel <= np.array(camera.image_size) - 1)).all(-1)
-        if inside.all() and np.linalg.norm(np.diff(pixel, axis=0), axis=-1).sum() >= SEEN_PX:
-            curves.append(pixel)
-    return curves
-
-
-def nearest_arc(curve: np.ndarray, arcs_px: np.ndarray) -> float:
-    """RMS distance (px) of both ends of the nearest arc that runs along a curve; infinite if none does."""
-    step = np.diff(curve, axis=0)
-    tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
-    across = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
-    away = arcs_px[:, :, None] - 0.5 * (curve[1:] + curve[:-1])
-    at = np.argmin((away**2).sum(-1), axis=-1)
-    beyond = (at == 0) | (at == len(step) - 1)
-    off = np.abs((np.take_along_axis(away, at[..., None, None], 2)[:, :, 0] * across[at]).sum(-1))
-    chord = arcs_px[:, 1] - arcs_px[:, 0]
-    chord /= np.linalg.norm(chord, axis=-1, keepdims=True)
-    middle = tangent[at].sum(1)
-    middle /= np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
-    along = (np.abs((chord * middle).sum(-1)) >= LEAST_COSINE) & ~beyond.all(-1)
-    return float(np.sqrt((off[along] ** 2).mean(-1)).min(initial=np.inf))
-
-
-def held_out(ends_m: np.ndarray, pose: Pose, camera: CameraModel, arcs_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (px) of the drawn lines from the nearest arc, in their places and beside them."""
-    curves = drawn(ends_m, pose, camera)
-    place = [nearest_arc(curve, arcs_px) for curve in curves]
-    beside = []
-    for curve in curves:
-        chord = curve[-1] - curve[0]
-        off = SHIFTED_PX * np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
-        beside += [nearest_arc(curve + off, arcs_px), nearest_arc(curve - off, arcs_px)]
-    return np.array(place), np.array(beside)
 
 
 def main(folder: Path, out: Path) -> None:

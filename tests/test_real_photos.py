@@ -1,0 +1,65 @@
+"""Arcs and lines of real photos: a courtyard taken by an ordinary camera, surveyed, and round photos of a fisheye."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from courtyard import read_courtyard, write_courtyard
+from held_out import NEAR_PX, held_out
+
+from camera_models import OpenCVFisheye
+from omnilines.cli import main
+from omnilines.extraction import extract_arcs
+from omnilines.extraction.image_circle import image_circle
+from omnilines.files import read_lines, read_photo
+
+LEFT_OUT = "0005.jpg"
+
+
+def test_ordinary_photos_have_no_image_circle(shared_data: Path) -> None:
+    """Shaded arcades lie along their borders."""
+    data = shared_data / "lines" / "castle30"
+    poses, camera = read_courtyard(data)
+    found = {name: image_circle(read_photo(data / "images" / name), camera) for name in poses.images[::3]}
+    assert found == dict.fromkeys(found)
+
+
+def test_round_photos_have_one_image_circle(shared_data: Path) -> None:
+    files = sorted((shared_data / "calibration" / "ov_plane" / "test").glob("*.png"))
+    lens = OpenCVFisheye.from_mapping({"fx": 350.0, "fy": 350.0, "cx": 640.0, "cy": 400.0}, (1280, 800))
+    found = np.array([image_circle(read_photo(file), lens) for file in files], dtype=np.float64)
+    np.testing.assert_allclose(found, np.broadcast_to(np.median(found, 0), found.shape), atol=4.0)
+
+
+def test_arcs_of_a_courtyard_lie_where_a_peer_sees_segments(shared_data: Path) -> None:
+    """Of the length of OpenCV's LSD segments of 40 px and more most has an arc along it, within 2 px."""
+    data = shared_data / "lines" / "castle30"
+    camera = read_courtyard(data)[1]
+    photo = data / "images" / LEFT_OUT
+    ends = extract_arcs(read_photo(photo), camera).endpoints_px
+    covered = np.zeros(camera.image_size[::-1], dtype=np.uint8)
+    for start, end in ends.round().astype(int).tolist():
+        cv2.line(covered, start, end, 255, thickness=5)
+    segments = cv2.createLineSegmentDetector().detect(cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE))[0].reshape(-1, 2, 2)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+    long = segments[length >= 40.0]
+    places = (long[:, :1] + np.linspace(0.0, 1.0, 41)[:, None] * (long[:, 1:] - long[:, :1])).round().astype(int).reshape(-1, 2)
+    assert (covered[places[:, 1], places[:, 0]] > 0).mean() > 0.9
+
+
+def test_lines_of_a_courtyard_lie_where_a_photo_left_out_shows_edges(shared_data: Path, tmp_path: Path) -> None:
+    """Surveyed poses; judged by OpenCV's LSD. No line is known to be visible there, so that not all can be confirmed."""
+    data = shared_data / "lines" / "castle30"
+    poses, camera = read_courtyard(data)
+    write_courtyard(tmp_path / "photos", data, [f"{k:04}.jpg" for k in (3, 4, 6, 7, 8)])
+    files = [str(tmp_path / "photos" / name) for name in ("calibration.yaml", "poses.csv")]
+    out = tmp_path / "scene"
+    with pytest.raises(SystemExit, match="0"):
+        main(["reconstruct", str(tmp_path / "photos"), "--calibration", files[0], "--poses", files[1], "--out", str(out)])
+    lines = read_lines(out / "lines.csv")
+    segments = cv2.createLineSegmentDetector().detect(cv2.imread(str(data / "images" / LEFT_OUT), cv2.IMREAD_GRAYSCALE))[0]
+    pose = poses.cam_from_world[poses.images.index(LEFT_OUT)]
+    place, beside = held_out(lines.ends_m[lines.known], pose, camera, segments.reshape(-1, 2, 2).astype(np.float64))
+    assert len(place) > 60
+    assert (place < NEAR_PX).mean() > 0.25 + (beside < NEAR_PX).mean()
