@@ -79,8 +79,8 @@ def test_colmap_model_has_the_same_cameras(rendered, tmp_path) -> None:
     inputs = ["--calibration", f"{folder}/calibration.yaml", "--poses", f"{folder}/poses.csv", "--out", str(tmp_path)]
     assert run("rectify", folder, *inputs, "--view", "cube", "--size", "100x100") == 0
     rows = [line.split() for line in (tmp_path / "colmap/cameras.txt").read_text().splitlines() if not line.startswith("#")]
-    assert len(rows) == 1 and rows[0][:4] == ["1", "PINHOLE", "100", "100"]
-    np.testing.assert_allclose([float(x) for x in rows[0][4:]], [50.0, 50.0, 50.0, 50.0], atol=1e-12)
+    assert len(rows) == 1 and rows[0][:4] == ["1", "SIMPLE_PINHOLE", "100", "100"]
+    np.testing.assert_allclose([float(x) for x in rows[0][4:]], [50.0, 50.0, 50.0], atol=1e-12)
     lines = [line for line in (tmp_path / "colmap/images.txt").read_text().splitlines() if not line.startswith("#")]
     assert len(lines) == 24 and not any(lines[1::2])
     poses = read_poses(tmp_path / "poses.csv")

@@ -14,7 +14,7 @@ from camera_models.views import View, axis_from_camera, views
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.commands.render_scene import write_png
 from omnilines.files import find_photos, read_photo, read_poses, write_poses
-from omnilines.files.colmap_images import write_colmap_images
+from omnilines.files.colmap_scene import write_colmap_scene
 from omnilines.files.photos import PhotoRef
 from omnilines.records import ImagePoses, Summary
 
@@ -133,7 +133,7 @@ def _write_poses(
     write_poses(folder / "poses.csv", result)
     files = [folder / "poses.csv"]
     if view in ("perspective", "cube"):
-        files += write_colmap_images(output_folder(folder / "colmap"), {view: camera}, result)
+        files += write_colmap_scene(output_folder(folder / "colmap"), {view: camera}, result)
     return files
 
 

@@ -1,4 +1,4 @@
-"""A COLMAP text model of a scene: cameras.txt, images.txt, an empty points3D.txt; and lines.txt, which COLMAP does not read.
+"""A COLMAP text model of photos: cameras.txt, images.txt, an empty points3D.txt; of a scene lines.txt too, which COLMAP skips.
 
     images.txt   IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line for points, here empty
     lines.txt    TRACK X1 Y1 Z1 X2 Y2 Z2 VIEWS, metres
@@ -53,15 +53,16 @@ def write_colmap_scene(
     folder: Path,
     cameras: Mapping[str, CameraModel],
     poses: ImagePoses,
-    lines: Lines,
+    lines: Lines | None = None,
     *,
     remarks: Sequence[str] = (),
 ) -> tuple[Path, ...]:
-    """Write the four files into a folder, which is made where it is absent; the lines are those that are known.
+    """Write the files into a folder, which is made where it is absent; the lines are those that are known.
 
-    The photos' cameras are named in `poses` (the first camera where they are not). `remarks` stand at the top of cameras.txt.
-    Raises InputError where COLMAP does not hold a camera exactly (`colmap_cameras` fits it), the photo of a pose has no camera or
-    a name with a blank, which would end it, a number is not finite, or the folder holds parts of another model.
+    Without lines there is no lines.txt, and COLMAP's reconstruction from known poses may begin with the model. The cameras of
+    photos are named in `poses` (the first camera where they are not). `remarks` stand at the top of cameras.txt. Raises
+    InputError where COLMAP does not hold a camera exactly (`colmap_cameras` fits it), the photo of a pose has no camera or a
+    name with a blank, which would end it, a number is not finite, or the folder holds parts of another model.
     """
     stale = [name for name in _STALE if (folder / name).exists()]
     if stale:
@@ -76,8 +77,9 @@ def write_colmap_scene(
         camera_file: "".join(f"# {remark}\n" for remark in remarks) + str(camera_text),
         folder / "images.txt": _images(folder / "images.txt", number, poses),
         folder / "points3D.txt": "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n",
-        folder / "lines.txt": _lines(folder / "lines.txt", lines),
     }
+    if lines is not None:
+        texts[folder / "lines.txt"] = _lines(folder / "lines.txt", lines)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -31,7 +31,7 @@ from camera_models import Pinhole
 from camera_models.pose import Pose
 from omnilines.extraction import extract_arcs
 from omnilines.files import read_photo
-from omnilines.files.colmap_images import write_colmap_images
+from omnilines.files.colmap_scene import write_colmap_scene
 from omnilines.records import ImagePoses
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "lines" / "castle30"
@@ -135,7 +135,7 @@ def main(data: Path, work: Path, views: int) -> None:
     folder = work / "castle"
     kept_poses = write_courtyard(folder, data, kept)
     (folder / "colmap").mkdir(exist_ok=True)
-    write_colmap_images(folder / "colmap", {"cam0": camera}, kept_poses)
+    write_colmap_scene(folder / "colmap", {"cam0": camera}, kept_poses)
     own = ours(folder, folder / "calibration.yaml", folder / "poses.csv", work / "castle_ours")
     other = peers(folder, kept, work / "castle_pylimap.npz")
     own, other = (some(found, np.flatnonzero(found.photos >= views)) for found in (own, other))
