@@ -43,6 +43,16 @@ def test_a_folder_in_natural_order(tmp_path: Path) -> None:
     assert all(photo.path == tmp_path / photo.name for photo in find_photos([tmp_path]))
 
 
+def test_links_out_of_the_folder_are_followed_once(tmp_path: Path) -> None:
+    """A data set elsewhere is linked to; links back do not run in circles, and what lies in the folder has its own name."""
+    touch(tmp_path, "elsewhere/1.png", "photos/cam3/2.png")
+    for link, target in (("cam1", "elsewhere"), ("cam2", "elsewhere"), ("cam0", "photos/cam3")):
+        (tmp_path / "photos" / link).symlink_to(tmp_path / target)
+    (tmp_path / "elsewhere" / "back").symlink_to(tmp_path / "photos")
+    (tmp_path / "elsewhere" / "self").symlink_to(tmp_path / "elsewhere")
+    assert found(tmp_path / "photos") == ["cam1/1.png", "cam3/2.png"]
+
+
 def test_every_suffix_is_found_and_readable(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (8, 9), dtype=np.uint8)
     assert len(PHOTO_SUFFIXES) == 8

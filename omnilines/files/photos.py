@@ -31,8 +31,8 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
     """The photos in folders (and their subfolders) and among files, each once, in natural order (2.jpg before 10.jpg).
 
     The photo folder, which names are relative to, is the folder given; of several folders or files it is the deepest one that
-    holds them all. Files whose name begins with a dot are left out. Raises InputError where a path does not exist, a file named
-    is not of PHOTO_SUFFIXES, a name is not valid text, or there is no photo.
+    holds them all. Links that lead out of a folder are followed. Files whose name begins with a dot are left out. Raises
+    InputError where a path does not exist, a file named is not of PHOTO_SUFFIXES, a name is not valid text, or there is no photo.
     """
     found: dict[str, None] = {}
     folders = []
@@ -60,8 +60,20 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
 
 
 def _photos_in(folder: Path) -> Iterator[str]:
-    for parent, folders, files in os.walk(os.path.abspath(folder)):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+    root = os.path.realpath(folder)
+    linked: set[str] = set()
+
+    def is_new(path: str) -> bool:
+        """Links may run in circles: they are followed out of the folder only, and to one place once."""
+        if not os.path.islink(path):
+            return True
+        target = os.path.realpath(path)
+        new = target not in linked and not Path(target).is_relative_to(root)
+        linked.add(target)
+        return new
+
+    for parent, folders, files in os.walk(os.path.abspath(folder), followlinks=True):
+        folders[:] = [name for name in sorted(folders) if not name.startswith(".") and is_new(os.path.join(parent, name))]
         yield from (
             os.path.join(parent, name) for name in files if name.lower().endswith(PHOTO_SUFFIXES) and not name.startswith(".")
         )
