@@ -222,6 +222,8 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
     assert call(room / "photos", tmp_path, tmp_path / "scene", "--min-views", "4") == 2
     said = capsys.readouterr().err
     assert "No line was found" in said and "Traceback" not in said
+    assert f"Of {VIEWS} photos, 3 have poses:" in said
+    assert set(read_poses(tmp_path / "scene" / "work" / "poses.csv").images) == set(swapped)
     assert not (tmp_path / "scene" / "lines.csv").exists()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camera_models import Calibration, load
+from camera_models import Calibration, GeometryError, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
@@ -16,7 +16,7 @@ from omnilines.commands._photo_scene_report import scene_data, scene_sections, s
 from omnilines.commands._resume import Stamp, fingerprint
 from omnilines.commands.extract import camera_of_photo, read_mask
 from omnilines.commands.reconstruct import write_scene
-from omnilines.files import PhotoRef, find_photos
+from omnilines.files import PhotoRef, find_photos, write_poses
 from omnilines.files.colmap_scene import colmap_cameras, write_colmap_scene
 from omnilines.files.obj import write_obj
 from omnilines.files.recording import write_recording
@@ -80,7 +80,12 @@ def reconstruct_photos(
     posed = photo_poses(
         poses, usable, cameras, camera_of, output_folder(folder / WORK), pattern=pattern, seed=seed, progress=progress
     )
-    scene = photo_scene(found, posed.poses, cameras, options, progress)
+    table = folder / WORK / "poses.csv"
+    write_poses(table, posed.poses)
+    try:
+        scene = photo_scene(found, posed.poses, cameras, options, progress)
+    except GeometryError as error:
+        raise GeometryError(f"{error} Of {len(refs)} photos, {len(posed.poses)} have poses: {table}.") from None
     result = _written(folder, scene, found, posed, cameras, refs, calibration, poses, colmap, recording, progress)
     stamp.write(result)
     return result
