@@ -272,6 +272,22 @@ def plain_claim(order: list, support: list, image: list, least_views: int) -> li
     return track
 
 
+def plain_united(order: list, others: list) -> list:
+    root: dict[int, int] = {}
+    for track in order:
+        if track not in root:
+            root |= dict.fromkeys([other for other in [track, *others[track]] if other not in root], track)
+    return [root[k] for k in range(len(order))]
+
+
+def test_a_track_that_agrees_with_many_joins_one_of_them_only() -> None:
+    """Tracks 0 to 3 are lines; 4, of few arcs, lies across all of them; 5 is a part of 2."""
+    others = [[4], [4], [4, 5], [4], [0, 1, 2, 3], [2]]
+    starts = np.cumsum([0, *map(len, others)])
+    root = united(np.array([2, 0, 1, 3, 5, 4]), starts, np.array([k for one in others for k in one], dtype=np.int64))
+    assert root.tolist() == [0, 1, 2, 3, 2, 2]
+
+
 def test_claimed_and_united_sets_are_those_of_plain_python() -> None:
     rng = np.random.default_rng(5)
     most = 0
@@ -287,14 +303,10 @@ def test_claimed_and_united_sets_are_those_of_plain_python() -> None:
         assert track.tolist() == plain_claim(order.tolist(), support.tolist(), image.tolist(), 3)
         assert made == track.max() + 1
         most = max(most, made)
-        pairs = rng.integers(0, count, (int(rng.integers(0, count)), 2))
-        root = united(pairs[:, 0], pairs[:, 1], count)
-        sets = [{k} for k in range(count)]
-        for a, b in pairs.tolist():
-            joined = sets[a] | sets[b]
-            for k in joined:
-                sets[k] = joined
-        assert [{k for k in range(count) if root[k] == root[i]} for i in range(count)] == sets
+        others = [rng.permutation(count)[: rng.integers(0, 4)].tolist() for _ in range(count)]
+        starts = np.cumsum([0, *map(len, others)])
+        root = united(order, starts, np.array([k for one in others for k in one], dtype=np.int64))
+        assert root.tolist() == plain_united(order.tolist(), others)
         assert bool((root[root] == root).all())
     assert most >= 3
 

@@ -98,23 +98,21 @@ def _grown(values: np.ndarray, capacity: int) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def united(part: np.ndarray, whole: np.ndarray, count: int) -> np.ndarray:
-    """The representative of each of `count` sets after pairs of them are joined (disjoint sets)."""
-    root = np.arange(count)
-    for k in range(len(part)):
-        a, b = part[k], whole[k]
-        while root[a] != a:
-            root[a] = root[root[a]]
-            a = root[a]
-        while root[b] != b:
-            root[b] = root[root[b]]
-            b = root[b]
-        root[a] = b
-    for k in range(count):
-        a = k
-        while root[a] != a:
-            a = root[a]
-        root[k] = a
+def united(order: np.ndarray, starts: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The track that every track becomes part of, its own number where of none: in this order, each that is still alone takes
+    all of its others that are.
+
+    The others of track t are others[starts[t] : starts[t + 1]]. Nothing is joined over a third: one wrong track that agrees
+    with many would make one of them all.
+    """
+    root = np.full(len(order), -1, dtype=np.int64)
+    for track in order:
+        if root[track] >= 0:
+            continue
+        root[track] = track
+        for other in others[starts[track] : starts[track + 1]]:
+            if root[other] < 0:
+                root[other] = track
     return root
 
 

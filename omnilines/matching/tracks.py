@@ -166,15 +166,16 @@ def _nearest_lines(
 
 
 def _united(track: Int[np.ndarray, " n"], candidates: _Candidates, count: int) -> tuple[Int[np.ndarray, " n"], int]:
-    """Tracks whose arcs are explained by the line of another become part of it."""
+    """Tracks become one where the line of one explains the arcs of the other; the largest takes its parts first."""
     size = np.bincount(track[track >= 0], minlength=count)
     other = (track[candidates.arc] >= 0) & (track[candidates.arc] != candidates.track)
     pair, times = np.unique(track[candidates.arc[other]] * count + candidates.track[other], return_counts=True)
     part, whole = pair // count, pair % count
-    share = times / np.maximum(size[part], 1)
-    order = np.argsort(-share, kind="stable")
-    order = order[share[order] >= SAME_SHARE]
-    root = united(part[order], whole[order], count)
+    same = times >= SAME_SHARE * np.maximum(size[part], 1)
+    one, another = np.concatenate([part[same], whole[same]]), np.concatenate([whole[same], part[same]])
+    by_one = np.argsort(one, kind="stable")
+    starts = np.searchsorted(one[by_one], np.arange(count + 1))
+    root = united(np.argsort(-size, kind="stable"), starts, another[by_one])
     return _of_tracks(track, root), int((root != np.arange(count)).sum())
 
 
