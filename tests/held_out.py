@@ -27,7 +27,9 @@ def drawn(ends_m: np.ndarray, pose: Pose, camera: CameraModel) -> list[np.ndarra
 
 
 def nearest_px(curve: np.ndarray, segments_px: np.ndarray) -> float:
-    """RMS distance (px) of both ends of the nearest segment (n 2 2) that runs along a curve (k 2); infinite if none does."""
+    """RMS distance (px) of both ends of the nearest segment (n 2 2) that runs along a curve (k 2); infinite if none near does."""
+    low, high = curve.min(0) - 2.0 * MATCHED_PX, curve.max(0) + 2.0 * MATCHED_PX
+    segments_px = segments_px[((segments_px.min(1) <= high) & (segments_px.max(1) >= low)).all(-1)]
     step = np.diff(curve, axis=0)
     tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
     across = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
