@@ -25,6 +25,8 @@ LEAST_AGREEING = 0.5
 """Share of them that must meet the first light on one circle."""
 MOST_LIGHT = 0.2
 """Share of the pixels outside the circle that may be brighter than DARK_GREY: flares, a halo of the rim, a printed date."""
+LOOKED_AT = 1000
+"""Rows and columns, about, whose pixels are looked at in a larger photo."""
 MARGIN_SHARE, MARGIN_PX = 0.01, 4.0
 """What is left out inside the rim."""
 MASK_MARGIN_PX = 3
@@ -82,12 +84,12 @@ def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarra
 def _dark_outside(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float]) -> bool:
     """Whether hardly any pixel outside the circle is light, and some are outside."""
     u, v, radius = circle
-    height, width = image.shape[:2]
-    row, column = np.nonzero(
-        (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] > (radius * (1.0 + SAME_SHARE)) ** 2
-    )
-    grey = image.reshape(height, width, -1)[row, column].max(-1)
-    return len(grey) > 0 and float((grey > DARK_GREY * grey_unit(image)).mean()) < MOST_LIGHT
+    step = max(1, max(image.shape[:2]) // LOOKED_AT)
+    sparse = image[::step, ::step]
+    row, column = step * np.arange(sparse.shape[0])[:, None], step * np.arange(sparse.shape[1])
+    grey = sparse.reshape(*sparse.shape[:2], -1).max(-1)
+    outside = grey[(column - u) ** 2 + (row - v) ** 2 > (radius * (1.0 + SAME_SHARE)) ** 2]
+    return len(outside) > 0 and float((outside > DARK_GREY * grey_unit(image)).mean()) < MOST_LIGHT
 
 
 def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, float] | None:
