@@ -233,7 +233,7 @@ def _calibrate(source: _Source, out: Path, options: CalibrationOptions, progress
     progress("writing the report", 0, 0)
     summaries = calibration_summaries(result, selection)
     sections = calibration_sections(result, source.corners, summaries, source.photo_folder)
-    report = write_report(folder / "report.html", f"Calibration of a {model} camera", sections)
+    report = write_report(folder / "report.html", f"Calibration of one {model} camera", sections)
     warnings = tuple(f"{view.image}: {view.reason}" for view in result.views if not view.used)
     warnings += tuple(f"{view.image}: {remark}" for view in result.views for remark in view.remarks) + result.notes
     warnings += () if selection is None else (selection.reason,)
