@@ -68,10 +68,8 @@ def sfm_poses(
     matches = _matches(features, seed, progress)
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
-    if progress is not None:
-        progress("structure from motion", 0, 0)
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts = map_photos(given, Path(work_folder) / "colmap", seed)
+    parts = map_photos(given, Path(work_folder) / "colmap", seed, progress)
     if not parts:
         raise GeometryError(
             f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
