@@ -59,7 +59,7 @@ def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress |
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
     make the result repeatable. Of the ways in which photos may be added (RESECTIONS) that is taken whose largest part explains
-    most matches. Raises InputError where pycolmap is not installed.
+    most matches.
     """
     module = pycolmap()
     shutil.rmtree(folder, ignore_errors=True)
@@ -166,17 +166,17 @@ def _write(
     for done, (pair, rows) in enumerate(given.matches.items()):
         if progress is not None:
             progress("checking pairs of photos", done, len(given.matches))
-        matches, found = _verified(module, *(seen[k] for k in pair), rows.numpy(), seed)
-        if found is not None:
-            verified[pair] = matches, found
-    relative = {pair: (found.cam2_from_cam1.rotation.matrix(), len(found.inlier_matches)) for pair, (_, found) in verified.items()}
+        matches, geometry = _verified(module, seen[pair[0]], seen[pair[1]], rows.numpy(), seed)
+        if geometry is not None:
+            verified[pair] = matches, geometry
+    relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
     rays = {}
     for i, j in agreeing_pairs(relative, len(images)):
         matches, found = verified[i, j]
         database.write_matches(i + 1, j + 1, matches)
         database.write_two_view_geometry(i + 1, j + 1, found)
-        rows = np.asarray(found.inlier_matches)
-        a, b = (torch.as_tensor(seen[k].bearings[rows[:, side]]) for side, k in enumerate((i, j)))
+        agree = np.asarray(found.inlier_matches)
+        a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
         rays[i, j] = _Rays(a, b, LARGEST_PX * 2 * math.pi / seen[j].camera.width)
     return rays
 

@@ -79,16 +79,16 @@ def matched_near(a: Features, b: Features, b_from_a: Pose, tolerance_rad: float)
     direction of a's at infinity to the place of camera a."""
     if not len(a) or not len(b):
         return torch.zeros(0, 2, dtype=torch.long)
-    far = a.bearings @ b_from_a.rotation.mT
-    towards = b_from_a.translation / b_from_a.translation.norm().clamp_min(1e-300)
-    normal = torch.linalg.cross(far, towards.expand_as(far))
-    sine = normal.norm(dim=-1)
-    normal = normal / sine.clamp_min(1e-12)[:, None]
-    whole = torch.atan2(sine, far @ towards)
-    single = (array.to(torch.float32).contiguous().numpy() for array in (far, normal, whole, b.bearings.mT))
-    lengths = (f.descriptors.to(torch.float32).norm(dim=-1).clamp_min(1.0).numpy() for f in (a, b))
-    (a_length, b_length), (a_words, b_words) = lengths, (f.descriptors.numpy() for f in (a, b))
-    best, first, second, back = best_near(a_words, a_length, b_words, b_length, *single, tolerance_rad, LEAST_ALIKE)
+    # Not by BLAS, whose threads take longer to start than products so small.
+    far = np.einsum("nk,ik->ni", a.bearings.numpy(), b_from_a.rotation.numpy())
+    towards = b_from_a.translation.numpy() / max(float(b_from_a.translation.norm()), 1e-300)
+    normal = np.cross(far, towards)
+    sine = np.sqrt(np.square(normal).sum(-1))
+    normal /= np.maximum(sine, 1e-12)[:, None]
+    whole = np.arctan2(sine, np.einsum("nk,k->n", far, towards))
+    single = (np.ascontiguousarray(array, dtype=np.float32) for array in (far, normal, whole, b.bearings.numpy().T))
+    own, other = (a.descriptors.numpy(), a.lengths), (b.descriptors.numpy(), b.lengths)
+    best, first, second, back = best_near(*own, *other, *single, tolerance_rad, LEAST_ALIKE)
     row = np.flatnonzero((best >= 0) & _clear(first, second, GUIDED_RATIO))
     row = row[back[best[row]] == row]
     return torch.as_tensor(np.stack([row, best[row]], 1))

@@ -9,6 +9,7 @@ stand still in every photo.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -47,6 +48,11 @@ class Features:
     def __len__(self) -> int:
         return len(self.bearings)
 
+    @cached_property
+    def lengths(self) -> Float[np.ndarray, " n"]:
+        """Of the descriptors, in single precision."""
+        return self.descriptors.to(torch.float32).norm(dim=-1).clamp_min(1.0).numpy()
+
     def unit_descriptors(self) -> Float[torch.Tensor, "n 128"]:
         """In single precision."""
         whole = self.descriptors.to(torch.float32)
@@ -54,7 +60,7 @@ class Features:
 
 
 def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
-    """A function that finds the features of a photo; raises InputError where pycolmap is not installed."""
+    """A function that finds the features of a photo."""
     module = pycolmap()
     options = module.FeatureExtractionOptions()
     options.use_gpu, options.num_threads = False, 1

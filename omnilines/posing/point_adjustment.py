@@ -97,8 +97,8 @@ class PointEngine:
         own = frames.cam_from_rig[seen.photo[self.order]]
         bearings = (own.rotation.mT @ seen.bearings[self.order, :, None])[..., 0]
         rows = seen.rows[self.order] @ own.rotation
-        arrays = (np.ascontiguousarray(array.numpy()) for array in (bearings, rows, own.centre))
-        self.seen = Sightings(start, places, *arrays, BEND)
+        b, p, arm = (np.ascontiguousarray(array.numpy()) for array in (bearings, rows, own.centre))
+        self.seen = Sightings(start, places, b, p, arm, BEND)
         work = np.concatenate([[0], np.cumsum(np.diff(start) * (np.diff(start) + 8))])
         threads = threads_for(points)
         self.shares = np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()
