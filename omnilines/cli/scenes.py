@@ -11,7 +11,9 @@ from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size
 @render_app.command()
 def scene(
     out: Out,
-    scene: Annotated[str, typer.Option("--scene", help="room (furnished), plain-room (large plain pieces) or street.")] = "room",
+    scene: Annotated[
+        str, typer.Option("--scene", help="room (furnished), plain-room (large pieces), flat (five rooms), street.")
+    ] = "room",
     model: Annotated[
         str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
     ] = "opencv-fisheye",
@@ -26,7 +28,7 @@ def scene(
     mirror: Mirror = False,
     as_json: Json = False,
 ) -> None:
-    """Photos of a furnished room or a street, with the true camera, poses, edges and what each photo sees of them."""
+    """Photos of a room, a flat or a street, with the true camera, poses, edges and what each photo sees of them."""
     from omnilines.commands.render_scene import render_scene
 
     image_size = parse_size(size, "--size")

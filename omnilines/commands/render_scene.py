@@ -1,4 +1,4 @@
-"""omnilines render scene: photos of a room or a street with known edges, to test the extraction and the rebuilding of lines."""
+"""omnilines render scene: photos of a room, flat or street with known edges, to test the extraction and rebuilding of lines."""
 
 import math
 from dataclasses import dataclass

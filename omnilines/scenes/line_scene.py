@@ -76,6 +76,8 @@ class LineScene:
     low_m: Float[np.ndarray, "3"]
     high_m: Float[np.ndarray, "3"]
     """Cameras stand between these corners."""
+    walk_m: Float[np.ndarray, "k 3"] | None = None
+    """Corners of the way along which photos are taken, at the height of the eye; without one cameras stand anywhere."""
 
     def __len__(self) -> int:
         return len(self.corners_m)
