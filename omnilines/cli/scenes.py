@@ -26,6 +26,14 @@ def scene(
     blur: Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")] = 0.5,
     seed: Seed = 0,
     mirror: Mirror = False,
+    textures: Annotated[
+        Path | None,
+        typer.Option("--textures", help="Folder of photographs that cover the surfaces; truth.csv has no edges of theirs."),
+    ] = None,
+    texture_m: Annotated[
+        float, typer.Option("--texture-m", help="Width of a photograph on a surface, metres; it is repeated.")
+    ] = 1.5,
+    textured: Annotated[str, typer.Option("--textured", help="What they cover.")] = "walls,floors,ceilings,furniture",
     as_json: Json = False,
 ) -> None:
     """Photos of a room, a flat or a street, with the true camera, poses, edges and what each photo sees of them."""
@@ -35,7 +43,7 @@ def scene(
     run(
         lambda progress: render_scene(
             out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
-            seed=seed, mirror=mirror, progress=progress,
+            seed=seed, mirror=mirror, textures=textures, texture_m=texture_m, textured=textured.split(","), progress=progress,
         ),
         as_json,
     )  # fmt: skip

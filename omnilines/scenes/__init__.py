@@ -13,6 +13,7 @@ from omnilines.scenes.edges import scene_edges
 from omnilines.scenes.flat import flat
 from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.photo import Eye, eye, render_clean, render_photo
+from omnilines.scenes.photo_texture import PHOTO_WIDTH_M, PLACES, with_photographs
 from omnilines.scenes.plain_room import plain_room
 from omnilines.scenes.poses import scene_poses
 from omnilines.scenes.room import furnished_room
@@ -23,6 +24,8 @@ _BUILDERS = {"room": furnished_room, "plain-room": plain_room, "flat": flat, "st
 SCENES = tuple(_BUILDERS)
 
 __all__ = [
+    "PHOTO_WIDTH_M",
+    "PLACES",
     "SCENES",
     "Eye",
     "LineScene",
@@ -40,6 +43,7 @@ __all__ = [
     "street",
     "stretches_of_photos",
     "visible_stretches",
+    "with_photographs",
 ]
 
 
