@@ -11,9 +11,10 @@ from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
-from omnilines.commands._photo_poses import check_source, photo_poses
+from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
+from omnilines.commands._rough_poses import better_poses
 from omnilines.commands.extract import camera_of_photo, read_mask
 from omnilines.commands.reconstruct import write_scene
 from omnilines.costs import check_cost
@@ -85,6 +86,12 @@ def reconstruct_photos(
     posed = photo_poses(
         poses, usable, cameras, camera_of, output_folder(folder / WORK), pattern=pattern, seed=seed, progress=progress
     )
+    if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
+
+        def from_photos() -> PhotoPoses:
+            return photo_poses("sfm", usable, cameras, camera_of, folder / WORK, seed=seed, progress=progress)
+
+        posed = better_poses(found, posed, cameras, seed, from_photos, progress)
     table = folder / WORK / "poses.csv"
     write_poses(table, posed.poses)
     try:
