@@ -98,7 +98,8 @@ def _families(
     world = np.concatenate([photo.directions @ rotations[k] for k, photo in enumerate(photos)])
     number = np.repeat(np.arange(len(photos)), [len(photo.directions) for photo in photos])
     weight = np.concatenate([photo.support for photo in photos]).astype(np.float64)
-    found, free = [], np.ones(len(world), dtype=bool)
+    found: list[np.ndarray] = []
+    free = np.ones(len(world), dtype=bool)
     while free.any() and len(found) < MOST_FAMILIES:
         near = (np.abs(world @ world.T) > math.cos(near_rad)) & free
         best = int(np.argmax(np.where(free, near @ weight, -1.0)))
@@ -114,7 +115,7 @@ def _families(
 def _voted(photo: _Photo, rotation: Float[np.ndarray, "3 3"], families: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation near the given one under which most arcs are of families.
 
-    Tried are those that bring a family onto a direction v of the photo, and then some arc, of the normal n, into another family d:
+    Tried are those that bring a family onto a direction v of the photo, and then some arc of the normal n into another family d:
     turned about v it is where n . exp(t [v]x) d = 0.
     """
     cosine = photo.directions @ (families @ rotation.T).T
