@@ -10,10 +10,12 @@ import pytest
 import torch
 from matching_scenes import VIEWS, every_neighbour, room
 
+from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching import hypotheses
 from omnilines.matching import hypothesis_kernel as kernel
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.epipolar_kernel import arcs_across, arcs_by_angle
 from omnilines.matching.hypotheses import find_hypotheses
 from omnilines.matching.track_kernel import claim, near_lines, needed, united
 
@@ -201,6 +203,31 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
             np.testing.assert_allclose(found.inverse_depth[i], (share * depth[agreeing]).sum(0) / share.sum(0), rtol=1e-9)
             supported += len(agreeing) > 2
     assert supported > 20
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_no_partner_lies_outside_the_angles_about_the_baseline_that_an_arc_reaches(name: str) -> None:
+    """Also of arcs that pass a pole of a baseline, and of photos at one place."""
+    arcs = some(room(name).arcs(0.3, 1, colours=True), 300)
+    poses = Pose(arcs.poses.rotation, arcs.poses.translation.clone())
+    poses.translation[1] = -(poses.rotation[1] @ poses.centre[0])
+    arcs = replace(arcs, poses=poses)
+    total = len(arcs)
+    out, found, seen = np.empty(5), np.empty(total, dtype=np.int64), np.full(total, -1, dtype=np.int64)
+    partners = skipped = 0
+    for photo in range(arcs.images):
+        others = np.flatnonzero(np.arange(arcs.images) != photo)
+        if arcs.starts[photo] == arcs.starts[photo + 1]:
+            continue
+        frames, begin, members = arcs_by_angle(photo, others, arcs.starts, arcs.packed)
+        for i in range(arcs.starts[photo], arcs.starts[photo + 1]):
+            across = found[: arcs_across(arcs.packed[i], frames, begin, members, i, seen, found)].tolist()
+            assert len(across) == len(set(across))
+            elsewhere = np.flatnonzero(arcs.image != photo).tolist()
+            true = {j for j in elsewhere if kernel.depths(i, j, arcs.packed, out)}
+            assert true <= set(across)
+            partners, skipped = partners + len(true), skipped + len(elsewhere) - len(across)
+    assert partners > 300 and skipped > total * total / 3
 
 
 def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.MonkeyPatch) -> None:

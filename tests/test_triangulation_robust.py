@@ -6,7 +6,7 @@ from triangulation_scenes import LINES, VIEWS, LineSet, circle, generator, room,
 
 from camera_models.errors import InputError
 from camera_models.pose import Pose
-from omnilines.triangulation import TRIANGULATIONS, triangulate
+from omnilines.triangulation import TRIANGULATIONS, consensus, likelihood, triangulate
 from omnilines.triangulation.consensus import judge, majority
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.robust import RobustTriangulation, noise_level, robust_triangulate
@@ -241,3 +241,23 @@ def test_an_empty_table_gives_no_lines() -> None:
     nothing = torch.zeros(0, 3, dtype=torch.float64)
     found = robust_triangulate(PlaneObservations(nothing, nothing, torch.zeros(0, dtype=torch.int64), 3))
     assert found.triangulation.status_names == ("too_few_views",) * 3 and not len(found.inlier)
+
+
+@pytest.mark.parametrize("noise", ["stated", "unknown size", "unknown shape"])
+def test_the_compiled_consensus_is_that_of_torch(monkeypatch: pytest.MonkeyPatch, noise: str) -> None:
+    """Tracks of three to eight views with wrong members, some that face away: members, tracks and lines of both ways."""
+    scene = room(3)
+    pixels, _ = with_wrong_members(scene, scene.noisy(0.5, seed=72), seed=73)
+    whole = scene.observe(pixels, 0.5 if noise == "stated" else None, in_pixels=noise != "unknown shape")
+    views = torch.arange(VIEWS).repeat(len(scene.ends))
+    observations = whole.rows(views < 3 + whole.track % (VIEWS - 2))
+    found = robust_triangulate(observations)
+    for module in (consensus, likelihood):
+        monkeypatch.setattr(module, "on_processor", lambda values: False)
+    expected = robust_triangulate(observations)
+    assert found.sigma == pytest.approx(expected.sigma, rel=1e-6)
+    assert int((~expected.inlier).sum()) > 20
+    assert torch.equal(found.inlier, expected.inlier)
+    assert found.triangulation.status_names == expected.triangulation.status_names
+    known = expected.triangulation.known
+    assert float(found.triangulation.lines[known].angle_to(expected.triangulation.lines[known]).max()) < 1e-6

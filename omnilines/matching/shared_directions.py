@@ -33,8 +33,9 @@ under better ones, where furniture that stands a little askew is a family of its
 MOST_FAMILIES = 12
 LEAST_SHARE = 0.3
 """Of the photos that have to see a direction for it to be one of a family."""
-LEAST_ARCS = 4
-"""Of a family in a photo: three meet by chance."""
+LEAST_ARCS, CHANCE_SIGMAS = 4, 4.0
+"""Of a family in a photo, and standard deviations of their number beyond what chance gives: of n arcs n sin(MEETING_RAD) lie so
+near any direction."""
 FLOOR_RAD = math.radians(0.03)
 """Least standard deviation of an arc from its family: edges of buildings are parallel to so much."""
 TRIED_RAD = math.radians(0.3)
@@ -185,7 +186,9 @@ def _step(
     turn = rotation @ start.T
     away = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     step = -np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + away / PRIOR_RAD**2)
-    seen = directions[np.bincount(family[weight > 0], minlength=len(families)) >= LEAST_ARCS]
+    by_chance = len(family) * math.sin(MEETING_RAD)
+    enough = max(LEAST_ARCS, by_chance + CHANCE_SIGMAS * math.sqrt(by_chance))
+    seen = directions[np.bincount(family[weight > 0], minlength=len(families)) >= enough]
     fixed = bool((np.abs(seen @ seen.T) < math.cos(APART_RAD)).any())
     return rotation_from_vector(torch.as_tensor(step)).numpy() @ rotation, fixed
 
