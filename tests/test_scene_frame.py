@@ -82,7 +82,11 @@ def test_nothing_is_called_metres_where_the_scale_is_open(room, open_scene, caps
     data = json.loads(capsys.readouterr().out)
     assert data["length_unit"] == "units"
     page = (open_scene / "report.html").read_text(encoding="utf-8")
-    page = page[: page.index("/**\n* plotly.js")] if "/**\n* plotly.js" in page else re.sub(r"<script>.*?</script>", "", page, flags=re.S)
+    page = (
+        page[: page.index("/**\n* plotly.js")]
+        if "/**\n* plotly.js" in page
+        else re.sub(r"<script>.*?</script>", "", page, flags=re.S)
+    )
     assert "units" in page and not re.search(r"\((m|mm)\)|[0-9] mm?\b|metres", page.replace("PHOTO:METRES gives metres", ""))
     for name in ("lines.ply", "lines.obj", "colmap/lines.txt"):
         head = (open_scene / name).read_text()[:400]

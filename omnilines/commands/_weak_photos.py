@@ -93,12 +93,10 @@ def _wrong_poses(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str
 
     def off(photo: PhotoCount) -> str:
         one = better[photo.image]
-        return f"{photo.image} (by {math.degrees(one.turn_rad):.2g} degrees and {one.distance:.2g} {sign})"
+        return f"{photo.image} ({math.degrees(one.turn_rad):.2g} degrees and {one.distance:.2g} {sign} from its pose)"
 
     them = "it" if len(wrong) == 1 else "them"
-    return (
-        f"The lines of the other photos say that the pose is off of {_named([off(p) for p in wrong])}; {TO_REFINE} mends {them}.",
-    )
+    return (f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere; {TO_REFINE} mends {them}.",)
 
 
 def _apart(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ FAR_CAMERA = 5.0
 """Cameras farther from the median one than so many median distances need not be in view."""
 FIELD_RAD = math.radians(45.0)
 """Plotly's field of view, up and down."""
-FILLED = 0.85
+FILLED = 0.9
 """Of the view, by the box of the scene: its axes have labels."""
 
 
@@ -63,11 +63,7 @@ def scene_section(
         "scene": {
             "aspectmode": "manual",
             "aspectratio": _xyz(extent / extent.max()),
-            "camera": {
-                "up": _xyz(np.array(up)),
-                "eye": _xyz(_eye(np.array(up), extent / extent.max())),
-                "center": _xyz(np.zeros(3)),
-            },
+            "camera": _camera(np.array(up), extent / extent.max()),
             "dragmode": "turntable" if up == (0.0, 0.0, 1.0) else "orbit",
             **{
                 f"{name}axis": axis(f"{name} ({sign})", nticks=6, range=numbers(own))
@@ -211,8 +207,12 @@ def _limits(
     return np.stack([inside.min(0) - pad, inside.max(0) + pad], 1)
 
 
-def _eye(up: Float[np.ndarray, "3"], sides: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """A view point above and aside (in a camera frame, behind the camera), as near as shows a box of these sides whole."""
+def _camera(up: Float[np.ndarray, "3"], sides: Float[np.ndarray, "3"]) -> dict[str, dict[str, float]]:
+    """Plotly's camera above and aside (in a camera frame, behind the camera), as near as shows a box of these sides whole.
+
+    A corner p is in view where |p . v - c| <= h (d - p . n), n the direction to the eye, v one across it, d the distance, c
+    what the eye is moved along v by, h the half field; so the least d and its c follow from the extreme corners.
+    """
     up = up / np.linalg.norm(up)
     aside = np.array([0.7, -1.0, -0.6])
     aside = aside - (aside @ up) * up
@@ -221,9 +221,12 @@ def _eye(up: Float[np.ndarray, "3"], sides: Float[np.ndarray, "3"]) -> Float[np.
     right = np.cross(up, towards)
     right = right / np.linalg.norm(right)
     corners = 0.5 * sides * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    half = FILLED * math.tan(FIELD_RAD / 2)
-    steep = np.maximum(np.abs(corners @ np.cross(towards, right)) / half, np.abs(corners @ right) / (half * ASPECT))
-    return float((steep + corners @ towards).max()) * towards
+    depth, half = corners @ towards, FILLED * math.tan(FIELD_RAD / 2)
+    distance, centre = 0.0, np.zeros(3)
+    for across, reach in ((right, half * ASPECT), (np.cross(towards, right), half)):
+        low, high = (corners @ across - reach * depth).min(), (corners @ across + reach * depth).max()
+        distance, centre = max(distance, float(high - low) / (2 * reach)), centre + 0.5 * (low + high) * across
+    return {"up": _xyz(up), "eye": _xyz(centre + distance * towards), "center": _xyz(centre)}
 
 
 def _xyz(vector: Float[np.ndarray, "3"]) -> dict[str, float]:
