@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
+from omnilines.cli._stopping import say_when_stopped
 
 if TYPE_CHECKING:
     from omnilines.commands._common import CommandResult, ProgressCallback
@@ -99,8 +100,13 @@ def progress() -> "Iterator[ProgressCallback]":
         yield tell
 
 
-def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool) -> None:
-    """Run a command, print its result, and exit with 1 where a check does not hold."""
+def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, kept: Path | None = None) -> None:
+    """Run a command, print its result, and exit with 1 where a check does not hold.
+
+    `kept` is the folder from which the same command goes on where it was stopped.
+    """
+    goes_on = "" if kept is None else f"; what was found is kept in {kept}, the same command goes on from there"
+    say_when_stopped(f"stopped{goes_on}.")
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:

@@ -100,6 +100,7 @@ def reconstruct(
             refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device, seed=seed, progress=progress,
         ),
         as_json,
+        kept=out / "work",
     )  # fmt: skip
 
 
