@@ -91,11 +91,20 @@ def progress() -> "Iterator[ProgressCallback]":
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}
+        now = ""
 
         def tell(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total or None)
-            bar.update(tasks[stage], completed=done)
+            nonlocal now
+            if stage != now:
+                # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
+                if now:
+                    bar.update(tasks[now], total=1, completed=1, visible=False)
+                if stage in tasks:
+                    bar.reset(tasks[stage], total=total or None, visible=True)
+                else:
+                    tasks[stage] = bar.add_task(stage, total=total or None)
+                now = stage
+            bar.update(tasks[stage], completed=done, total=total or None)
 
         yield tell
 

@@ -120,6 +120,7 @@ def _with_tracks(segments: Segments, matched: Matched) -> Segments:
 def _adjusted(
     segments: Segments, poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
 ) -> LineScene:
+    progress("triangulating lines", 0, 0)
     return reconstruct_lines(
         segments,
         poses,
