@@ -15,12 +15,15 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
 from omnilines.matching.placing import ABOVE_CHANCE, LEAST_SCORE, lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
+from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.records import PhotoCount
 
 HARDLY_EXPLAINED = 0.4
 """Of the share of arcs that lines explain in the median photo: below it a photo is named."""
 FEW_EXPLAINED = 0.3
 """Share of the arcs of the median photo below which the scene as a whole is spoken of."""
+POOR_SLACK_PX = 0.8
+"""Slack of poses and calibration from which on they are what loses arcs."""
 STARTS_RAD = math.radians(2.5)
 """Turns about each axis from which a better pose is looked for."""
 MOST_LOOKED_AT = 8
@@ -132,20 +135,22 @@ def _whole(scene: PhotoScene, refined: bool, least_views: int) -> tuple[str, ...
         sum(getattr(photo, stage) for photo in scene.photos)
         for stage in ("arcs", "matched", "confirmed", "in_enough", "in_tracks", "in_lines")
     )
-    a, b, shared = weakest_link(shared_lines(scene.segments, len(scene.scene.lines)))
-    between = f"photos between {scene.segments.images[a]} and {scene.segments.images[b]}, which share {shared} lines, help most"
-    poses = "poses or calibration are off" + ("" if refined else f": {TO_REFINE}")
     losses = (
-        (total - matched, "look like no arc of another photo that could show their line", between),
-        (matched - confirmed, "agree with one other photo only", between),
-        (confirmed - enough, f"agree with fewer than {least_views} photos", f"--min-views {least_views - 1}, or {between}"),
-        (enough - tracks, "do not fit the others of their line", poses),
-        (tracks - kept, "are of lines that were dropped (see the stages)", between),
+        (total - matched, "look like no arc of another photo that could show their line"),
+        (matched - confirmed, "agree with one other photo only"),
+        (confirmed - enough, f"agree with fewer than {least_views} photos"),
+        (enough - tracks, "do not fit the others of their line"),
+        (tracks - kept, "are of lines that were dropped (see the stages)"),
     )
-    lost, why, do = max(losses, key=lambda loss: loss[0])
-    if why.startswith("agree with fewer") and least_views <= 3:
-        do = between
-    return (f"Lines explain {100 * kept / total:.0f} % of all arcs; {100 * lost / total:.0f} % {why}. What to do: {do}.",)
+    lost, why = max(losses, key=lambda loss: loss[0])
+    told = f"Lines explain {100 * kept / total:.0f} % of all arcs; {100 * lost / total:.0f} % {why}."
+    if scene.slack_px >= POOR_SLACK_PX:
+        do = "calibrate the camera again" if refined else f"{TO_REFINE} mends poses"
+        return (f"{told} Poses or calibration are off by {scene.slack_px:g} px: {do}.",)
+    a, b, shared = weakest_link(shared_lines(scene.segments, len(scene.scene.lines)))
+    fewer = f", or --min-views {least_views - 1}" if lost == confirmed - enough and least_views > FIRST_VIEWS else ""
+    images = scene.segments.images
+    return (f"{told} Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}.",)
 
 
 def _named(items: Sequence[str]) -> str:
