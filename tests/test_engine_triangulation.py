@@ -9,7 +9,7 @@ from engine_scenes import Row, row
 from camera_models import InputError
 from omnilines.adjustment.lines import adjust_lines, end_sigma_m
 from omnilines.least_squares.devices import moved_to, usable_device
-from omnilines.triangulation import degeneracy, dual, observations, residuals, triangulate
+from omnilines.triangulation import degeneracy, dual, likelihood, observations, residuals, triangulate
 from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
@@ -57,7 +57,7 @@ def test_compiled_lines_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, stat
     given = planes(scene, stated)
     found = triangulate(method, given)
     assert found.covariance.shape == (80, 4, 4)
-    for module in (degeneracy, dual, observations, residuals):
+    for module in (degeneracy, dual, likelihood, observations, residuals):
         monkeypatch.setattr(module, "on_processor", lambda values: False)
     general = planes(scene, stated)
     torch.testing.assert_close(given.normal, general.normal, rtol=0, atol=1e-14)
@@ -70,7 +70,7 @@ def test_planes_without_arcs_give_what_torch_gives(monkeypatch: pytest.MonkeyPat
     whole = planes(row(lines=80, seed=8))
     given = PlaneObservations(whole.normal, whole.centre, whole.track, whole.tracks)
     found = triangulate("dual", given)
-    for module in (degeneracy, dual, observations, residuals):
+    for module in (degeneracy, dual, likelihood, observations, residuals):
         monkeypatch.setattr(module, "on_processor", lambda values: False)
     expected = triangulate("dual", given)
     assert found.status_names == expected.status_names

@@ -182,7 +182,8 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
     supported = 0
     for i in range(0, total, 9):
         photos = np.flatnonzero(near[arcs.image[i]])
-        count = kernel.partners(i, arcs.starts, photos, arcs.packed, arcs.colours, arc, pairs, weight)
+        others = np.flatnonzero(np.isin(arcs.image, photos))
+        count = kernel.partners(i, others, arcs.packed, arcs.colours, arc, pairs, weight)
         assert count == found.candidates[i] and set(arcs.image[arc[:count]]) <= set(photos.tolist())
         depth, variance = pairs[:count, :2], pairs[:count, 2:] ** 2
         square = ((depth - depth[:, None]) ** 2 / (variance + np.minimum(variance, variance[:, None]))).sum(-1)

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from camera_models import Calibration
 from camera_models.pose import Pose
 from omnilines.commands._common import ProgressCallback
@@ -9,7 +11,7 @@ from omnilines.commands._photo_arcs import FoundArcs
 from omnilines.commands._viewed_arcs import viewed_arcs
 from omnilines.commands.detect import on_all_cores
 from omnilines.matching.match import Matched
-from omnilines.matching.placing import lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
+from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.records import ImagePoses
 
 
@@ -25,11 +27,17 @@ def poses_by_lines(
     arcs = matched.arcs.with_poses(poses.cam_from_world)
     known = lines_of_tracks(arcs, matched.tracks.track, len(matched.tracks))
 
+    photos = range(len(poses))
+    others = on_all_cores(
+        lambda k: lines_of_others(known, arcs, matched.tracks, k), photos, "comparing photos with the lines of others", progress
+    )
+    typical = float(np.median([explained_share(arcs.of_photo(k), others[k]) for k in photos]))
+
     def mended(k: int) -> Pose | None:
-        better = mended_pose(arcs.of_photo(k), lines_of_others(known, arcs, matched.tracks, k), seed)
+        better = mended_pose(arcs.of_photo(k), others[k], seed, typical)
         return None if better is None else better.pose
 
-    moved = on_all_cores(mended, range(len(poses)), "mending poses by lines", progress)
+    moved = on_all_cores(mended, photos, "mending poses by lines", progress)
 
     def placed(photo: FoundArcs) -> Pose | None:
         alone = ImagePoses((photo.photo.name,), Pose.identity(1), (photo.camera,))

@@ -52,6 +52,12 @@ class ViewedArcs:
         own = self.rows(np.flatnonzero(self.image == image))
         return replace(own, image=np.zeros_like(own.image), poses=self.poses[[image]])
 
+    def sharpest(self, most: int) -> "ViewedArcs":
+        """The arcs whose great circles are known best, `most` of them at most, in the same order."""
+        if len(self) <= most:
+            return self
+        return self.rows(np.sort(np.argsort(self.circle_sigma_rad, kind="stable")[:most]))
+
     def widened(self, slack_px: float) -> "ViewedArcs":
         """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
         return replace(self, covariance_px2=self.covariance_px2 + slack_px**2 * np.eye(2))
@@ -86,6 +92,14 @@ class ViewedArcs:
         """Radians across the arc that a pixel is, the larger of both ends."""
         normal = (self.poses.rotation[torch.as_tensor(self.image)] @ self.planes.normal[..., None])[..., 0].numpy()
         return np.linalg.norm(np.einsum("nkxp,nx->nkp", self.by_pixel, normal), axis=-1).max(-1)
+
+    @cached_property
+    def circle_sigma_rad(self) -> Float[np.ndarray, " n"]:
+        """Standard deviation of the direction of each great circle: that of the worse end across it over the sine of its length."""
+        cosine = (self.bearings[:, 0] * self.bearings[:, 1]).sum(-1)
+        reach = np.arccos(np.clip(cosine, -1.0, 1.0))
+        sigma: Float[np.ndarray, " n"] = self.packed[:, 12:].max(-1) / np.sin(np.minimum(reach, np.pi / 2))
+        return sigma
 
     @cached_property
     def packed(self) -> Float[np.ndarray, "n 14"]:

@@ -11,6 +11,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.matching.epipolar_kernel import arcs_across, arcs_by_angle
+
 LEAST_OVERLAP = 0.25
 """Of the shorter of two stretches of the line, seen in two photos."""
 MOST_SIGMA = 0.3
@@ -132,28 +134,26 @@ def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float,
 @no_type_check
 def partners(
     i: int,
-    starts: np.ndarray,
-    photos: np.ndarray,
+    others: np.ndarray,
     packed: np.ndarray,
     colours: np.ndarray,
     arc: np.ndarray,
     found: np.ndarray,
     weight: np.ndarray,
 ) -> int:
-    """All arcs of some photos that could show the line of arc i, with depths and likeness; how many."""
+    """Those of the others that could show the line of arc i, with depths and likeness; how many."""
     count = 0
     out = np.empty(5)
-    for photo in photos:
-        for j in range(starts[photo], starts[photo + 1]):
-            if not depths(i, j, packed, out):
-                continue
-            alike = likeness(colours[i], colours[j], out[4] > 0.5)
-            if alike < LEAST_LIKENESS:
-                continue
-            arc[count], weight[count] = j, alike
-            for k in range(4):
-                found[count, k] = out[k]
-            count += 1
+    for j in others:
+        if not depths(i, j, packed, out):
+            continue
+        alike = likeness(colours[i], colours[j], out[4] > 0.5)
+        if alike < LEAST_LIKENESS:
+            continue
+        arc[count], weight[count] = j, alike
+        for k in range(4):
+            found[count, k] = out[k]
+        count += 1
     return count
 
 
@@ -224,8 +224,13 @@ def best_lines(
     depth, score = np.full((len(rows), 2), np.nan), np.zeros((len(rows), 2))
     support, tried = np.full((len(rows), most), -1, dtype=np.int32), np.zeros(len(rows), dtype=np.int64)
     arc, found, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
+    others, seen, photo = np.empty(total, dtype=np.int64), np.full(total, -1, dtype=np.int64), -1
     for k in range(len(rows)):
-        count = partners(rows[k], starts, np.flatnonzero(neighbours[image[rows[k]]]), packed, colours, arc, found, weight)
+        if image[rows[k]] != photo:
+            photo = image[rows[k]]
+            frames, begin, members = arcs_by_angle(photo, np.flatnonzero(neighbours[photo]), starts, packed)
+        across = others[: arcs_across(packed[rows[k]], frames, begin, members, k, seen, others)]
+        count = partners(rows[k], across, packed, colours, arc, found, weight)
         tried[k] = count
         if not count:
             continue

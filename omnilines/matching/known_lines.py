@@ -45,6 +45,13 @@ class KnownLines:
         index = torch.as_tensor(chosen)
         return KnownLines(self.track[chosen], self.chart[index], self.covariance[index], *(part[chosen] for part in table))
 
+    def longest(self, most: int) -> "KnownLines":
+        """The lines that are known over the longest stretches, `most` of them at most."""
+        length = np.where(np.isfinite(self.spans).all(-1), self.spans[:, 1] - self.spans[:, 0], 0.0)
+        kept = np.zeros(len(self), dtype=bool)
+        kept[np.argsort(-length, kind="stable")[:most]] = True
+        return self.rows(kept)
+
     def and_also(self, more: "KnownLines") -> "KnownLines":
         """These lines, and others after them."""
         chart = LineChart(*(torch.cat([getattr(one.chart, f.name) for one in (self, more)]) for f in fields(LineChart)))

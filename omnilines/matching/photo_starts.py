@@ -93,10 +93,7 @@ def _most_shared(candidates: Float[np.ndarray, "m 3"], shared_by: Bool[np.ndarra
 
 def _rotations(arcs: ViewedArcs, directions: Float[np.ndarray, "f 3"]) -> list[Float[np.ndarray, "3 3"]]:
     """Rotations (camera from world) under which many arcs are parallel to a family."""
-    packed = arcs.packed
-    reach = np.arccos(np.clip((packed[:, :3] * packed[:, 3:6]).sum(-1), -1.0, 1.0))
-    sharp = np.argsort(packed[:, 12:].max(-1) / np.sin(np.minimum(reach, math.pi / 2)))[:SHARPEST]
-    normals = packed[sharp, 6:9]
+    normals = arcs.sharpest(SHARPEST).packed[:, 6:9]
     seen = meeting_directions(normals)
     tried = []
     for (a, b), (c, d) in itertools.product(

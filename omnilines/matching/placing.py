@@ -22,9 +22,12 @@ from omnilines.triangulation.batches import triangulate_on
 CLEARLY_MORE = 1.1
 """Times what the pose that a photo has explains: then another near it is better."""
 FEW_EXPLAINED = 0.25
-"""Share of the arcs of a photo below which its pose may be wrong altogether."""
+"""Of the share of its arcs that lines explain in a typical photo: below it the pose of a photo may be wrong altogether."""
 ABOVE_CHANCE, LEAST_SCORE = 1.5, 12.0
 """Times what the best of the other poses explains, and the least, for the pose of a photo that had none."""
+MOST_ARCS, MOST_LINES = 500, 800
+"""The arcs of a photo that its pose is sought by are those known best, and the lines the longest: thousands of arcs of foliage or
+carpet tell no more, and the work is bounded."""
 OTHER_RAD, OTHER_SHARE = math.radians(3.0), 0.05
 """Poses are others that are turned by so much, or stand apart by this share of the extent of the lines."""
 
@@ -47,21 +50,30 @@ def lines_of_others(known: KnownLines, arcs: ViewedArcs, tracks: Tracks, image: 
     return known.rows(~np.isin(known.track, own)).and_also(replace(without, track=own[without.track]))
 
 
-def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
+def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int, typical: float = 1.0) -> PlacedByLines | None:
     """A pose that explains clearly more of the one photo of `arcs` than the one it has; None where there is none.
 
-    It is looked for nearby, and anywhere where hardly any arcs are explained.
+    It is looked for nearby, and anywhere where hardly any arcs are explained: `typical` is the share (`explained_share`) of the
+    median photo, which in texture is small.
     """
+    arcs = arcs.sharpest(MOST_ARCS)
     own, near = explained_by_lines(arcs, known), refined_by_lines(arcs, known)
     best = own if near is None or near.score <= CLEARLY_MORE * own.score else near
-    if best.score < FEW_EXPLAINED * len(arcs):
+    if best.score < FEW_EXPLAINED * typical * len(arcs):
         far = placed_anywhere(arcs, known, seed)
         best = best if far is None or far.score <= ABOVE_CHANCE * best.score else far
     return None if best is own else best
 
 
+def explained_share(arcs: ViewedArcs, known: KnownLines) -> float:
+    """Share of the sharpest arcs of the one photo of `arcs` that lines explain, each by how much they look alike."""
+    arcs = arcs.sharpest(MOST_ARCS)
+    return explained_by_lines(arcs, known).score / max(len(arcs), 1)
+
+
 def placed_anywhere(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
     """The pose of the one photo of `arcs`, wherever it is; None where none explains clearly more than others do."""
+    arcs, known = arcs.sharpest(MOST_ARCS), known.longest(MOST_LINES)
     starts, apart = start_poses(arcs.with_poses(Pose.identity(1)), known, seed), OTHER_SHARE * _extent(known)
     placed: list[PlacedByLines] = []
     for k in range(len(starts)):

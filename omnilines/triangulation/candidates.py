@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.geometry.line import PARALLEL, PlueckerLines
 from omnilines.triangulation.averaging import subsets
+from omnilines.triangulation.compiled import PairTable
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import end_bearings
 
@@ -47,3 +49,12 @@ def candidate_batches(
     pairs = subsets(views, 2, budget, seed).to(rows.device)
     for some in rows.split(max(1, RESIDUALS_AT_ONCE // (len(pairs) * views))):
         yield (pairs, some, *candidate_lines(observations, some, pairs))
+
+
+def pair_table(observations: PlaneObservations, budget: int, seed: int) -> PairTable:
+    """The pairs of the candidates of all tracks, for the compiled passes."""
+    counts = [count for count in observations.views().unique().tolist() if count >= 2]
+    own = [subsets(count, 2, budget, seed).numpy() for count in counts]
+    start = np.zeros(max(counts, default=0) + 3, dtype=np.int64)
+    start[[count + 1 for count in counts]] = [len(pairs) for pairs in own]
+    return np.concatenate([np.zeros((0, 2), dtype=np.int64), *own]), np.cumsum(start)

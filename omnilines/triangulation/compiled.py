@@ -2,14 +2,15 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
-from omnilines.geometry.line_chart import LineChart
+from omnilines.geometry.line_chart import PHI_MAX_RAD, PHI_MIN_RAD, LineChart
 from omnilines.least_squares.threads import in_shares, threads_for
-from omnilines.triangulation import sums_kernel, track_kernel
+from omnilines.triangulation import consensus_kernel, likelihood_kernel, sums_kernel, track_kernel
+from omnilines.triangulation.consensus_kernel import ConsensusRules
 from omnilines.triangulation.track_kernel import TrackResults, TrackRows
 
 NO_ARCS = np.empty((0, 2, 3))
@@ -108,6 +109,77 @@ def information(
     spread = NO_NOISE if noise is None else array(noise)
     in_shares(lambda _, low, high: sums_kernel.sum_information(low, high, rows, spread, *given, total, rounding), shares(rows))
     return torch.from_numpy(total), torch.from_numpy(rounding)
+
+
+def refined(rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, start: LineChart, iterations: int) -> PlueckerLines:
+    """The most likely line of every track from the line of `start`, world frame; NaN where a chart is not finite."""
+    tracks = len(start)
+    # Coordinates from the centre of each chart, so that nothing is lost far from the world origin.
+    charts = torch.cat([torch.zeros_like(start.centre), start.S.flatten(1), start.phi[:, None]], 1).numpy()
+    origin, scale = array(start.centre), array(start.scale)
+    charts[~np.isfinite(origin).all(-1)] = np.nan
+    spread = NO_NOISE if noise is None else array(noise)
+    in_shares(
+        lambda _, low, high: likelihood_kernel.refine_tracks(
+            low, high, rows, spread, origin, scale, charts, PHI_MIN_RAD, PHI_MAX_RAD, iterations
+        ),
+        shares(rows) if tracks else [0, 0],
+    )
+    found = torch.from_numpy(charts)
+    chart = LineChart(
+        start.centre + found[:, :3], start.scale, found[:, 3:12].reshape(tracks, 3, 3), found[:, likelihood_kernel.PHI]
+    )
+    return chart.lines()
+
+
+PairTable = tuple[Int[np.ndarray, "p 2"], Int[np.ndarray, " s"]]
+"""Pairs of rows to try, and the first of those of a track of so many rows: those of k rows are pairs[start[k]:start[k + 1]]."""
+
+
+def least_majority(
+    rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, pairs: PairTable, parallel: float
+) -> Float[Tensor, " t"]:
+    """As `consensus.least_majority_square`."""
+    out = np.empty(len(rows.start) - 1)
+    spread = NO_NOISE if noise is None else array(noise)
+    in_shares(lambda _, low, high: consensus_kernel.majority_tracks(low, high, rows, spread, *pairs, parallel, out), shares(rows))
+    return torch.from_numpy(out)
+
+
+def nearest_pairs(
+    rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, pairs: PairTable, parallel: float, limit: float
+) -> PlueckerLines:
+    """The line of the two planes of each track from which all of its rows have the least sum of squares, each at most `limit`."""
+    out = np.empty((len(rows.start) - 1, 6))
+    spread = NO_NOISE if noise is None else array(noise)
+    in_shares(
+        lambda _, low, high: consensus_kernel.nearest_pair_tracks(low, high, rows, spread, *pairs, parallel, limit, out),
+        shares(rows),
+    )
+    found = torch.from_numpy(out)
+    return PlueckerLines(found[:, :3], found[:, 3:])
+
+
+def consensus(
+    rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, pairs: PairTable, rules: ConsensusRules
+) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " t"], Float[Tensor, " n"]]:
+    """The fields of `consensus.Consensus`."""
+    inlier, solved = np.zeros(len(rows.rows), dtype=np.bool_), np.zeros(len(rows.start) - 1, dtype=np.bool_)
+    square = np.full(len(rows.rows), np.inf)
+    spread = NO_NOISE if noise is None else array(noise)
+    in_shares(
+        lambda _, low, high: consensus_kernel.consensus_tracks(low, high, rows, spread, *pairs, rules, inlier, square, solved),
+        shares(rows),
+    )
+    return torch.from_numpy(inlier), torch.from_numpy(solved), torch.from_numpy(square)
+
+
+def judged(rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, lines: PlueckerLines, variance: float) -> Float[Tensor, " n"]:
+    """As `consensus.judge` with all rows being inliers."""
+    square, spread = np.full(len(rows.rows), np.inf), NO_NOISE if noise is None else array(noise)
+    given = np.concatenate([array(lines.direction), array(lines.moment)], 1)
+    in_shares(lambda _, low, high: consensus_kernel.judge_tracks(low, high, rows, spread, given, variance, square), shares(rows))
+    return torch.from_numpy(square)
 
 
 def planes(

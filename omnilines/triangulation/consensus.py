@@ -10,15 +10,18 @@ line is found without it, over the standard deviation of that: with h, J of the 
 both are chi-square with two degrees of freedom, to first order. A row whose arc faces away from the line does not belong to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from omnilines.geometry.line import PlueckerLines
-from omnilines.triangulation.candidates import candidate_batches
+from omnilines.geometry.line import PARALLEL, PlueckerLines
+from omnilines.geometry.line_chart import PHI_MAX_RAD, PHI_MIN_RAD
+from omnilines.triangulation.candidates import candidate_batches, pair_table
+from omnilines.triangulation.compiled import consensus, judged, least_majority, on_processor
+from omnilines.triangulation.consensus_kernel import ConsensusRules
 from omnilines.triangulation.degeneracy import faces_away
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
@@ -37,16 +40,18 @@ ROUNDS, STEPS = 10, 20
 """Of judging, and of refining in each: hypotheses that need more are wrong ones."""
 FREE_ROUNDS = 5
 """After these, rows may only leave: two rows that throw out each other would do so in turn."""
+ROWS_AT_ONCE = 1 << 16
+"""Rows that are held in memory at the same time, with all their candidates, where nothing is compiled."""
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """Of g tracks with k rows each."""
+    """Of t tracks of n rows in all, in the order of the observations."""
 
-    inlier: Bool[Tensor, "g k"]
-    solved: Bool[Tensor, " g"]
+    inlier: Bool[Tensor, " n"]
+    solved: Bool[Tensor, " t"]
     """A majority of at least three rows agrees on one line, and no other line is nearly as likely."""
-    squared: Float[Tensor, "g k"]
+    squared: Float[Tensor, " n"]
     """s of every row, in units of the noise."""
 
 
@@ -55,27 +60,68 @@ def majority(views: int) -> int:
     return max(3, views // 2 + 1)
 
 
-def least_majority_square(
-    observations: PlaneObservations, rows: Int[Tensor, "g k"], budget: int, seed: int
-) -> Float[Tensor, " g"]:
+def least_majority_square(observations: PlaneObservations, budget: int, seed: int) -> Float[Tensor, " t"]:
     """Least over the candidates of a track of the sum h^2 that a majority stays within (Rousseeuw 1984)."""
-    need = majority(rows.shape[1])
-    batches = candidate_batches(observations, rows, budget, seed)
-    return torch.cat([square.kthvalue(need, dim=-1).values.amin(-1) for _, _, _, square in batches])
+    if observations.arcs is not None and on_processor(observations.normal):
+        return least_majority(observations.by_track, observations.noise, pair_table(observations, budget, seed), PARALLEL)
+    least = torch.full((observations.tracks,), torch.inf, dtype=torch.float64, device=observations.normal.device)
+    for tracks, rows in observations.by_view_count():
+        need = majority(rows.shape[1])
+        batches = candidate_batches(observations, rows, budget, seed)
+        least[tracks] = torch.cat([square.kthvalue(need, dim=-1).values.amin(-1) for _, _, _, square in batches])
+    return least
 
 
 def find_consensus(
+    observations: PlaneObservations, variance: float, budget: int, seed: int, hypotheses: int = HYPOTHESES
+) -> Consensus:
+    """The consensus of tracks with three rows or more; `variance` is that of a residual. Pairs as in `candidate_batches`."""
+    if observations.arcs is not None and on_processor(observations.normal):
+        rules = ConsensusRules(
+            variance, ROW_LIMIT, CANDIDATE_LIMIT, CLEARLY_WRONG, DECISIVE, hypotheses, ROUNDS, STEPS, FREE_ROUNDS, PARALLEL,
+            PHI_MIN_RAD, PHI_MAX_RAD,
+        )  # fmt: skip
+        return Consensus(*consensus(observations.by_track, observations.noise, pair_table(observations, budget, seed), rules))
+    device = observations.normal.device
+    inlier = torch.zeros(len(observations.track), dtype=torch.bool, device=device)
+    solved = torch.zeros(observations.tracks, dtype=torch.bool, device=device)
+    squared = torch.full((len(observations.track),), torch.inf, dtype=torch.float64, device=device)
+    for portion in _portions(observations):
+        found = _find_in_groups(observations, [rows for _, rows in portion], variance, budget, seed, hypotheses)
+        for (tracks, rows), (own, sound, square) in zip(portion, found, strict=True):
+            inlier[rows], solved[tracks], squared[rows] = own, sound, square
+    return Consensus(inlier, solved, squared)
+
+
+def _portions(observations: PlaneObservations) -> Iterator[list[tuple[Tensor, Tensor]]]:
+    """The groups of tracks with equally many rows, large ones cut, put together to at most ROWS_AT_ONCE rows."""
+    portion: list[tuple[Tensor, Tensor]] = []
+    held = 0
+    for tracks, rows in observations.by_view_count():
+        at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
+        for own, part in zip(tracks.split(at_once), rows.split(at_once), strict=True):
+            if portion and held + part.numel() > ROWS_AT_ONCE:
+                yield portion
+                portion, held = [], 0
+            portion.append((own, part))
+            held += part.numel()
+    if portion:
+        yield portion
+
+
+GroupConsensus = tuple[Bool[Tensor, "g k"], Bool[Tensor, " g"], Float[Tensor, "g k"]]
+"""The fields of `Consensus` for g tracks of k rows each."""
+
+
+def _find_in_groups(
     observations: PlaneObservations,
     groups: Sequence[Int[Tensor, "_ _"]],
     variance: float,
     budget: int,
     seed: int,
-    hypotheses: int = HYPOTHESES,
-) -> list[Consensus]:
-    """The consensus of tracks with k >= 3 rows each, of each group of tracks with equally many; `variance` is that of a residual.
-
-    All groups are refined together.
-    """
+    hypotheses: int,
+) -> list[GroupConsensus]:
+    """The consensus of each group of tracks with equally many rows. All groups are refined together."""
     starts = [_first_lines(observations, rows, variance, budget, seed, hypotheses) for rows in groups]
     repeated = [rows[:, None].expand(-1, hypotheses, -1) for rows in groups]
     views = torch.cat([torch.full((len(rows) * hypotheses,), rows.shape[1], device=rows.device) for rows in groups])
@@ -141,6 +187,15 @@ def judge(
     return torch.where(wrong, torch.inf, square / (variance + at.rounding))
 
 
+def judge_by_all(observations: PlaneObservations, lines: PlueckerLines, variance: float) -> Float[Tensor, " n"]:
+    """As `judge`, where every line was found from all rows of its track."""
+    if observations.arcs is not None and on_processor(observations.normal):
+        return judged(observations.by_track, observations.noise, lines, variance)
+    return judge(
+        observations, lines, torch.ones(len(observations.track), dtype=torch.bool, device=observations.track.device), variance
+    )
+
+
 def _settle(
     table: PlaneObservations, lines: PlueckerLines, inlier: Bool[Tensor, " n"], variance: float
 ) -> tuple[PlueckerLines, Bool[Tensor, " n"], Float[Tensor, " n"]]:
@@ -162,7 +217,7 @@ def _settle(
     return PlueckerLines(direction, moment), inlier, judged
 
 
-def _resolve(cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: Float[Tensor, "g h k"]) -> Consensus:
+def _resolve(cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: Float[Tensor, "g h k"]) -> GroupConsensus:
     """The hypothesis of the least truncated cost, unless too few rows agree with it or another contradicts it."""
     track = torch.arange(len(cost), device=cost.device)
     best = cost.argmin(-1)
@@ -171,4 +226,4 @@ def _resolve(cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: 
     # Each of the two has a member that is far off the other's line.
     contradicts = (inlier & (square > CLEARLY_WRONG)[:, None]).any(-1) & (own[:, None] & (judged > CLEARLY_WRONG)).any(-1)
     ambiguous = (contradicts & (cost < cost[track, best][:, None] + DECISIVE)).any(-1)
-    return Consensus(own, enough & ~ambiguous, square)
+    return own, enough & ~ambiguous, square

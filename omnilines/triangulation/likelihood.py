@@ -12,11 +12,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models.errors import InputError
-from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line import PARALLEL, PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.triangulation.candidates import candidate_batches
+from omnilines.triangulation.candidates import candidate_batches, pair_table
+from omnilines.triangulation.compiled import nearest_pairs, on_processor, refined
 from omnilines.triangulation.degeneracy import assess
 from omnilines.triangulation.dual import frames_and_lines
+from omnilines.triangulation.likelihood_kernel import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, TOLERANCE
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import (
     NormalEquations,
@@ -29,12 +31,8 @@ from omnilines.triangulation.residuals import (
 )
 from omnilines.triangulation.result import Triangulation
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-10, 1e-14, 1e8
-"""Relative to the diagonal. The start is good, and damping would freeze a far line, which eigenvalues near 1e-11 determine."""
 PAIRS, FAR = 128, 55.0
 """Pairs of planes that are tried where the first search has failed; a row farther off, over the variance, is as good as any."""
-TOLERANCE = 1e-12
-"""A track is done when the decrease of its cost that the linear model promises is below this share of it."""
 
 
 def triangulate(observations: PlaneObservations, *, iterations: int = 50, sigma_rad: float | None = None) -> Triangulation:
@@ -71,6 +69,8 @@ def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations
 
 def _best_pairs(observations: PlaneObservations, most: float) -> PlueckerLines:
     """The line of the two planes of each track from which all of its rows have the least sum of squares, each at most `most`."""
+    if observations.arcs is not None and on_processor(observations.normal):
+        return nearest_pairs(observations.by_track, observations.noise, pair_table(observations, PAIRS, 0), PARALLEL, most)
     direction = torch.full((observations.tracks, 3), torch.nan, dtype=torch.float64, device=observations.normal.device)
     moment = direction.clone()
     for tracks, rows in observations.by_view_count():
@@ -92,6 +92,10 @@ def _total_square(observations: PlaneObservations, lines: PlueckerLines) -> Floa
 def refine(observations: PlaneObservations, start: PlueckerLines, iterations: int = 50) -> PlueckerLines:
     """The most likely line of every track, from a start in the world frame; NaN where the start is."""
     world = chart_of(observations, start)
+    if observations.arcs is not None and on_processor(observations.normal):
+        found = refined(observations.by_track, observations.noise, world, iterations)
+        kept = torch.isfinite(found.moment).all(-1)[:, None]
+        return PlueckerLines(torch.where(kept, found.direction, start.direction), torch.where(kept, found.moment, start.moment))
     finite = torch.isfinite(world.centre).all(-1) & torch.isfinite(world.phi)
     tracks = torch.nonzero(finite).squeeze(-1)
     inner, _ = observations.of_tracks(tracks)

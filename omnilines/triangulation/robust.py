@@ -5,7 +5,6 @@ takes a majority, three members at least: a track of three views with a wrong on
 named `inconsistent`. Whether arcs overlap along the line is not judged: parts of one line seen apart from each other are common.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +16,7 @@ from camera_models.errors import InputError
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import LINE_STATUSES
 from omnilines.triangulation import triangulate
-from omnilines.triangulation.consensus import ROW_LIMIT, find_consensus, judge, least_majority_square
+from omnilines.triangulation.consensus import ROW_LIMIT, find_consensus, judge_by_all, least_majority_square
 from omnilines.triangulation.degeneracy import ROUNDING_RAD, faces_away, hidden
 from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.likelihood import refine
@@ -25,8 +24,6 @@ from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import chi_square_limit, end_distances, freedom
 from omnilines.triangulation.result import Triangulation
 
-ROWS_AT_ONCE = 1 << 16
-"""Members of suspect tracks that are held in memory at the same time, with all their candidates."""
 SAMPLED_TRACKS = 1000
 """Tracks that the noise is estimated from, drawn with the seed."""
 MEDIAN_CHI_SQUARE_2 = 1.3863
@@ -79,30 +76,12 @@ def robust_triangulate(
     unsolved = torch.zeros(observations.tracks, dtype=torch.bool, device=inlier.device)
     suspects = torch.nonzero(_suspects(observations, variance)).squeeze(-1)
     some, kept = observations.of_tracks(suspects)
-    for portion in _portions(some):
-        found = find_consensus(some, [rows for _, rows in portion], variance, budget, seed)
-        for (tracks, rows), each in zip(portion, found, strict=True):
-            inlier[kept[rows]] = each.inlier | ~each.solved[:, None]
-            unsolved[suspects[tracks]] = ~each.solved
+    found = find_consensus(some, variance, budget, seed)
+    inlier[kept] = found.inlier | ~found.solved[some.track]
+    unsolved[suspects] = ~found.solved
     result = triangulate(method, observations.rows(inlier), **options)
     status = torch.where(unsolved, LINE_STATUSES.index("inconsistent"), result.status)
     return RobustTriangulation(hidden(replace(result, status=status)), inlier, level)
-
-
-def _portions(observations: PlaneObservations) -> Iterator[list[tuple[Tensor, Tensor]]]:
-    """The groups of tracks with equally many rows, large ones cut, put together to at most ROWS_AT_ONCE rows."""
-    portion: list[tuple[Tensor, Tensor]] = []
-    held = 0
-    for tracks, rows in observations.by_view_count():
-        at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
-        for own, part in zip(tracks.split(at_once), rows.split(at_once), strict=True):
-            if portion and held + part.numel() > ROWS_AT_ONCE:
-                yield portion
-                portion, held = [], 0
-            portion.append((own, part))
-            held += part.numel()
-    if portion:
-        yield portion
 
 
 def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int = 128) -> float:
@@ -116,15 +95,14 @@ def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int =
         return float("nan")
     order = torch.randperm(len(eligible), generator=torch.Generator().manual_seed(seed))[:SAMPLED_TRACKS]
     sample, _ = observations.of_tracks(eligible[order.to(eligible.device)])
-    groups = [rows for _, rows in sample.by_view_count()]
-    first = torch.cat([least_majority_square(sample, rows, budget, seed) for rows in groups])
+    first = least_majority_square(sample, budget, seed)
     floor = _rounding_level(observations) ** 2
     # The least of many is rather below the noise than above: a level that is too low rises below, one that is too high may stay,
     # because it takes the members of neighbouring lines together.
     variance = max(0.5 * float(first.median().nan_to_num(posinf=0.0)), floor)
     for _ in range(NOISE_ROUNDS):
-        found = find_consensus(sample, groups, variance, budget, seed, hypotheses=1)
-        squares = torch.cat([each.squared[each.inlier & each.solved[:, None]] for each in found])
+        found = find_consensus(sample, variance, budget, seed, hypotheses=1)
+        squares = found.squared[found.inlier & found.solved[sample.track]]
         if not len(squares):
             break
         previous, variance = variance, max(variance * float(squares.median()) / MEDIAN_CHI_SQUARE_2, floor)
@@ -144,8 +122,7 @@ def _suspects(observations: PlaneObservations, variance: float) -> Bool[Tensor, 
     """Tracks of more than two views whose members do not all agree with the most likely line of all of them."""
     _, start, _ = frames_and_lines(observations)
     lines = refine(observations, start)
-    everyone = torch.ones(len(observations.track), dtype=torch.bool, device=observations.track.device)
-    square = judge(observations, lines, everyone, variance)
+    square = judge_by_all(observations, lines, variance)
     away = faces_away(observations, lines)
     share = observations.sum_by_track(away.to(square.dtype)) / observations.views().clamp_min(1)
     # A track seen from behind by most of its cameras is named so by the method itself.

@@ -121,3 +121,40 @@ def weighted_median(values, weights, count):
 def cross(a0, a1, a2, b0, b1, b2):
     """a x b."""
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def inverse_of_normal(matrix, count, factor, inverse):
+    """Inverse of the leading (count x count) part of a normal matrix, scaled to a unit diagonal before, by Cholesky's factor
+    (kept in `factor`, whose last column takes the scales); false where it is not positive definite."""
+    for x in range(count):
+        if not matrix[x, x] > 0.0:
+            return False
+        factor[x, count] = 1.0 / math.sqrt(matrix[x, x])
+    for x in range(count):
+        for y in range(x + 1):
+            value = matrix[x, y] * factor[x, count] * factor[y, count]
+            for z in range(y):
+                value -= factor[x, z] * factor[y, z]
+            if x > y:
+                factor[x, y] = value / factor[y, y]
+            elif value > 0.0:
+                factor[x, x] = math.sqrt(value)
+            else:
+                return False
+    for column in range(count):
+        for x in range(count):
+            value = 1.0 if x == column else 0.0
+            for z in range(x):
+                value -= factor[x, z] * inverse[z, column]
+            inverse[x, column] = value / factor[x, x]
+        for x in range(count - 1, -1, -1):
+            value = inverse[x, column]
+            for z in range(x + 1, count):
+                value -= factor[z, x] * inverse[z, column]
+            inverse[x, column] = value / factor[x, x]
+    for x in range(count):
+        for y in range(count):
+            inverse[x, y] *= factor[x, count] * factor[y, count]
+    return True

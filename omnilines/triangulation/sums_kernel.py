@@ -133,45 +133,68 @@ def middle_cameras(low, high, track, direction, moment, scale, camera):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
+def row_information(track, noise, row, c0, c1, c2, d0, d1, d2, m0, m1, m2, size_of_moment, by_direction, by_moment, ends):
+    """[J h] of both ends (2 x 5) of one observation into `ends`; what double precision leaves of the sum of h^2.
+
+    Camera and moment are about the centre of the line's chart. See `residuals.py`.
+    """
+    s0, s1, s2 = cross(c0, c1, c2, d0, d1, d2)
+    q0, q1, q2 = m0 - s0, m1 - s1, m2 - s2
+    size = size_of_moment + math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+    rounding = 0.0
+    for a in range(2):
+        b0, b1, b2 = track.arcs[row, a, 0], track.arcs[row, a, 1], track.arcs[row, a, 2]
+        if len(noise):
+            p = noise[row, a, 0, 0] * q0 + noise[row, a, 1, 0] * q1 + noise[row, a, 2, 0] * q2
+            q = noise[row, a, 0, 1] * q0 + noise[row, a, 1, 1] * q1 + noise[row, a, 2, 1] * q2
+            w = math.sqrt(p * p + q * q)
+            u0 = noise[row, a, 0, 0] * p + noise[row, a, 0, 1] * q
+            u1 = noise[row, a, 1, 0] * p + noise[row, a, 1, 1] * q
+            u2 = noise[row, a, 2, 0] * p + noise[row, a, 2, 1] * q
+        else:
+            w = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2)
+            u0, u1, u2 = q0, q1, q2
+        h = (b0 * q0 + b1 * q1 + b2 * q2) / w
+        share = h / w
+        g0, g1, g2 = (b0 - share * u0) / w, (b1 - share * u1) / w, (b2 - share * u2) / w
+        e0, e1, e2 = cross(c0, c1, c2, g0, g1, g2)
+        for x in range(4):
+            ends[a, x] = (
+                e0 * by_direction[0, x] + e1 * by_direction[1, x] + e2 * by_direction[2, x]
+                + g0 * by_moment[0, x] + g1 * by_moment[1, x] + g2 * by_moment[2, x]
+            )  # fmt: skip
+        ends[a, 4] = h
+        rounding += (4.0 * 2.220446049250313e-16 * size / w) ** 2
+    return rounding
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def add_ends(ends, total):
+    """Add [J h]' [J h] of both ends."""
+    for a in range(2):
+        for x in range(5):
+            for y in range(5):
+                total[x, y] += ends[a, x] * ends[a, y]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
 def sum_information(low, high, track, noise, centre, direction, moment, by_direction, by_moment, total, rounding):
     """[J h]' [J h] (t x 5 x 5) of the tracks low to high about the centres of their charts; see `residuals.py`."""
-    j = np.empty(5)
+    ends = np.empty((2, 5))
     for t in range(low, high):
         d0, d1, d2 = direction[t, 0], direction[t, 1], direction[t, 2]
-        size_of_moment = math.sqrt(moment[t, 0] ** 2 + moment[t, 1] ** 2 + moment[t, 2] ** 2)
+        m0, m1, m2 = moment[t, 0], moment[t, 1], moment[t, 2]
+        size = math.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
         for k in range(track.start[t], track.start[t + 1]):
             row = track.rows[k]
             c0, c1 = track.centre[row, 0] - centre[t, 0], track.centre[row, 1] - centre[t, 1]
             c2 = track.centre[row, 2] - centre[t, 2]
-            s0, s1, s2 = cross(c0, c1, c2, d0, d1, d2)
-            q0, q1, q2 = moment[t, 0] - s0, moment[t, 1] - s1, moment[t, 2] - s2
-            size = size_of_moment + math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
-            for a in range(2):
-                b0, b1, b2 = track.arcs[row, a, 0], track.arcs[row, a, 1], track.arcs[row, a, 2]
-                if len(noise):
-                    p = noise[row, a, 0, 0] * q0 + noise[row, a, 1, 0] * q1 + noise[row, a, 2, 0] * q2
-                    q = noise[row, a, 0, 1] * q0 + noise[row, a, 1, 1] * q1 + noise[row, a, 2, 1] * q2
-                    w = math.sqrt(p * p + q * q)
-                    u0 = noise[row, a, 0, 0] * p + noise[row, a, 0, 1] * q
-                    u1 = noise[row, a, 1, 0] * p + noise[row, a, 1, 1] * q
-                    u2 = noise[row, a, 2, 0] * p + noise[row, a, 2, 1] * q
-                else:
-                    w = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2)
-                    u0, u1, u2 = q0, q1, q2
-                h = (b0 * q0 + b1 * q1 + b2 * q2) / w
-                share = h / w
-                g0, g1, g2 = (b0 - share * u0) / w, (b1 - share * u1) / w, (b2 - share * u2) / w
-                e0, e1, e2 = cross(c0, c1, c2, g0, g1, g2)
-                for x in range(4):
-                    j[x] = (
-                        e0 * by_direction[t, 0, x] + e1 * by_direction[t, 1, x] + e2 * by_direction[t, 2, x]
-                        + g0 * by_moment[t, 0, x] + g1 * by_moment[t, 1, x] + g2 * by_moment[t, 2, x]
-                    )  # fmt: skip
-                j[4] = h
-                for x in range(5):
-                    for y in range(5):
-                        total[t, x, y] += j[x] * j[y]
-                rounding[t] += (4.0 * 2.220446049250313e-16 * size / w) ** 2
+            rounding[t] += row_information(
+                track, noise, row, c0, c1, c2, d0, d1, d2, m0, m1, m2, size, by_direction[t], by_moment[t], ends
+            )
+            add_ends(ends, total[t])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
