@@ -26,7 +26,7 @@ from omnilines.geometry.sphere import points_on_arc
 from omnilines.matching import tracks as tracks_module
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
-from omnilines.matching.match import NEIGHBOURS, SLACKS_PX, Matched, chosen_slack, match_arcs
+from omnilines.matching.match import NEIGHBOURS, SLACKS_PX, Matched, evidence_of_lines, match_arcs
 from omnilines.matching.tracks import build_tracks
 
 CAMERAS = list(VIEWS)
@@ -135,7 +135,7 @@ def test_errors_of_poses_widen_the_slack(name: str) -> None:
     scene = room(name)
     poor, good = (scene.arcs(0.3, 3, poses=shaken(scene.poses, *errors, 9)) for errors in ((0.2, 10.0), (0.05, 2.0)))
     near = neighbouring_photos(good.poses.centre.numpy(), good.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    slack = chosen_slack(good, near, 0)
+    slack = evidence_of_lines(good, near, 0).slack_px
     for arcs, slack_px, share in ((good, slack, 0.95), (poor, None, 0.9)):
         found = match_arcs(arcs, slack_px=slack_px)
         assert_consistent(found)
@@ -158,7 +158,7 @@ def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
     names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
     arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
     near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    assert [chosen_slack(arcs, near, seed) for seed in range(3)] == [SLACKS_PX[0]] * 3
+    assert [evidence_of_lines(arcs, near, seed).slack_px for seed in range(3)] == [SLACKS_PX[0]] * 3
 
 
 def test_too_little_tolerance_costs_tracks() -> None:
@@ -409,8 +409,8 @@ def test_the_slack_is_the_same_for_the_same_seed() -> None:
     scene = room("fisheye")
     arcs = scene.arcs(0.3, 3)
     near = every_neighbour(12)
-    first = chosen_slack(arcs, near, 5)
-    assert first == chosen_slack(arcs, near, 5) and first in SLACKS_PX
+    first = evidence_of_lines(arcs, near, 5).slack_px
+    assert first == evidence_of_lines(arcs, near, 5).slack_px and first in SLACKS_PX
     steps = []
     match_arcs(arcs, slack_px=first, progress=lambda stage, done, total: steps.append((stage, done, total)))
     for stage in ("matching arcs", "building tracks"):

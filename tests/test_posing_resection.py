@@ -8,9 +8,11 @@ from scipy.stats import chi2
 
 from camera_models import GeometryError
 from camera_models.pose import Pose
-from omnilines.posing.bearing_residual import across, bearing_residual
+from omnilines.least_squares import Loss
+from omnilines.least_squares.reduced_system import sparse_matrix
+from omnilines.posing.bearing_residual import across, bearing_residual, placed
 from omnilines.posing.p3p import p3p
-from omnilines.posing.point_adjustment import Frames, PointProblem, PosesAndPoints, adjust_points
+from omnilines.posing.point_adjustment import BEND, Frames, PointEngine, PosesAndPoints, adjust_points
 from omnilines.posing.resection import resect
 from omnilines.posing.tracks import Observations
 
@@ -166,41 +168,51 @@ def test_poses_and_points_are_refined_to_the_truth_up_to_what_bearings_leave_ope
 
 
 @pytest.mark.parametrize("rig", [False, True])
-def test_the_gauge_is_what_residuals_do_not_see_and_jacobians_are_right(rig):
-    seen, frames, truth = scene(0.0, rig)
-    problem = PointProblem(seen, frames, 60, len(truth.rig_from_world))
-    at = problem.linearise(truth)
-    rng = np.random.default_rng(8)
-    kept = torch.as_tensor(rng.normal(size=6 * len(truth.rig_from_world)))
-    moved = torch.as_tensor(rng.normal(size=(60, 3)))
-    step = 1e-6
-    ahead, behind = (problem.linearise(problem.retract(truth, s * kept, s * moved)).residual for s in (step, -step))
-    by_kept = (at.by_kept[0] @ kept.view(-1, 6)[problem.frame][..., None])[..., 0]
-    expected = by_kept + (at.by_eliminated @ moved[seen.point][..., None])[..., 0]
-    torch.testing.assert_close((ahead - behind) / (2 * step), expected, rtol=1e-5, atol=1e-4)
-    gauge = problem.gauge(truth)
+def test_the_compiled_equations_are_those_of_automatic_derivatives_and_the_gauge_costs_nothing(rig):
+    seen, frames, truth = scene(2e-3, rig)
+    # In any order, some points seen by few: observations need not come by point.
+    seen = seen.chosen(torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:300])
+    engine, count = PointEngine(seen, frames, 60), len(truth.rig_from_world)
+    kept_size = 6 * count
+
+    def residual(step: torch.Tensor) -> torch.Tensor:
+        moved = Pose.exp(step[:kept_size].view(-1, 6)) @ truth.rig_from_world
+        points = truth.points + step[kept_size:].view(-1, 3)
+        return bearing_residual(seen.bearings, seen.rows, placed(frames.photos(moved)[seen.photo], points[seen.point]))[0]
+
+    at = torch.zeros(kept_size + 180, dtype=torch.float64)
+    r, jacobian = residual(at), torch.autograd.functional.jacobian(residual, at).flatten(0, 1)
+    torch.testing.assert_close(engine.norms(truth), r.norm(dim=-1))
+    cost, weight = Loss("cauchy", BEND)(r.square().sum(-1))
+    assert engine.cost(truth) == pytest.approx(float(cost.sum()))
+    root = weight.sqrt().repeat_interleave(2)
+    jacobian, right = jacobian * root[:, None], -(jacobian * root[:, None]).mT @ (r.flatten() * root)
+    normal = jacobian.mT @ jacobian + torch.diag(0.1 * jacobian.square().sum(0))
+    k, w, e = normal[:kept_size, :kept_size], normal[:kept_size, kept_size:], normal[kept_size:, kept_size:]
+    expected = k - w @ torch.linalg.solve(e, w.mT)
+    found = engine.reduce(truth, 0.1)
+    assert found is not None
+    order = (6 * torch.as_tensor(engine.free)[:, None] + torch.arange(6)).flatten()
+    whole = torch.as_tensor(sparse_matrix(engine.pattern, found.system.blocks).toarray())
+    torch.testing.assert_close(whole, expected[order][:, order], rtol=1e-9, atol=1e-9 * float(expected.abs().max()))
+    reduced = right[:kept_size] - w @ torch.linalg.solve(e, right[kept_size:])
+    torch.testing.assert_close(torch.as_tensor(found.right), reduced[order], rtol=1e-9, atol=1e-9 * float(right.abs().max()))
+    taken = engine.step(truth, 0.1)
+    assert taken is not None
+    # The kept step that the constraint allows, and the points that follow it.
+    step = (taken.state.rig_from_world @ truth.rig_from_world.inverse()).log().flatten()
+    follow = torch.linalg.solve(e, right[kept_size:] - w.mT @ step).view(-1, 3)
+    torch.testing.assert_close(taken.state.points - truth.points, follow, rtol=1e-6, atol=1e-12)
+    assert taken.cost == pytest.approx(engine.cost(taken.state))
+    # Without noise what the gauge leaves open costs nothing once points follow.
+    clear, _, _ = scene(0.0, rig)
+    engine = PointEngine(clear, frames, 60)
+    undamped = engine.reduce(truth, 0.0)
+    assert undamped is not None
+    gauge = undamped.system.gauge
     assert gauge.shape[1] == (6 if rig else 7)
-    # The reduced system without its gauge: what points can take up of a kept step costs nothing.
-    whole = torch.cat([_dense(problem, at), _dense_points(seen, at)], 1)
-    reduced_rank = int(torch.linalg.matrix_rank(whole, rtol=1e-10))
-    assert reduced_rank == whole.shape[1] - gauge.shape[1]
-    for column in gauge.mT:
-        effect = _dense(problem, at) @ column
-        left = effect - _dense_points(seen, at) @ torch.linalg.lstsq(_dense_points(seen, at), effect).solution
-        assert float(left.norm()) < 1e-8 * float(effect.norm())
-
-
-def _dense(problem: PointProblem, at) -> torch.Tensor:
-    matrix = torch.zeros(*at.residual.shape, problem.structure.kept_size, dtype=torch.float64)
-    columns = 6 * problem.frame[:, None] + torch.arange(6)
-    matrix.scatter_(2, columns[:, None].expand(-1, 2, -1), at.by_kept[0])
-    return matrix.flatten(0, 1)
-
-
-def _dense_points(seen: Observations, at) -> torch.Tensor:
-    matrix = torch.zeros(*at.residual.shape, 180, dtype=torch.float64)
-    matrix.scatter_(2, (3 * seen.point[:, None] + torch.arange(3))[:, None].expand(-1, 2, -1), at.by_eliminated)
-    return matrix.flatten(0, 1)
+    blocks = engine.reduce(truth, 1e-12).system.blocks
+    assert np.abs(sparse_matrix(engine.pattern, blocks) @ gauge).max() < 1e-7 * np.abs(blocks).max()
 
 
 def test_the_covariance_of_poses_is_what_noise_does():

@@ -1,6 +1,7 @@
-"""Rendered rooms and streets: photos against areas, visibility against brute-force rays, edges against closed forms."""
+"""Rendered rooms, flats and streets: photos against areas, visibility against brute-force rays, edges against closed forms."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -346,6 +347,28 @@ def test_cameras_stand_in_free_space(name: str) -> None:
     assert count == 12
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_photos_are_walked_through_the_flat(seed: int) -> None:
+    """Thirteen photos, 1 to 2 m apart at the height of the eye, two to four in each of the five rooms; each sees the next one."""
+    scene = build_scene("flat", seed)
+    poses = scene_poses(scene, 13, seed)
+    places = poses.centre.numpy()
+    apart = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert (apart > 1.0).all() and (apart < 2.0).all()
+    assert (np.abs(places[:, 2] - 1.5) < 0.1).all()
+    # The plane under each is a floor, which paint shares, or the threshold of a doorway, which is of both rooms.
+    under = [int(scene.plane[brute_force(scene, place, np.array([[0.0, 0.0, -1.0]]))[1][0]]) for place in places]
+    size = {plane: np.ptp(scene.corners_m[scene.plane == plane].reshape(-1, 3), axis=0) for plane in under}
+    rooms = [plane for plane in dict.fromkeys(under) if size[plane][:2].min() > 2.0]
+    assert len(rooms) == 5 and all(size[plane][2] == 0 for plane in under)
+    counts = [sum(plane == room for plane in under) for room in rooms]
+    assert min(counts) >= 2 and max(counts) <= 4
+    for near, far in itertools.pairwise(places):
+        step = np.linalg.norm(far - near)
+        distance, _ = brute_force(scene, near, (far - near)[None] / step)
+        assert distance[0] > step
+
+
 def test_the_image_circle_is_black_outside() -> None:
     scene = furnished_room(0)
     camera, circle = scene_camera("opencv-fisheye", SIZE, 0, 190.0)
@@ -400,7 +423,7 @@ def test_command_writes_what_it_says(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: build_scene("castle", 0), "one of room, plain-room, street, found 'castle'"),
+        (lambda: build_scene("castle", 0), "one of room, plain-room, flat, street, found 'castle'"),
         (lambda: furnished_room(0, (2.0, 4.0, 3.0)), "found 2 x 4 x 3 m"),
         (lambda: furnished_room(-1), "seed of at least 0"),
         (lambda: scene_camera("pinhole", SIZE, 0, 80.0, mirror=True), "--model scaramuzza, found pinhole"),
@@ -438,7 +461,7 @@ def test_options_of_a_photo() -> None:
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [("room", 0), *(pytest.param("room", seed, marks=pytest.mark.full) for seed in (1, 2)), ("street", 0)],
+    [("room", 0), *(pytest.param("room", seed, marks=pytest.mark.full) for seed in (1, 2)), ("flat", 0), ("street", 0)],
 )
 def test_nothing_runs_into_anything(name: str, seed: int) -> None:
     """No edge passes through the inside of a face: two bodies that meet in a line unknown to the table would show that."""

@@ -126,7 +126,7 @@ def convert(
 def validate(
     out: Out,
     scene: Annotated[
-        str | None, typer.Option("--scene", help="room, plain-room or street: rebuild its lines, with no target.")
+        str | None, typer.Option("--scene", help="room, plain-room, flat or street: rebuild its lines, with no target.")
     ] = None,
     model: Annotated[
         str, typer.Option("--model", help="Camera model; with --scene any, else one that can be calibrated.")

@@ -11,7 +11,9 @@ from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size
 @render_app.command()
 def scene(
     out: Out,
-    scene: Annotated[str, typer.Option("--scene", help="room (furnished), plain-room (large plain pieces) or street.")] = "room",
+    scene: Annotated[
+        str, typer.Option("--scene", help="room (furnished), plain-room (large pieces), flat (five rooms), street.")
+    ] = "room",
     model: Annotated[
         str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
     ] = "opencv-fisheye",
@@ -24,16 +26,24 @@ def scene(
     blur: Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")] = 0.5,
     seed: Seed = 0,
     mirror: Mirror = False,
+    textures: Annotated[
+        Path | None,
+        typer.Option("--textures", help="Folder of photographs that cover the surfaces; truth.csv has no edges of theirs."),
+    ] = None,
+    texture_m: Annotated[
+        float, typer.Option("--texture-m", help="Width of a photograph on a surface, metres; it is repeated.")
+    ] = 1.5,
+    textured: Annotated[str, typer.Option("--textured", help="What they cover.")] = "walls,floors,ceilings,furniture",
     as_json: Json = False,
 ) -> None:
-    """Photos of a furnished room or a street, with the true camera, poses, edges and what each photo sees of them."""
+    """Photos of a room, a flat or a street, with the true camera, poses, edges and what each photo sees of them."""
     from omnilines.commands.render_scene import render_scene
 
     image_size = parse_size(size, "--size")
     run(
         lambda progress: render_scene(
             out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
-            seed=seed, mirror=mirror, progress=progress,
+            seed=seed, mirror=mirror, textures=textures, texture_m=texture_m, textured=textured.split(","), progress=progress,
         ),
         as_json,
     )  # fmt: skip

@@ -19,6 +19,30 @@ from omnilines.posing.sfm import sfm_poses
 SOURCES = ("sfm", "rig", "boards")
 
 
+LEAST_PHOTOS = 3
+"""For structure from motion."""
+
+
+def check_source(
+    source: str, photos: Sequence[PhotoRef], cameras: Calibration, camera_of: Mapping[str, str], pattern: str | None
+) -> None:
+    """Refuse what `photo_poses` cannot work from, before any photo is looked at: tables, models and patterns are read.
+
+    Raises InputError where the source is none of those below or does not fit the photos.
+    """
+    if (pattern is not None) != (source == "boards"):
+        raise InputError(
+            f"--pattern was expected with --poses boards and only there, found --poses {source}; correct the options."
+        )
+    if source == "boards":
+        parse_pattern(pattern or "")
+    elif source == "sfm":
+        if len(photos) < LEAST_PHOTOS:
+            raise InputError(f"--poses sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
+    else:
+        _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+
+
 def photo_poses(
     source: str,
     photos: Sequence[PhotoRef],
@@ -33,26 +57,27 @@ def photo_poses(
     """Poses from `source`: `sfm`, `rig`, `boards` (with a pattern), a poses.csv or a folder with a COLMAP model.
 
     Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Raises
-    InputError where the source is none of these or does not fit the photos.
+    InputError where the source does not fit the photos (`check_source` has looked at all but the photos themselves).
     """
     names = [photo.name for photo in photos]
     path_of = {photo.name: photo.path for photo in photos}
-    frame_of = {name: PurePosixPath(name).stem for name in names}
 
     def read(name: str) -> np.ndarray:
         return read_photo(path_of[name])
 
-    if (pattern is not None) != (source == "boards"):
-        raise InputError(
-            f"--pattern was expected with --poses boards and only there, found --poses {source}; correct the options."
-        )
     if source == "sfm":
-        frames = frame_of if cameras.rig else None
+        frames = _frames(names) if cameras.rig else None
         return sfm_poses(names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed)
-    if source == "rig":
-        return poses_from_rig(cameras, names, camera_of, frame_of)
     if source == "boards":
         return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress)
+    return _without_photos(source, names, cameras, camera_of)
+
+
+def _without_photos(source: str, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
+    """Poses from a source that does not look into the photos."""
+    frame_of = _frames(names)
+    if source == "rig":
+        return poses_from_rig(cameras, names, camera_of, frame_of)
     if Path(source).is_dir():
         return poses_from_colmap(source, names, camera_of)
     if not Path(source).is_file():
@@ -60,6 +85,10 @@ def photo_poses(
             f"--poses was expected to be a poses.csv, a COLMAP model's folder, or one of {', '.join(SOURCES)}, found '{source}'."
         )
     return _from_table(Path(source), names, cameras, camera_of, frame_of)
+
+
+def _frames(names: Sequence[str]) -> dict[str, str]:
+    return {name: PurePosixPath(name).stem for name in names}
 
 
 def _from_table(

@@ -103,6 +103,7 @@ def calibrate_photos(
     options = CalibrationOptions(model, degree, coefficients, loss, mirror, refine_board)
     refs = find_photos(photos)
     pattern = parse_pattern(pattern_spec)
+    output_folder(out)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect_corners(refs, pattern, mirrored=mirror, progress=progress)
     return _calibrate(_guided(refs, found, pattern, options, progress), out, options, progress)

@@ -55,17 +55,22 @@ class RigOptions:
         """The camera model that is to be fitted."""
         return self.models.get(camera, self.models.get("", "scaramuzza"))
 
+    def known(self, cameras: Sequence[str]) -> Mapping[str, CameraModel]:
+        """The existing calibrations by camera. Raises InputError where they, or a model, are of none of the rig's cameras."""
+        found: Mapping[str, CameraModel] = {} if self.calibration is None else load(self.calibration)
+        for kind, names in (("--model", self.models), (str(self.calibration), found)):
+            unknown = [name for name in names if name and name not in cameras]
+            if unknown and not (kind != "--model" and set(names) & set(cameras)):
+                raise InputError(
+                    f"{kind}: cameras among {', '.join(cameras)} were expected, found '{unknown[0]}'; correct the name."
+                )
+        return found
+
     def setups(self, image_sizes: Mapping[str, tuple[int, int]]) -> dict[str, CameraSetup]:
         """What is to be done with every camera. Raises InputError where a name or an image size does not fit."""
         given = {"degree": self.degree, "coefficients": self.coefficients}
         options = {name: value for name, value in given.items() if value is not None}
-        known: Mapping[str, CameraModel] = {} if self.calibration is None else load(self.calibration)
-        for kind, names in (("--model", self.models), (str(self.calibration), known)):
-            unknown = [name for name in names if name and name not in image_sizes]
-            if unknown and not (kind != "--model" and set(names) & set(image_sizes)):
-                raise InputError(
-                    f"{kind}: cameras among {', '.join(image_sizes)} were expected, found '{unknown[0]}'; correct the name."
-                )
+        known = self.known(tuple(image_sizes))
         found = {}
         for name, size in image_sizes.items():
             start = known.get(name)
@@ -96,7 +101,9 @@ def calibrate_rig_photos(
         raise InputError(
             "--boards known was expected with a corners.csv that has all boards in one frame, found photos; give fixed or moving."
         )
+    output_folder(out)
     cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
+    options.known(cameras)
     mirrors = [name for name in cameras if options.model_of(name) in (AUTO, "scaramuzza")]
     source = rig_from_photos(folder, pattern_specs, mirrors, options.mirror, progress)
     result = _calibrated(source, options, progress)

@@ -222,6 +222,7 @@ def detect(
     """
     pattern = parse_pattern(pattern_spec)
     model = None if calibration is None else _one_camera(calibration)
+    folder = output_folder(out)
     found = detect_corners(find_photos(photos), pattern, model=model, mirrored=mirror, progress=progress)
     if model is not None and found.image_size != model.image_size:
         photo_size, camera_size = (f"{width}x{height} px" for width, height in (found.image_size, model.image_size))
@@ -229,7 +230,7 @@ def detect(
             f"{calibration}: the camera of the photos, of {photo_size}, was expected, found one of {camera_size}; give the "
             "calibration of these photos, or leave it out."
         )
-    path = output_folder(out) / "corners.csv"
+    path = folder / "corners.csv"
     write_corners(path, found.corners)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))

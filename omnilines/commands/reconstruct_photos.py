@@ -1,16 +1,16 @@
 """omnilines reconstruct PHOTOS: photos + calibration + poses -> arcs, tracks, adjusted lines, scene folder, report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from camera_models import Calibration, GeometryError, load
+from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
-from omnilines.commands._photo_poses import SOURCES, photo_poses
+from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
 from omnilines.commands._scene_frame import (
@@ -24,16 +24,20 @@ from omnilines.commands._scene_frame import (
 from omnilines.commands._weak_photos import advice
 from omnilines.commands.extract import camera_of_photo, read_mask
 from omnilines.commands.reconstruct import write_scene
+from omnilines.costs import check_cost
 from omnilines.files import PhotoRef, find_photos, write_poses
-from omnilines.files.colmap_scene import colmap_cameras, write_colmap_scene
+from omnilines.files.colmap_scene import check_colmap_folder, colmap_cameras, write_colmap_scene
 from omnilines.files.obj import write_obj
-from omnilines.files.recording import write_recording
+from omnilines.files.recording import rerun_module, write_recording
+from omnilines.least_squares import Loss
+from omnilines.least_squares.devices import usable_device
 from omnilines.matching.match import LEAST_VIEWS
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.records import LengthUnit
 from omnilines.report import write_report
 from omnilines.structure.families import line_families
+from omnilines.triangulation import check_triangulation
 
 WORK, STAMP, POSES = "work", "done.json", "poses.npz"
 
@@ -81,6 +85,7 @@ def reconstruct_photos(
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
     folder = output_folder(out)
+    _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
     inputs = [photo.path for photo in refs] + [calibration] + ([] if mask is None else [mask]) + _pose_files(poses)
     stamp = Stamp(
         folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, distance, colmap, recording, [p.name for p in refs])))
@@ -127,6 +132,35 @@ class _Asked:
     least_views: int
     colmap: bool
     recording: bool
+
+
+def _check(
+    options: SceneOptions,
+    poses: str,
+    photos: Sequence[PhotoRef],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    pattern: str | None,
+    colmap_folder: Path | None,
+    recording: bool,
+) -> None:
+    """Refuse what cannot be done before any photo is looked at."""
+    check_source(poses, photos, cameras, camera_of, pattern)
+    check_triangulation(options.triangulation)
+    check_cost(options.cost)
+    Loss(options.loss)
+    usable_device(options.device)
+    if options.least_views < 3 or (options.slack_px is not None and not options.slack_px > 0):
+        raise InputError(
+            f"--min-views of 3 or more and a --tolerance-px above 0 were expected, found {options.least_views} and "
+            f"{options.slack_px}; correct the options."
+        )
+    if "rig" in options.refine and not cameras.rig:
+        raise InputError("--refine rig was expected with the calibration of a rig, found cameras without one; leave it out.")
+    if colmap_folder is not None:
+        check_colmap_folder(colmap_folder, [photo.name for photo in photos])
+    if recording:
+        rerun_module()
 
 
 def _pose_files(source: str) -> list[Path]:

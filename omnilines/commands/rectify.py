@@ -14,9 +14,12 @@ from camera_models.views import View, axis_from_camera, views
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.commands.render_scene import write_png
 from omnilines.files import find_photos, read_photo, read_poses, write_poses
-from omnilines.files.colmap_scene import write_colmap_scene
+from omnilines.files.colmap_scene import check_colmap_folder, write_colmap_scene
 from omnilines.files.photos import PhotoRef
 from omnilines.records import ImagePoses, Summary
+
+COLMAP_VIEWS = ("perspective", "cube")
+"""Of which a COLMAP model is written."""
 
 
 def rectify(
@@ -46,6 +49,8 @@ def rectify(
     of_photo = _cameras_of_photos(found, cameras, table)
     targets = views(view, size, fov_deg, yaw_deg, pitch_deg)
     folder = output_folder(out)
+    if table is not None and view in COLMAP_VIEWS:
+        check_colmap_folder(folder / "colmap", [photo.name for photo in found])
     grids: dict[tuple[str, str], SamplingGrid] = {}
     made: list[_Made] = []
     progress("resampling photos", 0, len(found))
@@ -132,7 +137,7 @@ def _write_poses(
     result = ImagePoses(tuple(one.file for one in made), turned, (view,) * len(made), None, frames)
     write_poses(folder / "poses.csv", result)
     files = [folder / "poses.csv"]
-    if view in ("perspective", "cube"):
+    if view in COLMAP_VIEWS:
         files += write_colmap_scene(output_folder(folder / "colmap"), {view: camera}, result)
     return files
 

@@ -1,6 +1,7 @@
-"""omnilines render scene: photos of a room or a street with known edges, to test the extraction and the rebuilding of lines."""
+"""omnilines render scene: photos of a room, flat or street with known edges, to test the extraction and rebuilding of lines."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from jaxtyping import UInt8
 from camera_models import Calibration, CameraEstimate, CameraModel, save
 from camera_models.formats.disk import write_atomically
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
-from omnilines.files import write_poses
+from omnilines.files import find_photos, read_photo, write_poses
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
 from omnilines.records import ImagePoses, Summary
 from omnilines.scenes import (
+    PHOTO_WIDTH_M,
+    PLACES,
     LineScene,
     build_scene,
     eye,
@@ -25,6 +28,7 @@ from omnilines.scenes import (
     scene_poses,
     stretches_of_photos,
     visible_stretches,
+    with_photographs,
 )
 
 VIGNETTING = 0.3
@@ -58,12 +62,16 @@ def render_scene(
     blur: float = 0.5,
     seed: int = 0,
     mirror: bool = False,
+    textures: str | Path | None = None,
+    texture_m: float = PHOTO_WIDTH_M,
+    textured: Sequence[str] = PLACES,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write colour photos (PNG), calibration.yaml, poses.csv, truth.csv and visibility.csv of a scene into `out`.
 
     `fov_deg` is the angle across the largest image circle (190, or 80 of a pinhole camera). `noise` is in grey levels of 255,
-    `blur` in pixels (standard deviations). Scene, camera, poses and noise follow from `seed`. The tables are described in
+    `blur` in pixels (standard deviations). Scene, camera, poses and noise follow from `seed`. Photographs of the folder
+    `textures`, `texture_m` wide on a face, cover the surfaces that `textured` names (`PLACES`). The tables are described in
     docs/scenes.md.
 
     Raises InputError for options out of range.
@@ -79,6 +87,9 @@ def render_scene(
         blur=blur,
         seed=seed,
         mirror=mirror,
+        textures=textures,
+        texture_m=texture_m,
+        textured=textured,
         progress=progress,
     )
     camera, stretches = rendered.model, rendered.stretches
@@ -121,10 +132,16 @@ def write_scene(
     blur: float,
     seed: int,
     mirror: bool = False,
+    textures: str | Path | None = None,
+    texture_m: float = PHOTO_WIDTH_M,
+    textured: Sequence[str] = PLACES,
     progress: ProgressCallback = silent,
 ) -> RenderedScene:
     """Do what `render_scene` says and hand back the truth."""
     world = build_scene(scene, seed)
+    if textures is not None:
+        photographs = [read_photo(photo.path) for photo in find_photos([textures])]
+        world = with_photographs(world, photographs, seed, texture_m, textured)
     camera, circle = scene_camera(model, size, seed, fov_deg, mirror)
     poses = scene_poses(world, views, seed, camera)
     folder = output_folder(out)
@@ -142,6 +159,8 @@ def write_scene(
     stretches = stretches_of_photos(images, found)
     table = ImagePoses(images, poses, ("cam0",) * views)
     inputs = {"scene": scene, "model": model, "fov_deg": fov_deg, "noise": noise, "blur": blur, "mirror": mirror}
+    if textures is not None:
+        inputs |= {"textures": str(textures), "texture_m": texture_m, "textured": ",".join(textured)}
     tables = tuple(folder / name for name in ("calibration.yaml", "poses.csv", TRUTH, VISIBILITY))
     estimate = CameraEstimate(max_angle_deg=math.degrees(largest_angle(camera, circle)))
     save(tables[0], Calibration({"cam0": camera}, {"cam0": estimate}, provenance=provenance(inputs, seed)))

@@ -21,11 +21,15 @@ COSTS: tuple[tuple[str, str], ...] = (
 )
 
 
+def check_cost(name: str) -> None:
+    """Raises InputError where no cost has this name."""
+    if name not in dict(COSTS):
+        raise InputError(f"A cost is one of {', '.join(dict(COSTS))}, found '{name}'; choose one of these.")
+
+
 def cost_function(name: str, arcs: "ObservedArcs") -> "CostFunction":
     """The named cost of observed arcs. Raises InputError on an unknown name."""
-    registry = dict(COSTS)
-    if name not in registry:
-        raise InputError(f"A cost is one of {', '.join(registry)}, found '{name}'; choose one of these.")
-    module, function = registry[name].split(":")
+    check_cost(name)
+    module, function = dict(COSTS)[name].split(":")
     cost: CostFunction = getattr(importlib.import_module(module), function)(arcs)
     return cost

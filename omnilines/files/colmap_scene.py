@@ -49,6 +49,19 @@ def colmap_cameras(
     return dict(fit.calibration), (*sentences, *limits)
 
 
+def check_colmap_folder(folder: Path, images: Sequence[str]) -> None:
+    """Raises InputError where a folder holds parts of another model, or the name of an image has a blank, which would end it."""
+    stale = [name for name in _STALE if (folder / name).exists()]
+    if stale:
+        raise InputError(
+            f"{folder}: no files of another COLMAP model were expected, found {', '.join(stale)}, which COLMAP would "
+            "read with the new ones; remove them or give another folder."
+        )
+    for image in images:
+        if len(image.split()) != 1:
+            raise InputError(f"COLMAP's text files take names without blanks, found '{image}'; rename the photo.")
+
+
 def write_colmap_scene(
     folder: Path,
     cameras: Mapping[str, CameraModel],
@@ -64,12 +77,7 @@ def write_colmap_scene(
     InputError where COLMAP does not hold a camera exactly (`colmap_cameras` fits it), the photo of a pose has no camera or a
     name with a blank, which would end it, a number is not finite, or the folder holds parts of another model.
     """
-    stale = [name for name in _STALE if (folder / name).exists()]
-    if stale:
-        raise InputError(
-            f"{folder}: no files of another COLMAP model were expected, found {', '.join(stale)}, which COLMAP would "
-            "read with the new ones; remove them or give another folder."
-        )
+    check_colmap_folder(folder, poses.images)
     colmap, calibration = format_named("colmap"), Calibration(dict(cameras))
     ((camera_file, camera_text),) = colmap.documents(folder / "cameras.txt", calibration).items()
     number = dict(zip(calibration, colmap.names(calibration), strict=True))
@@ -96,8 +104,6 @@ def _images(path: Path, number: Mapping[str, str], poses: ImagePoses) -> str:
     cells = zip(*(number_cells(values, path, name) for name, values in columns), strict=True)
     rows = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then POINTS2D[], none here"]
     for k, (image, camera, values) in enumerate(zip(poses.images, names, cells, strict=True), 1):
-        if len(image.split()) != 1:
-            raise InputError(f"COLMAP's text files take names without blanks, found '{image}'; rename the photo.")
         if camera not in number:
             known = ", ".join(number)
             raise InputError(f"The camera of {image} was expected to be one of {known}, found '{camera}'; correct the poses.")

@@ -28,7 +28,7 @@ _SIDE = 24
 _HALVINGS = 30
 
 
-def _rerun() -> Any:
+def rerun_module() -> Any:
     """The module; raises InputError where the extra is not installed."""
     try:
         import rerun
@@ -56,7 +56,7 @@ def write_recording(
     for image, name in zip(poses.images, names, strict=True):
         if name not in cameras:
             raise InputError(f"The camera of {image} was expected to be one of {', '.join(cameras)}, found '{name}'; correct it.")
-    rr = _rerun()
+    rr = rerun_module()
     stream = rr.RecordingStream("omnilines", recording_id="scene", send_properties=False)
     kept = stream.memory_recording()
     for status, colour in STATUS_COLOURS.items():

@@ -4,8 +4,9 @@ Kernels release the interpreter's lock, and plain threads run them. A threading 
 torch's: OpenMP's must not be forked, and the simplest one must not be entered twice, which worker pools of photos would do.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 import torch
@@ -19,6 +20,17 @@ LEAST_SHARE = 200
 def threads_for(count: int) -> int:
     """Number of threads for so many items: as many as torch uses (OMP_NUM_THREADS, torch.set_num_threads), fewer for few."""
     return max(1, min(torch.get_num_threads(), count // LEAST_SHARE))
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Torch works on one thread meanwhile: for many small products, which its threads wait for longer than they work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def in_shares(work: Callable[[int, int, int], T], ends: list[int]) -> list[T]:

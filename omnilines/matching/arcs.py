@@ -95,7 +95,7 @@ class ViewedArcs:
 
     @cached_property
     def circle_sigma_rad(self) -> Float[np.ndarray, " n"]:
-        """Standard deviation of the direction of each great circle: that of the worse end across it over the sine of its length."""
+        """Standard deviation of each great circle: that of its worse end across it over the sine of its length."""
         cosine = (self.bearings[:, 0] * self.bearings[:, 1]).sum(-1)
         reach = np.arccos(np.clip(cosine, -1.0, 1.0))
         sigma: Float[np.ndarray, " n"] = self.packed[:, 12:].max(-1) / np.sin(np.minimum(reach, np.pi / 2))

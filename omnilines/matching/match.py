@@ -4,7 +4,7 @@ found = match_arcs(arcs)        # ViewedArcs: both ends of every arc as bearings
 found.tracks.track              # (n,) line of every arc or -1; found.tracks.lines: a `Triangulation`
 
 How far arcs of one line may lie apart follows from their stated noise and from a slack for what no arc knows of: errors of poses
-and cameras. Unless given, the slack is chosen by the data (`chosen_slack`).
+and cameras. Unless given, the slack is chosen by the data (`evidence_of_lines`).
 """
 
 import math
@@ -79,16 +79,38 @@ def match_arcs(
             f"{least_views}, {neighbours} and {slack_px}; correct the option."
         )
     _require_parallax(arcs)
-    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), neighbours)
+    near = _near(arcs, neighbours)
     if slack_px is None:
-        slack_px = chosen_slack(arcs, near, seed)
+        slack_px = evidence_of_lines(arcs, near, seed).slack_px
     widened = arcs.widened(slack_px)
     found = find_hypotheses(widened, near, progress=lambda done, total: progress("matching arcs", done, total))
     tracks = build_tracks(widened, found, least_views, lambda done, total: progress("building tracks", done, total))
     return Matched(widened, found, tracks, slack_px)
 
 
-def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: int) -> float:
+def _near(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:
+    return neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), neighbours)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What arcs say of the poses of their photos."""
+
+    slack_px: float
+    """The slack that they ask for."""
+    gain: float
+    """Photos by which the best line of an arc stands out from its best rival, less those by which it does by chance; the mean."""
+    beyond_chance: bool
+    """Whether that is more than sampling explains."""
+
+
+def evidence_of_poses(arcs: ViewedArcs, seed: int = 0, neighbours: int = NEIGHBOURS) -> Evidence:
+    """How well the arcs of all photos agree under the poses that they have. The same arcs are asked whatever the poses."""
+    _require_parallax(arcs)
+    return evidence_of_lines(arcs, _near(arcs, neighbours), seed)
+
+
+def evidence_of_lines(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: int) -> Evidence:
     """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of the precise ones.
 
     Too little of it and true partners miss each other: the best line of an arc stands out less from its best rival than under
@@ -105,12 +127,13 @@ def chosen_slack(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: in
     by_chance = np.array([float((one.score - one.rival).mean()) for one in chance])
     most = int(np.argmax(gain - by_chance))
     excess = (found[most].score - found[most].rival) - (chance[most].score - chance[most].rival)
+    over = float((gain - by_chance)[most])
     if excess.mean() <= CHANCE_SIGMA * excess.std() / math.sqrt(len(excess)):
-        return SLACKS_PX[0]
+        return Evidence(SLACKS_PX[0], over, False)
     for k in np.flatnonzero(gain[:most] >= ENOUGH * gain.max()).tolist():
         if _shown_slack(arcs, chosen, found[k], SLACKS_PX[k]) <= SLACKS_PX[k]:
-            return SLACKS_PX[k]
-    return SLACKS_PX[most]
+            return Evidence(SLACKS_PX[k], over, True)
+    return Evidence(SLACKS_PX[most], over, True)
 
 
 def _sample(arcs: ViewedArcs, count: int, rng: np.random.Generator) -> Int[np.ndarray, " k"]:

@@ -102,7 +102,7 @@ def _rotations(arcs: ViewedArcs, directions: Float[np.ndarray, "f 3"]) -> list[F
         for sign, other in itertools.product((1.0, -1.0), repeat=2):
             cosine = sign * other * float(seen[a] @ seen[b])
             if abs(math.acos(np.clip(cosine, -1, 1)) - math.acos(np.clip(directions[c] @ directions[d], -1, 1))) < ANGLE_RAD:
-                tried.append(_frame(sign * seen[a], other * seen[b]) @ _frame(directions[c], directions[d]).T)
+                tried.append(direction_frame(sign * seen[a], other * seen[b]) @ direction_frame(directions[c], directions[d]).T)
     if not tried:
         return []
     rotations = np.stack(tried)
@@ -117,7 +117,7 @@ def _rotations(arcs: ViewedArcs, directions: Float[np.ndarray, "f 3"]) -> list[F
     return [rotations[k] for k in kept]
 
 
-def _frame(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def direction_frame(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Orthonormal columns; of the angle between both vectors' bisector and each nothing is preferred."""
     middle, across = first + second, np.cross(first, second)
     middle, across = middle / np.linalg.norm(middle), across / np.linalg.norm(across)

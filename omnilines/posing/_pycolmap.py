@@ -1,19 +1,13 @@
-"""pycolmap, which is an extra: imported when it is needed, and kept from writing to standard error."""
+"""pycolmap, imported when it is needed since it is slow to load, and kept from writing to standard error."""
 
 from typing import Any
-
-from camera_models import InputError
 
 ERRORS_ONLY = 2
 
 
 def pycolmap() -> Any:
-    """The module; raises InputError where the extra is not installed."""
-    try:
-        import pycolmap as module
-    except ImportError as error:
-        raise InputError(
-            f"COLMAP is needed for this, and expected the extra: pip install 'omnilines[sfm]' brings it, found none ({error})."
-        ) from error
+    """The module."""
+    import pycolmap as module
+
     module.logging.minloglevel = ERRORS_ONLY
     return module

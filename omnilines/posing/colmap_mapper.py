@@ -7,9 +7,11 @@ one of the photo, so that COLMAP's limits in pixels mean what they always do; ne
 they do not, and keypoints there are kept back.
 """
 
+import itertools
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,10 +25,17 @@ from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.features import LEAST_SIGMA_PX, Features
 from omnilines.posing.from_colmap import pose_of
+from omnilines.posing.rotations import agreeing_pairs
 
+Progress = Callable[[str, int, int], None]
 LARGEST_LATITUDE_RAD = math.radians(80.0)
-LEAST_TWO_VIEW, LEAST_FIRST_PAIR, LEAST_RESECTED = 15, 30, 15
-"""Inliers of a verified pair, of the first pair, and of a photo that is added: rooms have few features."""
+LEAST_TWO_VIEW, LEAST_FIRST_PAIR = 15, 30
+"""Inliers of a verified pair, and of the first pair: rooms have few features."""
+LARGEST_PX = 4.0
+"""Distance from the epipolar circle at which a match agrees with a pair's geometry: COLMAP's own limit."""
+RESECTIONS = ((4.0, 15), (4.0, 10), (8.0, 15))
+"""Largest error (px) and least inliers of a photo that is added. COLMAP's 12 px let photos that see few known points in on wrong
+ones; each of these is tried, and the model is taken that most verified matches agree with."""
 LEAST_INLIER_SHARE = 0.25
 """Of matches that a pair needs."""
 
@@ -45,28 +54,58 @@ class MapperInput:
     """Of each camera of a rig, the first being the rig frame; empty where there is none."""
 
 
-def map_photos(given: MapperInput, folder: Path, seed: int) -> list[dict[int, Pose]]:
+def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress | None = None) -> list[dict[int, Pose]]:
     """cam_from_world of photos by number, one mapping for each part that COLMAP could join, the largest first.
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
-    make the result repeatable. Raises InputError where pycolmap is not installed.
+    make the result repeatable. Of the ways in which photos may be added (RESECTIONS) that is taken whose largest part explains
+    most matches.
     """
     module = pycolmap()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     path = folder / "database.db"
     with module.Database.open(str(path)) as database:
-        _write(module, database, given)
-    verifier = module.GeometricVerifierOptions()
-    verifier.num_threads = 1
-    pairs = module.TwoViewGeometryOptions()
-    pairs.ransac.random_seed = seed
-    pairs.ransac.min_inlier_ratio = pairs.min_inlier_ratio = LEAST_INLIER_SHARE
-    pairs.min_num_inliers = LEAST_TWO_VIEW
-    module.geometric_verification(str(path), verifier, two_view_geometry_options=pairs)
-    models = folder / "models"
-    models.mkdir()
-    found = module.incremental_mapping(str(path), str(folder), str(models), _options(module, seed))
+        rays = _write(module, database, given, seed, progress)
+    best: list[dict[int, Pose]] = []
+    most = -1
+    for number, (error_px, least) in enumerate(RESECTIONS):
+        models = folder / f"models{number}"
+        models.mkdir()
+        parts = _mapped(module, path, models, _options(module, seed, error_px, least), len(given.features), progress)
+        agree = _agreeing(parts[0], rays) if parts else 0
+        if agree > most:
+            best, most = parts, agree
+    return best
+
+
+def _mapped(
+    module: Any, database: Path, models: Path, options: Any, photos: int, progress: Progress | None
+) -> list[dict[int, Pose]]:
+    """The parts that COLMAP's mapper finds, the largest first."""
+    placed = itertools.count(3)
+
+    def tell() -> None:
+        if progress is not None:
+            progress("structure from motion", min(next(placed), photos), photos)
+
+    if progress is not None:
+        progress("structure from motion", 0, photos)
+    token = module.CancellationToken()
+
+    def work() -> Any:
+        return module.incremental_mapping(
+            str(database), str(models.parent), str(models), options, next_image_callback=tell, cancellation_token=token
+        )
+
+    # In a thread of its own, so that an interrupt is heard while COLMAP works.
+    with ThreadPoolExecutor(1) as pool:
+        task = pool.submit(work)
+        try:
+            found = task.result()
+        except KeyboardInterrupt:
+            token.cancel()
+            raise
     parts = [
         {image.image_id - 1: pose_of(image.cam_from_world()) for image in model.images.values() if image.has_pose}
         for model in found.values()
@@ -74,31 +113,47 @@ def map_photos(given: MapperInput, folder: Path, seed: int) -> list[dict[int, Po
     return sorted(parts, key=len, reverse=True)
 
 
-def _options(module: Any, seed: int) -> Any:
+def _agreeing(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]) -> int:
+    """How many verified matches lie near the epipolar circles of the poses."""
+    count = 0
+    for (i, j), pair in rays.items():
+        if i in part and j in part:
+            relative = part[j] @ part[i].inverse()
+            normal = torch.linalg.cross(pair.a @ relative.rotation.mT, relative.translation.expand_as(pair.a))
+            sine = (normal * pair.b).sum(-1).abs() / normal.norm(dim=-1).clamp_min(1e-300)
+            count += int((sine < pair.limit_rad).sum())
+    return count
+
+
+def _options(module: Any, seed: int, error_px: float, least: int) -> Any:
     options = module.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = 1, seed
     options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
     options.ba_refine_sensor_from_rig = options.extract_colors = options.ba_use_gpu = False
     options.min_model_size = 3
     options.mapper.init_min_num_inliers = LEAST_FIRST_PAIR
-    options.mapper.abs_pose_min_num_inliers = LEAST_RESECTED
+    options.mapper.abs_pose_max_error, options.mapper.abs_pose_min_num_inliers = error_px, least
     return options
 
 
-def _write(module: Any, database: Any, given: MapperInput) -> None:
+def _write(
+    module: Any, database: Any, given: MapperInput, seed: int, progress: Progress | None
+) -> dict[tuple[int, int], "_Rays"]:
+    """All that the mapper needs; returns the matches of the pairs that were verified."""
     cameras = {}
     for number in sorted(set(given.camera)):
         own = [given.features[k] for k, camera in enumerate(given.camera) if camera == number]
         cameras[number] = _panorama(module, number + 1, own)
         database.write_camera(cameras[number], use_camera_id=True)
     rigs = _write_rigs(module, database, cameras, given.cam_from_rig)
-    rows, images = [], []
+    seen, images = [], []
     for k, (features, camera) in enumerate(zip(given.features, given.camera, strict=True)):
         pixels, kept = _panorama_pixels(features.bearings.numpy(), cameras[camera].width)
-        rows.append(torch.as_tensor(np.where(kept, np.cumsum(kept) - 1, -1)))
+        row = np.where(kept, np.cumsum(kept) - 1, -1)
+        seen.append(_Seen(cameras[camera], pixels[kept], features.bearings.numpy()[kept], row))
         image = module.Image(name=f"{k}", camera_id=camera + 1, image_id=k + 1)
         database.write_image(image, use_image_id=True)
-        database.write_keypoints(k + 1, pixels[kept].astype(np.float32))
+        database.write_keypoints(k + 1, seen[-1].pixels.astype(np.float32))
         images.append(image)
     for number, frame in enumerate(dict.fromkeys(given.frame)):
         members = [k for k, name in enumerate(given.frame) if name == frame]
@@ -107,11 +162,58 @@ def _write(module: Any, database: Any, given: MapperInput) -> None:
         for k in members:
             record.add_data_id(images[k].data_id)
         database.write_frame(record, use_frame_id=True)
-    for (i, j), pair in given.matches.items():
-        there = torch.stack([rows[i][pair[:, 0]], rows[j][pair[:, 1]]], 1)
-        there = there[(there >= 0).all(1)]
-        if len(there) >= LEAST_TWO_VIEW:
-            database.write_matches(i + 1, j + 1, there.numpy().astype(np.uint32))
+    verified = {}
+    for done, (pair, rows) in enumerate(given.matches.items()):
+        if progress is not None:
+            progress("checking pairs of photos", done, len(given.matches))
+        matches, geometry = _verified(module, seen[pair[0]], seen[pair[1]], rows.numpy(), seed)
+        if geometry is not None:
+            verified[pair] = matches, geometry
+    relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
+    rays = {}
+    for i, j in agreeing_pairs(relative, len(images)):
+        matches, found = verified[i, j]
+        database.write_matches(i + 1, j + 1, matches)
+        database.write_two_view_geometry(i + 1, j + 1, found)
+        agree = np.asarray(found.inlier_matches)
+        a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
+        rays[i, j] = _Rays(a, b, LARGEST_PX * 2 * math.pi / seen[j].camera.width)
+    return rays
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """The matches of a verified pair."""
+
+    a: Float[Tensor, "m 3"]
+    b: Float[Tensor, "m 3"]
+    limit_rad: float
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Keypoints of a photo as COLMAP has them."""
+
+    camera: Any
+    pixels: Float[np.ndarray, "k 2"]
+    bearings: Float[np.ndarray, "k 3"]
+    row: Int[np.ndarray, " n"]
+    """Of every feature in `pixels`; -1 where it was kept back."""
+
+
+def _verified(module: Any, a: _Seen, b: _Seen, pairs: Int[np.ndarray, "m 2"], seed: int) -> tuple[Any, Any]:
+    """Matches of two photos as COLMAP has them, and the geometry that enough of them agree with, or None."""
+    matches = np.stack([a.row[pairs[:, 0]], b.row[pairs[:, 1]]], 1)
+    matches = matches[(matches >= 0).all(1)].astype(np.uint32)
+    if len(matches) < LEAST_TWO_VIEW:
+        return matches, None
+    options = module.TwoViewGeometryOptions()
+    options.ransac.random_seed, options.min_num_inliers, options.compute_relative_pose = seed, LEAST_TWO_VIEW, True
+    options.ransac.min_inlier_ratio = options.min_inlier_ratio = LEAST_INLIER_SHARE
+    options.ransac.max_error = LARGEST_PX
+    found = module.estimate_calibrated_two_view_geometry(a.camera, a.pixels, b.camera, b.pixels, matches, options)
+    enough = found.cam2_from_cam1 is not None and len(found.inlier_matches) >= LEAST_TWO_VIEW
+    return matches, found if enough else None
 
 
 def _write_rigs(module: Any, database: Any, cameras: Mapping[int, Any], cam_from_rig: Mapping[int, Pose]) -> dict[int, int]:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.posing.features import Features
+from omnilines.posing.match_kernel import best_near
 
 RATIO, FAINT_RATIO, GUIDED_RATIO = 0.8, 0.9, 0.85
 """Of the distances of the best and the second best descriptor."""
@@ -74,57 +75,26 @@ def matched(a: Features, b: Features) -> tuple[Int[Tensor, "k 2"], Int[Tensor, "
 
 
 def matched_near(a: Features, b: Features, b_from_a: Pose, tolerance_rad: float) -> Int[Tensor, "k 2"]:
-    """The same, of features whose rays meet before both cameras to within an angle."""
+    """The same, of features whose rays meet before both cameras to within an angle: that of b lies on the half circle from the
+    direction of a's at infinity to the place of camera a."""
     if not len(a) or not len(b):
         return torch.zeros(0, 2, dtype=torch.long)
-    alike = (a.unit_descriptors() @ b.unit_descriptors().mT).numpy()
-    row, column = _near(a, b, b_from_a, tolerance_rad, alike > LEAST_ALIKE)
-    found = alike[row.numpy(), column.numpy()]
-    best, clear = _best_of(row.numpy(), found)
-    good = best[clear]
-    # The same candidates by column: a match is the best of both.
-    good = good[np.isin(good, _best_of(column.numpy(), found)[0])]
-    return torch.stack([row[good], column[good]], 1)
+    # Not by BLAS, whose threads take longer to start than products so small.
+    far = np.einsum("nk,ik->ni", a.bearings.numpy(), b_from_a.rotation.numpy())
+    towards = b_from_a.translation.numpy() / max(float(b_from_a.translation.norm()), 1e-300)
+    normal = np.cross(far, towards)
+    sine = np.sqrt(np.square(normal).sum(-1))
+    normal /= np.maximum(sine, 1e-12)[:, None]
+    whole = np.arctan2(sine, np.einsum("nk,k->n", far, towards))
+    single = (np.ascontiguousarray(array, dtype=np.float32) for array in (far, normal, whole, b.bearings.numpy().T))
+    own, other = (a.descriptors.numpy(), a.lengths), (b.descriptors.numpy(), b.lengths)
+    best, first, second, back = best_near(*own, *other, *single, tolerance_rad, LEAST_ALIKE)
+    row = np.flatnonzero((best >= 0) & _clear(first, second, GUIDED_RATIO))
+    row = row[back[best[row]] == row]
+    return torch.as_tensor(np.stack([row, best[row]], 1))
 
 
 def _clear(first: Float32[np.ndarray, " n"], second: Float32[np.ndarray, " n"], ratio: float) -> Bool[np.ndarray, " n"]:
     """Whether the best is clearly better than the second best, by the distances of unit vectors."""
     answer: Bool[np.ndarray, " n"] = np.maximum(1.0 - first, 0.0) < ratio**2 * np.maximum(1.0 - second, 0.0)
     return answer
-
-
-def _best_of(
-    owner: Int[np.ndarray, " k"], alike: Float32[np.ndarray, " k"]
-) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """The best candidate of every owner, and whether it is clearly better than the second best, or than what is no candidate."""
-    order = np.lexsort((-alike, owner))
-    sorted_owner = owner[order]
-    fresh = np.ones(len(order), dtype=bool)
-    fresh[1:] = sorted_owner[1:] != sorted_owner[:-1]
-    at = np.flatnonzero(fresh)
-    following = np.minimum(at + 1, len(order) - 1)
-    other = (sorted_owner[following] == sorted_owner[at]) & (following > at)
-    second = np.where(other, alike[order[following]], np.float32(LEAST_ALIKE))
-    return order[at], _clear(alike[order[at]], second, GUIDED_RATIO)
-
-
-def _near(
-    a: Features, b: Features, b_from_a: Pose, tolerance_rad: float, candidates: Bool[np.ndarray, "n m"]
-) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"]]:
-    """Rows of a and of b that are candidates, that of b on the half circle from the direction of a's at infinity to the place of
-    camera a."""
-    far = a.bearings @ b_from_a.rotation.mT
-    towards = b_from_a.translation / b_from_a.translation.norm().clamp_min(1e-300)
-    normal = torch.linalg.cross(far, towards.expand_as(far))
-    sine = normal.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-    normal = normal / sine
-    off = normal.to(torch.float32).numpy() @ b.bearings.to(torch.float32).numpy().T
-    np.abs(off, out=off)
-    # One index and not two: much faster than nonzero of a table.
-    row, column = (torch.as_tensor(index) for index in np.divmod(np.flatnonzero((off < tolerance_rad) & candidates), len(b)))
-    # Along the circle, from `far` at angle 0 to `towards` at the angle between the two.
-    ahead = torch.linalg.cross(normal, far)[row]
-    angle = torch.atan2((ahead * b.bearings[column]).sum(-1), (far[row] * b.bearings[column]).sum(-1))
-    whole = torch.atan2(sine[:, 0], far @ towards)[row]
-    between = (angle > -tolerance_rad) & (angle < whole + tolerance_rad)
-    return row[between], column[between]

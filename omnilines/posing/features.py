@@ -9,6 +9,7 @@ stand still in every photo.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -19,6 +20,9 @@ from camera_models import CameraEstimate, CameraModel, InputError
 from omnilines.posing._pycolmap import pycolmap
 
 MOST_FEATURES = 4000
+SEARCHED_PX, MOST_ENLARGED = 3.6e6, 2.0
+"""Pixels of the photo that is searched, made smaller or larger to have as many; it is enlarged up to so many times. In larger
+ones there are several times MOST_FEATURES, of which the smallest are dropped: the work was for nothing."""
 PEAK = 0.0033
 """Least contrast of a keypoint, half of COLMAP's: painted rooms are faint."""
 BEYOND_SUPPORT_RAD = math.radians(2.0)
@@ -44,6 +48,11 @@ class Features:
     def __len__(self) -> int:
         return len(self.bearings)
 
+    @cached_property
+    def lengths(self) -> Float[np.ndarray, " n"]:
+        """Of the descriptors, in single precision."""
+        return self.descriptors.to(torch.float32).norm(dim=-1).clamp_min(1.0).numpy()
+
     def unit_descriptors(self) -> Float[torch.Tensor, "n 128"]:
         """In single precision."""
         whole = self.descriptors.to(torch.float32)
@@ -51,12 +60,13 @@ class Features:
 
 
 def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
-    """A function that finds the features of a photo; raises InputError where pycolmap is not installed."""
+    """A function that finds the features of a photo."""
     module = pycolmap()
     options = module.FeatureExtractionOptions()
     options.use_gpu, options.num_threads = False, 1
     options.sift.estimate_affine_shape = True
     options.sift.peak_threshold = PEAK
+    options.sift.first_octave = 0
     options.sift.max_num_features = MOST_FEATURES
     extractor = module.FeatureExtractor.create(options, module.Device.cpu)
 
@@ -66,10 +76,13 @@ def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None
             expected, found = (f"{w}x{h} px" for w, h in (model.image_size, image.shape[1::-1]))
             raise InputError(f"A photo of {expected} was expected for its camera, found one of {found}; give that of its camera.")
         grey = _grey(image)
-        keypoints, descriptors = extractor.extract_from_uint8_array(grey)
+        searched, factor = _searched(grey)
+        keypoints, descriptors = extractor.extract_from_uint8_array(searched)
         table = np.asarray(module.keypoints_to_matrix(keypoints), dtype=np.float64).reshape(-1, 4)
-        # COLMAP's first pixel has its centre at 0.5.
-        return _on_sphere(table[:, :2] - 0.5, table[:, 2], np.array(descriptors.data), model, estimate, clear_of_surround(grey))
+        # COLMAP's first pixel has its centre at 0.5, and so has resampling.
+        pixels, scale_px = table[:, :2] / factor - 0.5, table[:, 2] / factor.mean()
+        sigma_px = LEAST_SIGMA_PX * np.maximum(scale_px / SCALE_PX, 1.0)
+        return _on_sphere(pixels, sigma_px, np.array(descriptors.data), model, estimate, clear_of_surround(grey))
 
     return find
 
@@ -77,6 +90,15 @@ def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None
 def _grey(image: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey // 257).astype(np.uint8))
+
+
+def _searched(grey: UInt8[np.ndarray, "h w"]) -> tuple[UInt8[np.ndarray, "h2 w2"], Float[np.ndarray, "2"]]:
+    """The photo with about SEARCHED_PX pixels, and how much larger it is (across, down)."""
+    size = np.array(grey.shape[::-1])
+    factor = min(MOST_ENLARGED, math.sqrt(SEARCHED_PX / grey.size))
+    wanted = np.maximum(np.rint(factor * size).astype(int), 1)
+    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    return cv2.resize(grey, (int(wanted[0]), int(wanted[1])), interpolation=way), wanted / size
 
 
 def clear_of_surround(grey: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -93,7 +115,7 @@ def clear_of_surround(grey: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]
 
 def _on_sphere(
     pixels: Float[np.ndarray, "n 2"],
-    scale_px: Float[np.ndarray, " n"],
+    sigma_px: Float[np.ndarray, " n"],
     descriptors: UInt8[np.ndarray, "n 128"],
     model: CameraModel,
     estimate: CameraEstimate | None,
@@ -112,7 +134,7 @@ def _on_sphere(
         jacobian = model.unproject_jacobian(at)
     finite = torch.isfinite(jacobian).flatten(1).all(-1)
     keep = valid & supported & finite & torch.as_tensor(clear[place[:, 1], place[:, 0]])
-    jacobian, sigma_px = jacobian[keep], LEAST_SIGMA_PX * torch.as_tensor(scale_px / SCALE_PX).clamp_min(1.0)[keep]
-    rows = torch.linalg.pinv(jacobian) / sigma_px[:, None, None]
-    sigma_rad = sigma_px * torch.linalg.matrix_norm(jacobian, ord=2)
+    jacobian, own_px = jacobian[keep], torch.as_tensor(sigma_px)[keep]
+    rows = torch.linalg.pinv(jacobian) / own_px[:, None, None]
+    sigma_rad = own_px * torch.linalg.matrix_norm(jacobian, ord=2)
     return Features(bearings[keep], rows, sigma_rad, torch.as_tensor(descriptors)[keep])

@@ -23,7 +23,7 @@ def poses_from_colmap(folder: str | Path, photos: Sequence[str], camera_of: Mapp
     end that they have in common with one image alone (`a/left/1.png` and `left/1.png`); else by the file's name without its
     ending. Images without a pose are as good as absent. The unit of length is that of the model.
 
-    Raises InputError where pycolmap is not installed, the folder holds no model or a damaged one, or it has none of the photos.
+    Raises InputError where the folder holds no model or a damaged one, or it has none of the photos.
     """
     model = read_model(Path(folder))
     known = {image.name: image for image in model.images.values() if image.has_pose}

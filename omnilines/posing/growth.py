@@ -7,6 +7,7 @@ points that their features match.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from omnilines.posing.point_adjustment import Frames, PosesAndPoints, adjust_poi
 from omnilines.posing.resection import INLIER_SIGMA, resect
 from omnilines.posing.tracks import Observations, compact, triangulated_tracks
 
+Progress = Callable[[str, int, int], None]
 PairMatches = Mapping[tuple[int, int], Int[Tensor, "_ 2"]]
 
 
@@ -96,26 +98,27 @@ def grow(
     features: Sequence[Features],
     matches: Matches,
     seed: int,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Grown:
     """Poses refined over all rounds, photos without one resected where their features allow it.
 
     Raises GeometryError where no points are left.
     """
     grown, sigma = start, _typical_sigma(features)
+    tell = progress or (lambda stage, done, total: None)
     for number, tolerance in enumerate(TOLERANCES):
-        if progress is not None:
-            progress("refining poses", number, len(TOLERANCES))
-        grown = _refined(grown, features, matches, tolerance, tolerance * sigma)
+        refine = partial(
+            _refined, features=features, matches=matches, limit=tolerance, tolerance_rad=tolerance * sigma,
+            tell=partial(tell, f"matching again and refining poses, round {number + 1} of {len(TOLERANCES)}"),
+        )  # fmt: skip
+        grown = refine(grown)
         if number < len(TOLERANCES) - 1:
-            grown = _refined(_checked(grown, features, matches, seed), features, matches, tolerance, tolerance * sigma)
+            grown = refine(_checked(grown, features, matches, seed, tell))
             for _ in range(MOST_RESECTIONS):
-                more = _resected(grown, features, matches, seed)
+                more = _resected(grown, features, matches, seed, tell)
                 if int(more.known.sum()) == int(grown.known.sum()):
                     break
-                grown = _refined(more, features, matches, tolerance, tolerance * sigma)
-    if progress is not None:
-        progress("refining poses", len(TOLERANCES), len(TOLERANCES))
+                grown = refine(more)
     return grown
 
 
@@ -124,14 +127,21 @@ def _typical_sigma(features: Sequence[Features]) -> float:
     return float(every.median()) if len(every) else 1e-3
 
 
-def _refined(grown: Grown, features: Sequence[Features], matches: Matches, limit: float, tolerance_rad: float) -> Grown:
+def _refined(
+    grown: Grown,
+    features: Sequence[Features],
+    matches: Matches,
+    limit: float,
+    tolerance_rad: float,
+    tell: Callable[[int, int], None],
+) -> Grown:
     """New guided matches, points from them, and two adjustments: with all, and without what does not fit."""
     poses, known = grown.cam_from_world, grown.photo_known
-    guided = {
-        (i, j): matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad)
-        for i, j in matches.clear
-        if known[i] and known[j]
-    }
+    pairs, guided = [(i, j) for i, j in matches.clear if known[i] and known[j]], {}
+    for done, (i, j) in enumerate(pairs):
+        tell(done, len(pairs))
+        guided[i, j] = matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad)
+    tell(len(pairs), len(pairs))
     seen, points = triangulated_tracks(features, guided, poses, limit)
     plain = _keys(features, matches.faint)
     seen, points = _vouched(seen, points, features, plain)
@@ -181,23 +191,27 @@ def _vouched(
     return compact(seen.chosen(torch.nonzero(sure[seen.point]).flatten()), points)
 
 
-def _resected(grown: Grown, features: Sequence[Features], matches: Matches, seed: int) -> Grown:
+def _resected(grown: Grown, features: Sequence[Features], matches: Matches, seed: int, tell: Progress) -> Grown:
     """Frames without a pose placed by the photo of theirs that most points agree on."""
     points = _Points(grown, features, matches)
     poses, known = list(grown.rig_from_world[k] for k in range(len(grown.known))), grown.known.copy()
-    for frame in np.flatnonzero(~grown.known).tolist():
+    lost = np.flatnonzero(~grown.known).tolist()
+    for done, frame in enumerate(lost):
+        tell("placing photos by points", done, len(lost))
         found = points.resected(frame, seed)
         if found is not None:
             poses[frame], known[frame] = found[1], True
     return replace(grown, rig_from_world=Pose.stack(poses), known=known)
 
 
-def _checked(grown: Grown, features: Sequence[Features], matches: Matches, seed: int) -> Grown:
+def _checked(grown: Grown, features: Sequence[Features], matches: Matches, seed: int, tell: Progress) -> Grown:
     """Every frame resected from points that the others know: placed anew where clearly more of them then agree, and left without
     a pose where too few agree with any. A photo that was joined by a few chance matches does not stay."""
     points = _Points(grown, features, matches)
     poses, known = list(grown.rig_from_world[k] for k in range(len(grown.known))), grown.known.copy()
-    for frame in np.flatnonzero(grown.known).tolist():
+    placed_frames = np.flatnonzero(grown.known).tolist()
+    for done, frame in enumerate(placed_frames):
+        tell("checking poses", done, len(placed_frames))
         agree = points.agreeing(frame)
         found = points.resected(frame, seed)
         if found is not None and found[0] > CLEARLY_MORE * agree:

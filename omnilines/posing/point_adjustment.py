@@ -2,8 +2,9 @@
 
     minimise  sum_i loss(|r_i|^2),   r_i the residual of bearing i in standard deviations (bearing_residual.py),
 
-over rig_from_world of every frame (a photo alone is its own frame) and every point. Points are the eliminated blocks. Bearings
-leave a similarity of the world open, or a rigid motion where a rig has a baseline: the step is kept across it.
+over rig_from_world of every frame (a photo alone is its own frame) and every point. Points are the eliminated blocks
+(point_kernel.py). Bearings leave a similarity of the world open, or a rigid motion where a rig has a baseline: the step is kept
+across it.
 """
 
 import math
@@ -15,8 +16,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose, adjoint
-from omnilines.least_squares import KeptGroup, Linearisation, Loss, Outcome, Structure, solve
-from omnilines.posing.bearing_residual import bearing_residual, by_pose, placed
+from omnilines.least_squares import Outcome, Step, minimise
+from omnilines.least_squares.pattern import narrower_order, pair_pattern
+from omnilines.least_squares.reduced_system import ReducedSystem
+from omnilines.least_squares.threads import in_shares, threads_for
+from omnilines.posing import point_kernel
+from omnilines.posing.point_kernel import FrameSums, PointBlocks, Sightings
 from omnilines.posing.tracks import Observations
 
 BEND = 2.0
@@ -53,35 +58,112 @@ class PosesAndPoints:
     points: Float[Tensor, "p 3"]
 
 
-class PointProblem:
-    """Frames that observe nothing are held."""
+@dataclass(frozen=True)
+class _Reduction:
+    """What one pass over the points gives."""
 
-    def __init__(self, seen: Observations, frames: Frames, points: int, count: int) -> None:
-        self.seen, self.frames = seen, frames
-        self.frame = frames.of_photo[seen.photo]
-        observed = torch.bincount(self.frame, minlength=count) > 0
-        self.free = torch.nonzero(observed).flatten()
-        place = torch.full((count,), -1)
-        place[self.free] = torch.arange(len(self.free))
-        self.structure = Structure(seen.point, points, 3, (KeptGroup(place[self.frame], len(self.free), 6),))
+    solved: PointBlocks
+    system: ReducedSystem
+    right: Float[np.ndarray, " k"]
+    gradient: Float[np.ndarray, " k"]
+    """Of the frames themselves, before the reduction."""
+    diagonal: Float[np.ndarray, " k"]
+    """Of the frames' own blocks."""
 
-    def linearise(self, state: PosesAndPoints) -> Linearisation:
-        """Residuals and their analytic Jacobians."""
-        seen, cam_from_rig = self.seen, self.frames.cam_from_rig[self.seen.photo]
-        pose = cam_from_rig @ state.rig_from_world[self.frame]
-        at = placed(pose, state.points[seen.point])
-        residual, by_point = bearing_residual(seen.bearings, seen.rows, at)
-        return Linearisation(residual, by_point @ pose.rotation, (by_pose(by_point, at) @ adjoint(cam_from_rig),))
 
-    def retract(self, state: PosesAndPoints, kept: Float[Tensor, " k"], eliminated: Float[Tensor, "count 3"]) -> PosesAndPoints:
-        """exp(delta) T for frames."""
-        step = torch.zeros(len(state.rig_from_world), 6, dtype=torch.float64)
-        step[self.free] = kept.view(-1, 6)
-        return PosesAndPoints(Pose.exp(step) @ state.rig_from_world, state.points + eliminated)
+class PointEngine:
+    """An `Engine` (least_squares) of one problem. Frames that observe nothing are held; the others have places, in an order that
+    makes the band of the reduced system narrow. Observations are sorted by point and place."""
 
-    def gauge(self, state: PosesAndPoints) -> Float[Tensor, "k g"]:
+    def __init__(self, seen: Observations, frames: Frames, points: int) -> None:
+        self.frames, self.points, self.residuals = frames, points, 2 * len(seen)
+        frame, point = frames.of_photo[seen.photo].numpy(), seen.point.numpy()
+        self.free = np.unique(frame)
+        start = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
+
+        def laid_out() -> np.ndarray:
+            place = np.full(int(frames.of_photo.max()) + 1, -1)
+            place[self.free] = np.arange(len(self.free))
+            self.order = np.argsort(point * len(self.free) + place[frame], kind="stable")
+            return place[frame][self.order]
+
+        places = laid_out()
+        self.pattern = pair_pattern(start, places, len(self.free))
+        better = narrower_order(self.pattern)
+        if better is not None:
+            self.free = self.free[better]
+            places = laid_out()
+            self.pattern = pair_pattern(start, places, len(self.free))
+        own = frames.cam_from_rig[seen.photo[self.order]]
+        bearings = (own.rotation.mT @ seen.bearings[self.order, :, None])[..., 0]
+        rows = seen.rows[self.order] @ own.rotation
+        b, p, arm = (np.ascontiguousarray(array.numpy()) for array in (bearings, rows, own.centre))
+        self.seen = Sightings(start, places, b, p, arm, BEND)
+        work = np.concatenate([[0], np.cumsum(np.diff(start) * (np.diff(start) + 8))])
+        threads = threads_for(points)
+        self.shares = np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()
+
+    def cost(self, state: PosesAndPoints) -> float:
+        """Sum of the loss."""
+        pose, at = self._arrays(state)
+        return sum(in_shares(lambda _, low, high: point_kernel.cost_of_points(low, high, self.seen, pose, at), self.shares))
+
+    def step(self, state: PosesAndPoints, damping: float) -> Step[PosesAndPoints] | None:
+        """The step of frames and points from a state; None where the equations are singular."""
+        found = self.reduce(state, damping)
+        if found is None:
+            return None
+        kept = found.system.solve(found.right[:, None])[:, 0]
+        if not np.isfinite(kept).all():
+            return None
+        step = kept.reshape(-1, 6)
+        whole = torch.zeros(len(state.rig_from_world), 6, dtype=torch.float64)
+        whole[torch.from_numpy(self.free)] = torch.from_numpy(step)
+        trial = PosesAndPoints(Pose.exp(whole) @ state.rig_from_world, torch.empty_like(state.points))
+        (pose, at), (moved_pose, moved) = self._arrays(state), self._arrays(trial)
+
+        def follow(_: int, low: int, high: int) -> tuple[float, float]:
+            return point_kernel.follow_frames(low, high, self.seen, pose, moved_pose, step, at, damping, found.solved, moved)
+
+        parts = in_shares(follow, self.shares)
+        promised = float(kept @ found.gradient + damping * (kept**2 @ found.diagonal))
+        return Step(trial, float(sum(part[0] for part in parts)), promised + float(sum(part[1] for part in parts)))
+
+    def reduce(self, state: PosesAndPoints, damping: float) -> _Reduction | None:
+        """One pass over the points; None where the frames or a point are not determined."""
+        pose, at = self._arrays(state)
+        solved = PointBlocks(np.empty((self.points, 6)), np.empty((self.points, 3)), np.empty((self.points, 3)))
+        free, blocks = len(self.free), len(self.pattern.row)
+        sums = [FrameSums(np.zeros((blocks, 6, 6)), np.zeros((free, 12)), np.zeros((free, 6))) for _ in self.shares[1:]]
+        window, block_of = self.pattern.window, self.pattern.block_of
+
+        def share(k: int, low: int, high: int) -> int:
+            return point_kernel.reduce_points(low, high, self.seen, pose, at, damping, window, block_of, sums[k], solved)
+
+        if sum(in_shares(share, self.shares)):
+            return None
+        total = FrameSums(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
+        within = np.arange(6)
+        total.blocks[self.pattern.diagonal[:, None], within, within] += damping * total.diagonal
+        system = ReducedSystem.of(self.pattern, total.blocks, self._gauge(state), damping)
+        if system is None:
+            return None
+        return _Reduction(solved, system, total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel(), total.diagonal.ravel())
+
+    def norms(self, state: PosesAndPoints) -> Float[Tensor, " n"]:
+        """|r| of every observation, in the order in which they were given."""
+        norm, back = np.empty(len(self.order)), np.empty(len(self.order))
+        point_kernel.residual_norms(self.seen, *self._arrays(state), norm)
+        back[self.order] = norm
+        return torch.from_numpy(back)
+
+    def _arrays(self, state: PosesAndPoints) -> tuple[Float[np.ndarray, "free 12"], Float[np.ndarray, "p 3"]]:
+        pose = state.rig_from_world[torch.from_numpy(self.free)]
+        return torch.cat([pose.rotation.flatten(1), pose.translation], 1).numpy(), state.points.numpy()
+
+    def _gauge(self, state: PosesAndPoints) -> Float[np.ndarray, "k g"]:
         """Columns for a common motion of all frames, and for the scale about their centres' mean where it is open."""
-        pose = state.rig_from_world[self.free]
+        pose = state.rig_from_world[torch.from_numpy(self.free)]
         centre = pose.centre
         about = Pose(torch.eye(3, dtype=torch.float64).expand(len(pose), 3, 3), -centre.mean(0).expand(len(pose), 3))
         columns = adjoint(pose @ about.inverse())
@@ -89,7 +171,7 @@ class PointProblem:
             arm = (pose.rotation @ (centre - centre.mean(0))[..., None])[..., 0]
             scale = torch.cat([torch.zeros_like(arm), -arm], -1)
             columns = torch.cat([columns, scale[..., None]], -1)
-        return columns.flatten(0, 1)
+        return columns.flatten(0, 1).numpy()
 
 
 @dataclass(frozen=True)
@@ -102,24 +184,23 @@ class Adjusted:
     scale: float
     """What a standard deviation turned out to be, from the residuals that are not gross errors and their degrees of freedom."""
     covariance: Float[np.ndarray, "f 6 6"]
-    """Of every frame's left perturbation, for observations of that scale; NaN for frames that observe nothing."""
+    """Of every frame's left perturbation, for observations of that scale; NaN for frames that observe nothing or are not
+    determined."""
     converged: bool
 
 
 def adjust_points(seen: Observations, frames: Frames, start: PosesAndPoints) -> Adjusted:
-    """Poses and points with the least robust cost near a start."""
-    count = len(start.rig_from_world)
-    problem = PointProblem(seen, frames, len(start.points), count)
-    solution = solve(problem, start, Loss("cauchy", BEND), MOST_ITERATIONS, TOLERANCE)
-    residual = problem.linearise(solution.state).residual
-    norm = residual.norm(dim=-1)
-    scale = _scale(norm, 3 * len(start.points) + 6 * len(problem.free))
-    covariance = np.full((count, 6, 6), np.nan)
-    kept = solution.kept_covariance()
-    for k, frame in enumerate(problem.free.tolist()):
-        covariance[frame] = scale**2 * kept[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].numpy()
-    good = solution.outcome in (Outcome.CONVERGED, Outcome.OUT_OF_ITERATIONS)
-    return Adjusted(solution.state, norm, scale, covariance, good)
+    """Poses and points with the least robust cost near a start; every point needs two observations."""
+    engine = PointEngine(seen, frames, len(start.points))
+    found = minimise(engine, start, MOST_ITERATIONS, TOLERANCE)
+    norm = engine.norms(found.state)
+    scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free))
+    covariance = np.full((len(start.rig_from_world), 6, 6), np.nan)
+    end = engine.reduce(found.state, 0.0)
+    if end is not None:
+        covariance[engine.free] = scale**2 * end.system.covariance_blocks()[engine.pattern.diagonal]
+    good = end is not None and found.outcome in (Outcome.CONVERGED, Outcome.OUT_OF_ITERATIONS)
+    return Adjusted(found.state, norm, scale, covariance, good)
 
 
 def _scale(norm: Float[Tensor, " n"], unknowns: int) -> float:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose, adjoint
-from omnilines.posing._pycolmap import pycolmap
+from omnilines.least_squares.threads import one_torch_thread
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
@@ -32,6 +32,8 @@ residuals to tell a wrong pose."""
 LEAST_SEEN = 10
 """Points that a photo must see in the end."""
 LEAST_FEATURES = 20
+MOST_TABLES = 4
+"""Pairs of photos compared at once; each takes 0.1 GB."""
 
 
 def sfm_poses(
@@ -53,10 +55,9 @@ def sfm_poses(
     scale is open: the root mean square distance of the cameras from their middle is then 1. The world is the frame of the first
     photo that has a pose (of a rig: its rig frame). COLMAP works in `work_folder`/colmap.
 
-    Raises InputError where pycolmap is not installed or a photo has not the size of its camera, and GeometryError where no three
+    Raises InputError where a photo has not the size of its camera, and GeometryError where no three
     photos (frames) could be joined.
     """
-    pycolmap()
     calibration = cameras if isinstance(cameras, Calibration) else Calibration(dict(cameras))
     rigid = bool(calibration.rig) and frame_of is not None
     frame_names = [frame_of[photo] if rigid and frame_of is not None else photo for photo in photos]
@@ -68,16 +69,15 @@ def sfm_poses(
     matches = _matches(features, seed, progress)
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
-    if progress is not None:
-        progress("structure from motion", 0, 0)
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts = map_photos(given, Path(work_folder) / "colmap", seed)
+    parts = map_photos(given, Path(work_folder) / "colmap", seed, progress)
     if not parts:
         raise GeometryError(
             f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
             "take more photos with smaller steps between them, or give poses."
         )
-    grown = grow(start_from(Frames(torch.tensor(frame), rig), parts[0]), features, matches, seed, progress)
+    with one_torch_thread():
+        grown = grow(start_from(Frames(torch.tensor(frame), rig), parts[0]), features, matches, seed, progress)
     return _result(photos, names, frame_names if rigid else None, features, grown, parts)
 
 
@@ -103,12 +103,13 @@ def _features(
 def _matches(features: Sequence[Features], seed: int, progress: Progress | None) -> Matches:
     pairs = pairs_to_compare(features, seed)
     clear, faint = {}, {}
-    for done, (i, j) in enumerate(pairs):
-        if progress is not None:
-            progress("comparing photos", done, len(pairs))
-        clear[i, j], faint[i, j] = matched(features[i], features[j])
-    if progress is not None:
-        progress("comparing photos", len(pairs), len(pairs))
+    # Tables of all descriptors by all: as many at once as memory takes gladly.
+    with one_torch_thread(), ThreadPoolExecutor(min(cpu_count() or 1, MOST_TABLES)) as pool:
+        results = pool.map(lambda pair: matched(features[pair[0]], features[pair[1]]), pairs)
+        for done, (pair, found) in enumerate(zip(pairs, results, strict=True)):
+            clear[pair], faint[pair] = found
+            if progress is not None:
+                progress("comparing photos", done + 1, len(pairs))
     return Matches(clear, faint)
 
 

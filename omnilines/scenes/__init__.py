@@ -1,4 +1,4 @@
-"""Rooms and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
+"""Rooms, flats and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
 
 scene = build_scene("room", seed=0)
 camera, circle = scene_camera("opencv-fisheye", (1280, 960), seed=0, fov_deg=190.0)
@@ -10,23 +10,28 @@ edge, t, length_px, contrast = visible_stretches(scene, eye(camera, circle), pos
 from camera_models import InputError
 from omnilines.scenes.cameras import largest_angle, scene_camera
 from omnilines.scenes.edges import scene_edges
+from omnilines.scenes.flat import flat
 from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.photo import Eye, eye, render_clean, render_photo
+from omnilines.scenes.photo_texture import PHOTO_WIDTH_M, PLACES, with_photographs
 from omnilines.scenes.plain_room import plain_room
 from omnilines.scenes.poses import scene_poses
 from omnilines.scenes.room import furnished_room
 from omnilines.scenes.street import street
 from omnilines.scenes.visibility import stretches_of_photos, visible_stretches
 
-_BUILDERS = {"room": furnished_room, "plain-room": plain_room, "street": street}
+_BUILDERS = {"room": furnished_room, "plain-room": plain_room, "flat": flat, "street": street}
 SCENES = tuple(_BUILDERS)
 
 __all__ = [
+    "PHOTO_WIDTH_M",
+    "PLACES",
     "SCENES",
     "Eye",
     "LineScene",
     "build_scene",
     "eye",
+    "flat",
     "furnished_room",
     "largest_angle",
     "plain_room",
@@ -38,6 +43,7 @@ __all__ = [
     "street",
     "stretches_of_photos",
     "visible_stretches",
+    "with_photographs",
 ]
 
 

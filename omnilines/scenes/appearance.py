@@ -1,11 +1,12 @@
-"""Colour of faces: paint, light and a band-limited texture; nothing that makes an edge where no face ends."""
+"""Colour of faces: paint, light and a band-limited texture, which makes no edge where no face ends, or a photograph."""
 
 import math
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnilines.scenes.line_scene import LineScene, Texture
+from omnilines.scenes.line_scene import LineScene, PhotoTexture, Texture
+from omnilines.scenes.photo_texture import photo_factor
 from omnilines.scenes.viewpoint import NO_FACE, Viewpoint
 
 _FOOTPRINT_SIGMA = 0.5
@@ -51,14 +52,14 @@ def colours(
     face, ray = faces[hit], rays[hit].astype(np.float32)
     points, scale = view.points_m(face, ray)
     normal = view.normal.astype(np.float32)[face]
-    brightness = light(scene, normal, points)
+    brightness = light(scene, normal, points)[:, None]
     if pixel_rad is not None:
         # The longer side of the pixel's footprint: across the face at its slant, which is n . ray / |ray|.
         square = np.einsum("ni,ni->n", ray, ray)
         slant = np.abs(np.einsum("ni,ni->n", normal, points - view.centre_m.astype(np.float32))) / scale
         footprint = pixel_rad[hit].astype(np.float32) * scale * square / np.maximum(slant, 0.02)
-        brightness *= _texture(scene, face, points, footprint)
-    result[hit] = scene.albedo.astype(np.float32)[face] * brightness[:, None]
+        brightness = brightness * _texture(scene, face, points, footprint)
+    result[hit] = scene.albedo.astype(np.float32)[face] * brightness
     return np.clip(result, 0.0, 255.0, out=result)
 
 
@@ -67,9 +68,10 @@ def _texture(
     faces: Int[np.ndarray, " n"],
     points_m: Float[np.ndarray, "n 3"],
     footprint_m: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """1 + the waves of each face's texture at its points, each weakened as a pixel of that footprint sees it."""
-    factor = np.ones(len(faces), dtype=np.float32)
+) -> Float[np.ndarray, "n channels"]:
+    """1 + the waves of each face's texture at its points, each weakened as a pixel of that footprint sees it; or a photograph."""
+    photographs = any(isinstance(texture, PhotoTexture) for texture in scene.textures)
+    factor = np.ones((len(faces), 3 if photographs else 1), dtype=np.float32)
     axes = _texture_axes(scene)
     kind = scene.texture[faces]
     for index, texture in enumerate(scene.textures):
@@ -78,7 +80,10 @@ def _texture(
             # A shift of each surface's own; small, since single precision has to tell a millimetre from the next.
             shift = np.float32(1.37) * (scene.surface[faces[rows]] % 8).astype(np.float32)
             plane = np.einsum("nki,ni->kn", axes[faces[rows]], points_m[rows]) + shift
-            factor[rows] += _waves(texture, plane, footprint_m[rows])
+            if isinstance(texture, PhotoTexture):
+                factor[rows] = photo_factor(texture, plane, footprint_m[rows])
+            else:
+                factor[rows] += _waves(texture, plane, footprint_m[rows])[:, None]
     return factor
 
 

@@ -19,6 +19,18 @@ class Texture:
 
 
 @dataclass(frozen=True)
+class PhotoTexture:
+    """A photograph on a face: its colour relative to its mean, and its halvings (`photo_texture`)."""
+
+    levels: tuple[Float[np.ndarray, "_ _ 3"], ...]
+    """RGB; rows along the second axis of the face, columns along its first side."""
+    pixel_m: float
+    """Size on the face of a pixel of the first level."""
+    mean: Float[np.ndarray, "3"]
+    """RGB grey levels."""
+
+
+@dataclass(frozen=True)
 class Lamps:
     """l lamps over a hemisphere of ambient light. Of a face with unit normal n at X, with v = lamp - X, the light is
 
@@ -68,7 +80,7 @@ class LineScene:
     """RGB grey levels under light of 1."""
     texture: Int[np.ndarray, " p"]
     """Index into `textures`."""
-    textures: tuple[Texture, ...]
+    textures: tuple[Texture | PhotoTexture, ...]
     lamps: Lamps
     sky: Float[np.ndarray, "2 3"]
     """RGB grey levels at the horizon and at the zenith where a ray meets nothing."""
@@ -76,6 +88,8 @@ class LineScene:
     low_m: Float[np.ndarray, "3"]
     high_m: Float[np.ndarray, "3"]
     """Cameras stand between these corners."""
+    walk_m: Float[np.ndarray, "k 3"] | None = None
+    """Corners of the way along which photos are taken, at the height of the eye; without one cameras stand anywhere."""
 
     def __len__(self) -> int:
         return len(self.corners_m)

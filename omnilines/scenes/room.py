@@ -82,14 +82,17 @@ def room_textures(rng: np.random.Generator) -> list[Texture]:
     ]
 
 
-def room_walls(size: Float[np.ndarray, "3"], first: int) -> list[Wall]:
-    """The four walls in the order in which they follow to the right, beginning with any of them."""
-    x, y, z = size.tolist()
+def room_walls(size: Float[np.ndarray, "3"], first: int, corner_m: tuple[float, float] = (0.0, 0.0)) -> list[Wall]:
+    """The four walls in the order in which they follow to the right, beginning with any of them.
+
+    `corner_m` is the one of least x and y.
+    """
+    (x, y, z), (x0, y0) = size.tolist(), corner_m
     walls = [
-        (Frame.at(0.0, y, 0.0, 0.0), x, z),
-        (Frame.at(x, y, 0.0, 270.0), y, z),
-        (Frame.at(x, 0.0, 0.0, 180.0), x, z),
-        (Frame.at(0.0, 0.0, 0.0, 90.0), y, z),
+        (Frame.at(x0, y0 + y, 0.0, 0.0), x, z),
+        (Frame.at(x0 + x, y0 + y, 0.0, 270.0), y, z),
+        (Frame.at(x0 + x, y0, 0.0, 180.0), x, z),
+        (Frame.at(x0, y0, 0.0, 90.0), y, z),
     ]
     return walls[first:] + walls[:first]
 

@@ -35,16 +35,19 @@ TRIANGULATIONS: tuple[tuple[str, str], ...] = (
 )
 
 
+def check_triangulation(method: str) -> None:
+    """Raises InputError where no method has this name."""
+    names = list(dict(TRIANGULATIONS))
+    if method not in names:
+        raise InputError(f"Expected a triangulation method among {', '.join(names)}, found {method!r}; give one of these names.")
+
+
 def triangulate(
     method: str, observations: "omnilines.triangulation.observations.PlaneObservations", **options: Any
 ) -> "omnilines.triangulation.result.Triangulation":
     """The lines of all tracks by the named method; `options` are those of its function. Raises InputError on an unknown name."""
-    registry = dict(TRIANGULATIONS)
-    if method not in registry:
-        raise InputError(
-            f"Expected a triangulation method among {', '.join(registry)}, found {method!r}; give one of these names."
-        )
-    module, function = registry[method].split(":")
+    check_triangulation(method)
+    module, function = dict(TRIANGULATIONS)[method].split(":")
     result: omnilines.triangulation.result.Triangulation = getattr(importlib.import_module(module), function)(
         observations, **options
     )

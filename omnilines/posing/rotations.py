@@ -1,0 +1,78 @@
+"""Which pairs of photos agree on how the photos are turned: those that chance or a repeated thing joined do not.
+
+Rotations of all photos are averaged over the relative rotations of pairs (V. M. Govindu, Lie-algebraic averaging for globally
+consistent motion estimation, CVPR 2004), started from the tree of the strongest pairs and reweighted (Geman and McClure), so that
+pairs that contradict the others count no more (A. Chatterjee, V. M. Govindu, Efficient and robust large-scale rotation averaging,
+ICCV 2013).
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial.transform import Rotation
+
+BEND_RAD = math.radians(2.0)
+"""Where the loss bends: several times the error of the relative rotation of a pair of few matches."""
+LARGEST_RAD = math.radians(6.0)
+"""Between the relative rotation of a pair and that of its photos: pairs beyond it are dropped."""
+_ROUNDS = 30
+
+Pairs = Mapping[tuple[int, int], tuple[Float[np.ndarray, "3 3"], int]]
+"""Of a pair (i, j) of photos j_from_i and the matches that agree with it."""
+
+
+def agreeing_pairs(pairs: Pairs, photos: int) -> list[tuple[int, int]]:
+    """The pairs whose relative rotation is that of the averaged rotations of their photos."""
+    if not pairs:
+        return []
+    ends = np.array(list(pairs))
+    relative = Rotation.from_matrix(np.stack([matrix for matrix, _ in pairs.values()]))
+    strength = np.array([count for _, count in pairs.values()], dtype=float)
+    turned = Rotation.from_matrix(_along_strongest(ends, relative.as_matrix(), strength, photos))
+    for _ in range(_ROUNDS):
+        error = _error(ends, relative, turned)
+        weight = strength / (1.0 + np.square(error).sum(1) / BEND_RAD**2) ** 2
+        step = _solved(ends, error, weight, photos)
+        turned = turned * Rotation.from_rotvec(step)
+        if np.abs(step).max() < 1e-6:
+            break
+    off = np.linalg.norm(_error(ends, relative, turned), axis=1)
+    return [pair for pair, far in zip(pairs, off.tolist(), strict=True) if far < LARGEST_RAD]
+
+
+def _error(ends: Int[np.ndarray, "n 2"], relative: Rotation, turned: Rotation) -> Float[np.ndarray, "n 3"]:
+    """log(R_j' R_ji R_i): what R_j exp(d_j), R_i exp(d_i) should make zero, to first order by d_j - d_i."""
+    return np.asarray((turned[ends[:, 1]].inv() * relative * turned[ends[:, 0]]).as_rotvec())
+
+
+def _solved(
+    ends: Int[np.ndarray, "n 2"], error: Float[np.ndarray, "n 3"], weight: Float[np.ndarray, " n"], photos: int
+) -> Float[np.ndarray, "photos 3"]:
+    """The steps with the least sum of weighted squares; as small as possible where photos are free."""
+    incidence = np.zeros((len(ends), photos))
+    incidence[np.arange(len(ends)), ends[:, 1]], incidence[np.arange(len(ends)), ends[:, 0]] = 1.0, -1.0
+    normal = incidence.T @ (weight[:, None] * incidence)
+    step: Float[np.ndarray, "photos 3"] = np.linalg.lstsq(normal, incidence.T @ (weight[:, None] * error), rcond=1e-10)[0]
+    return step
+
+
+def _along_strongest(
+    ends: Int[np.ndarray, "n 2"], relative: Float[np.ndarray, "n 3 3"], strength: Float[np.ndarray, " n"], photos: int
+) -> Float[np.ndarray, "photos 3 3"]:
+    """Rotations chained over the tree of the strongest pairs, of every part from its first photo."""
+    of_pair = {tuple(pair): k for k, pair in enumerate(ends.tolist())}
+    tree = minimum_spanning_tree(coo_array((1.0 / strength, ends.T), shape=(photos, photos)).tocsr())
+    turned = np.tile(np.eye(3), (photos, 1, 1))
+    _, part = connected_components(tree, directed=False)
+    for first in np.unique(part, return_index=True)[1].tolist():
+        order, before = breadth_first_order(tree, first, directed=False)
+        for photo in order[1:].tolist():
+            other = int(before[photo])
+            forward = (other, photo) in of_pair
+            step = relative[of_pair[other, photo]] if forward else relative[of_pair[photo, other]].T
+            turned[photo] = step @ turned[other]
+    return turned
