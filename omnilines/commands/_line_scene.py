@@ -1,5 +1,6 @@
 """Arcs of photos with poses -> adjusted lines, clipped to what the photos show, and what every stage kept and dropped."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,8 +27,10 @@ from omnilines.structure.clipping import Stretches, supported_stretches
 MOST_SLACKS = 3.0
 """A line is dropped whose arcs lie farther from it (RMS) than so many times the slack, or LEAST_RMS_PX."""
 LEAST_RMS_PX = 1.5
-LEAST_ROUNDS, MOST_ROUNDS = 2, 5
+LEAST_ROUNDS, MOST_ROUNDS = 2, 12
 """Times that arcs are matched where poses are refined."""
+STILL_GAINS = 1.01
+"""Times the arcs that tracks had a round before from which on another round is worth its time."""
 MOST_CHANCE = 1e-3
 """A line is dropped that photos would show with a larger probability if it were not there."""
 LEAST_LENGTH_SIGMA = 3.0
@@ -72,11 +75,11 @@ def photo_scene(
     """Match, triangulate, adjust, clip and filter.
 
     With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
-    arcs are matched again with the better poses until no photo moves, MOST_ROUNDS times at most.
+    arcs are matched again with the better poses until no photo moves and tracks gain no more arcs, MOST_ROUNDS times at most.
 
     Raises GeometryError naming the stage where no line is left.
     """
-    turn = 0
+    turn, before, slack_px = 0, 0, math.inf
     while True:
         turn += 1
         # From the second round on poses are those of the adjustment: what they still lack is found anew.
@@ -94,8 +97,11 @@ def photo_scene(
             break
         refined = replace(cameras, cameras=_refined(cameras, scene))
         moved = poses_by_lines(found, scene.poses, matched, refined, options.seed, progress)
-        if moved is None and turn >= LEAST_ROUNDS:
+        members = len(matched.tracks.rows)
+        settled = members < STILL_GAINS * before and matched.slack_px >= slack_px
+        if moved is None and settled and turn >= LEAST_ROUNDS:
             break
+        before, slack_px = members, matched.slack_px
         poses, cameras = scene.poses if moved is None else moved, refined
     return _clipped(found, segments, matched, scene, _refined(cameras, scene), options, progress)
 

@@ -1,8 +1,8 @@
 """Poses that a table gives roughly, brought so near the truth that lines stand out: first turned, then placed anew.
 
-Rotations follow from the directions that the photos' lines share, whatever the places are (`shared_directions`). Where lines still
-do not stand out, places come from the photos themselves: structure from motion, brought into the world of the given poses by all
-photos together, so that their errors average out. What makes lines stand out most is taken; where that are the given poses, they
+Rotations follow from the directions that the photos' lines share, whatever the places are (`shared_directions`). Where lines
+still do not stand out, places come from the photos themselves: structure from motion, brought into the world of the given poses
+by all photos together, so that their errors average out. What makes lines stand out most is taken; where the given poses do, they
 stay.
 """
 
@@ -44,18 +44,20 @@ def better_poses(
     def evidence(poses: ImagePoses) -> Evidence:
         return evidence_of_poses(viewed_arcs(found, poses, cameras), seed)
 
-    best, held, notes = posed.poses, evidence(posed.poses), list(posed.notes)
-    turned, fixed = turned_poses(viewed_arcs(found, best, cameras))
-    if fixed.any():
-        trial = replace(best, cam_from_world=turned, covariance=None)
-        its = evidence(trial)
-        if its.gain > CLEARLY_MORE * held.gain:
-            degrees = np.degrees(_angles_rad(best.cam_from_world, turned)[fixed])
-            notes.append(
-                f"The given poses were turned by the directions that lines share: {int(fixed.sum())} photos, by "
-                f"{np.median(degrees):.2g} degrees (median), {degrees.max():.2g} at most."
-            )
-            best, held = trial, its
+    def turned(poses: ImagePoses) -> ImagePoses:
+        return replace(poses, cam_from_world=turned_poses(viewed_arcs(found, poses, cameras))[0], covariance=None)
+
+    given, notes = posed.poses, list(posed.notes)
+    best, held = given, evidence(given)
+    trial = turned(given)
+    its = evidence(trial)
+    if its.gain > CLEARLY_MORE * held.gain:
+        degrees = np.degrees(_angles_rad(given.cam_from_world, trial.cam_from_world))
+        best, held = trial, its
+        notes.append(
+            "The given poses were turned by the directions that lines share, by "
+            f"{np.median(degrees):.2g} degrees (median), {degrees.max():.2g} at most."
+        )
     if held.beyond_chance and held.slack_px < ROUGH_PX:
         return replace(posed, poses=best, notes=tuple(notes))
     try:
@@ -63,14 +65,14 @@ def better_poses(
     except GeometryError as error:
         notes.append(f"Lines hardly agree under the given poses, and the photos themselves give none: {error}")
         return replace(posed, poses=best, notes=tuple(notes))
-    its = evidence(trial)
-    if its.gain > CLEARLY_MORE * held.gain:
-        moved = (trial.cam_from_world.centre - posed.poses.cam_from_world.centre).norm(dim=-1)
-        notes.append(
-            f"Lines hardly agree under the given poses: {joined} of {len(trial)} photos were placed by features in the world of the "
-            f"given ones, and moved by {float(moved.median()):.2g} m (median)."
-        )
+    # Features tell places well, and directions tell rotations better.
+    trial = turned(trial)
+    if evidence(trial).gain > CLEARLY_MORE * held.gain:
         best = trial
+        notes.append(
+            f"Lines hardly agree under the given poses: {joined} of {len(trial)} photos were placed by features, in the world of "
+            "the given poses."
+        )
     return replace(posed, poses=best, notes=tuple(notes))
 
 

@@ -13,6 +13,7 @@ from omnilines.commands._photo_arcs import FoundArcs, find_arcs
 from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
+from omnilines.commands._rough_poses import better_poses
 from omnilines.commands._scene_frame import (
     KnownDistance,
     parse_known_distance,
@@ -97,15 +98,13 @@ def reconstruct_photos(
         names = photo_poses(poses, refs, cameras, camera_of, folder, progress=progress)
         require_poses(distance, names)
     found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
-    usable = [arcs.photo for arcs in found if arcs.reason is None]
 
-    def find() -> PhotoPoses:
-        return photo_poses(poses, usable, cameras, camera_of, folder / WORK, pattern=pattern, seed=seed, progress=progress)
+    def posed_by(source: str) -> PhotoPoses:
+        return _posed(source, found, cameras, camera_of, calibration, folder / WORK, pattern, seed, progress)
 
-    of_poses = fingerprint(
-        [*(photo.path for photo in usable), calibration], repr((poses, pattern, seed, [p.name for p in usable]))
-    )
-    posed = kept_poses(folder / WORK / POSES, of_poses, find) if poses in SOURCES else find()
+    posed = posed_by(poses)
+    if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
+        posed = better_poses(found, posed, cameras, seed, lambda: posed_by("sfm"), progress)
     table = folder / WORK / "poses.csv"
     write_poses(table, posed.poses)
     if distance is not None:
@@ -118,6 +117,31 @@ def reconstruct_photos(
     result = _written(folder, scene, found, posed, cameras, refs, asked, progress)
     stamp.write(result)
     return result
+
+
+def _posed(
+    source: str,
+    found: Sequence[FoundArcs],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    calibration: Path,
+    work: Path,
+    pattern: str | None,
+    seed: int,
+    progress: ProgressCallback,
+) -> PhotoPoses:
+    """Poses of the photos that can be used; what has to be looked for in them is kept."""
+    usable = [arcs.photo for arcs in found if arcs.reason is None]
+    pattern = pattern if source == "boards" else None
+
+    def find() -> PhotoPoses:
+        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, seed=seed, progress=progress)
+
+    if source not in SOURCES:
+        return find()
+    names = [photo.name for photo in usable]
+    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names)))
+    return kept_poses(work / POSES, made_from, find)
 
 
 @dataclass(frozen=True)

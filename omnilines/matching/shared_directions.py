@@ -3,8 +3,8 @@
 Arcs of parallel lines meet in a direction of the camera frame, whatever its place and however wrong its pose is. Directions that
 several photos see, brought into the world by their poses, are those of families of lines: with two families or more the rotation
 of a photo follows to a tenth of a degree or better. In the rotation R (camera from world) an arc of the normal n belongs to the
-family of the direction d where n . R d is small; rotations and directions are refined in turn, d as the smallest principal axis of
-its normals and R by a step w of
+family of the direction d where n . R d is small; rotations and directions are refined in turn, d as the smallest principal axis
+of its normals and R by a step w of
 
     minimise  sum loss(n . (R d + w x R d) / s) + |w|^2 / PRIOR_RAD^2.
 
@@ -24,7 +24,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.photo_starts import MEETING_RAD, SHARPEST, meeting_directions
 
 NEAR_RAD = math.radians(12.0)
-"""How far a pose may be turned: rough ones are a few degrees off, and families that are nearer to each other could be confused."""
+"""How far a pose may be turned: rough ones are some degrees off, and nearer families could be confused."""
 APART_RAD = math.radians(20.0)
 """Between two families that fix a rotation."""
 PASSES = ((NEAR_RAD, APART_RAD), (math.radians(1.0), math.radians(2.0)))
@@ -114,8 +114,8 @@ def _families(
 def _voted(photo: _Photo, rotation: Float[np.ndarray, "3 3"], families: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation near the given one under which most arcs are of families.
 
-    Tried are those that bring a family onto a direction of the photo, and with it some arc into another family: about the direction
-    v an arc of the normal n is of the family d where n . exp(t [v]x) d = 0.
+    Tried are those that bring a family onto a direction v of the photo, and then some arc, of the normal n, into another family d:
+    turned about v it is where n . exp(t [v]x) d = 0.
     """
     cosine = photo.directions @ (families @ rotation.T).T
     tried = [rotation[None]]
