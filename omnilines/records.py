@@ -1,6 +1,7 @@
 """The frozen tables and results that the stages hand to each other. Arrays are NumPy; nothing here computes."""
 
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -111,6 +112,28 @@ LINE_STATUSES = (
 two views is `weak` and keeps its end points (`triangulation.result.Triangulation.two_views` names it)."""
 
 
+class LengthUnit(Enum):
+    """What lengths are in: as a sign, a thousandth of it, and in words."""
+
+    METRES = ("m", "mm", "metres")
+    OPEN = ("units", "1e-3 units", "units whose length in metres is not known")
+
+    @property
+    def sign(self) -> str:
+        """As it stands behind a number."""
+        return self.value[0]
+
+    @property
+    def thousandth(self) -> str:
+        """A thousandth of it, as it stands behind a number."""
+        return self.value[1]
+
+    @property
+    def words(self) -> str:
+        """As it stands in a sentence, or in the comment of a file."""
+        return self.value[2]
+
+
 @dataclass(frozen=True)
 class Lines:
     """3D lines, one row per track."""
@@ -128,6 +151,8 @@ class Lines:
     """In the line chart (right perturbation of S, 3; phi, 1)."""
     chart_centre_m: Float[np.ndarray, "n 3"] | None = None
     chart_scale_m: Float[np.ndarray, " n"] | None = None
+    unit: LengthUnit = LengthUnit.METRES
+    """Of all lengths; where the scale is open, names in `_m` hold units too."""
 
     def __len__(self) -> int:
         return len(self.tracks)
@@ -177,3 +202,24 @@ class StageCount:
     kept: int
     dropped: tuple[tuple[str, int], ...] = ()
     """(reason, number)."""
+
+
+@dataclass(frozen=True)
+class PhotoCount:
+    """How many of the arcs of one photo came through each stage of matching."""
+
+    image: str
+    arcs: int
+    matched: int
+    """An arc of another photo could show its line, and looks like it."""
+    confirmed: int
+    """A third photo agrees."""
+    in_enough: int
+    """As many photos agree as have to see a line."""
+    in_tracks: int
+    in_lines: int
+
+    @property
+    def share(self) -> float:
+        """Of the arcs, those that lines explain."""
+        return self.in_lines / max(self.arcs, 1)

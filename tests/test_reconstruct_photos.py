@@ -1,6 +1,7 @@
 """`omnilines reconstruct PHOTOS`: a rendered room from photos to lines, what is kept between runs, and bad input."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -191,6 +192,44 @@ def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, c
     said = capsys.readouterr().err
     assert "Lines explain few of the arcs of view00.png (" in said and "view01.png" not in said
     assert "Lines explain few of the arcs of view00.png (" in (tmp_path / "scene" / "report.html").read_text()
+
+
+def test_a_pose_that_is_a_little_off_is_said_to_be_at_fault(room, rebuilt, tmp_path, capsys):
+    """Poses are held: that of one photo is wrong by 3 degrees."""
+    poses = read_poses(room / "poses.csv")
+    turn = torch.tensor([[0.0, np.radians(3.0), 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    given = Pose.stack([*poses.cam_from_world[:3], (Pose.exp(turn) @ poses.cam_from_world[3:4])[0], *poses.cam_from_world[4:]])
+    write_poses(tmp_path / "poses.csv", ImagePoses(poses.images, given, ("cam0",) * VIEWS))
+    shutil.copy(room / "calibration.yaml", tmp_path)
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    assert call(room / "photos", tmp_path, tmp_path / "scene", "--tolerance-px", "0.1", "--json") == 0
+    said = capsys.readouterr()
+    named = re.search(
+        r"The lines of the other photos put view03.png \((\S+) degrees and (\S+) m from its pose\) elsewhere", said.err
+    )
+    assert named and 2.7 < float(named[1]) < 3.3 and float(named[2]) < 0.05
+    assert "--refine lines,poses" in said.err and said.err.count("view0") == 1
+    counts = {photo["image"]: photo for photo in json.loads(said.out)["arcs"]}
+    assert counts["view03.png"]["share"] < 0.5 * min(one["share"] for name, one in counts.items() if name != "view03.png")
+    for one in counts.values():
+        stages = [one[stage] for stage in ("arcs", "matched", "confirmed", "in_enough", "in_tracks", "in_lines")]
+        assert stages == sorted(stages, reverse=True) and one["share"] == pytest.approx(one["in_lines"] / one["arcs"])
+    assert "Arcs of every photo" in (tmp_path / "scene" / "report.html").read_text()
+
+
+def test_a_photo_of_another_room_is_told_from_one_with_a_wrong_pose(room, rebuilt, tmp_path, capsys):
+    """Its pose is as good as any, but what it shows no other photo does."""
+    shutil.copytree(room / "photos", tmp_path / "photos")
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    render_scene(tmp_path / "other", scene="plain-room", views=1, size=SIZE, seed=SEED + 1)
+    shutil.copy(tmp_path / "other" / "view00.png", tmp_path / "photos" / "view03.png")
+    assert call(tmp_path / "photos", room, tmp_path / "scene", "--tolerance-px", "0.1") == 0
+    said = capsys.readouterr().err
+    assert "Lines explain few of the arcs of view03.png (" in said and "elsewhere" not in said
+    near = re.search(r"take photos between view03.png and (view\d\d.png)", said)
+    poses = read_poses(room / "poses.csv")
+    away = (poses.cam_from_world.centre - poses.cam_from_world.centre[3]).norm(dim=-1)
+    assert near and near[1] == poses.images[int(away.argsort()[1])]
 
 
 def off_m(found: ImagePoses, truth: ImagePoses) -> float:

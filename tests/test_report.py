@@ -383,7 +383,41 @@ def test_scene_holds_lines_boards_cameras_and_truth() -> None:
     bases = pyramids[:, 1:5].mean(1) - centres
     towards = torch.nn.functional.cosine_similarity(torch.tensor(bases), torch.tensor(-centres)).numpy()
     np.testing.assert_allclose(towards, 1, atol=1e-6)
-    assert spec["layout"]["scene"]["aspectmode"] == "data"
+    scene = spec["layout"]["scene"]
+    sides = np.array([np.ptp(scene[f"{k}axis"]["range"]) for k in "xyz"])
+    ratio = np.array([scene["aspectratio"][k] for k in "xyz"])
+    np.testing.assert_allclose(ratio, sides / sides.max(), atol=1e-3)
+    assert scene["aspectmode"] == "manual"
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
+@pytest.mark.parametrize("sides", [(5.0, 4.0, 3.0), (40.0, 3.0, 8.0), (1.0, 1.0, 0.0)])
+def test_first_view_of_a_scene_shows_all_of_it_upright(up: tuple[float, float, float], sides: tuple[float, float, float]) -> None:
+    """Plotly looks from eye to center with a field of 45 degrees; the box of the scene fills it. Far things do not shrink it."""
+    rng = np.random.default_rng(1)
+    ends = rng.uniform(-0.5, 0.5, (200, 2, 3)) * sides
+    ends[7] *= 300.0
+    n = len(ends)
+    lines = Lines(tuple(map(str, range(n))), ends, np.full(n, 3), np.full(n, 0.3), np.full(n, 0.01), ("ok",) * n)
+    centres = torch.tensor(rng.uniform(-0.3, 0.3, (9, 3)) * sides)
+    centres[4] = 500.0
+    cameras = ImagePoses(tuple(map(str, range(9))), Pose(torch.eye(3).double().expand(9, 3, 3), -centres))
+    (spec,) = specs(report.scene_section(lines=lines, cameras=cameras, up=up))
+    scene = spec["layout"]["scene"]
+    low, high = np.array([scene[f"{k}axis"]["range"] for k in "xyz"]).T
+    assert (low <= -0.45 * np.array(sides)).all() and (high >= 0.45 * np.array(sides)).all()
+    assert (high - low).max() < 1.6 * max(sides)
+    eye, centre, upward, ratio = (
+        np.array([part[k] for k in "xyz"])
+        for part in (*(scene["camera"][name] for name in ("eye", "center", "up")), scene["aspectratio"])
+    )
+    ahead = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(ahead, upward) / np.linalg.norm(np.cross(ahead, upward))
+    assert upward @ np.array(up) == pytest.approx(1, abs=1e-3) and ahead @ upward < 0
+    corners = 0.5 * ratio * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) - eye
+    tangent = np.stack([corners @ right / 1.6, corners @ np.cross(right, ahead)], -1) / (corners @ ahead)[:, None]
+    share = np.abs(tangent) / np.tan(np.radians(22.5))
+    assert (corners @ ahead > 0).all() and share.max() < 0.95 and share.max() > 0.85
 
 
 def test_scene_limits_far_lines_and_many_lines() -> None:

@@ -9,6 +9,7 @@ import typer
 
 from camera_models.errors import OmnilinesError
 from omnilines.cli._shared import app
+from omnilines.cli._stopping import stoppable
 
 # The order of the commands in the help is the order of these imports.
 from omnilines.cli import targets, extraction, scenes, cameras, lines, experiments  # isort: skip
@@ -17,9 +18,11 @@ __all__ = ["app", "cameras", "experiments", "extraction", "lines", "main", "scen
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: an error that the user can mend is one sentence on standard error and exit status 2."""
+    """Entry point: an error that the user can mend is one sentence on standard error and exit status 2; so is a signal that ends
+    the command, with the status 128 + its number."""
     try:
-        app(arguments, standalone_mode=True)
+        with stoppable():
+            app(arguments, standalone_mode=True)
     except OmnilinesError as error:
         typer.echo(f"omnilines: {error}", err=True)
         sys.exit(2)

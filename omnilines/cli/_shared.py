@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
+from omnilines.cli._stopping import say_when_stopped
 
 if TYPE_CHECKING:
     from omnilines.commands._common import CommandResult, ProgressCallback
@@ -90,17 +91,31 @@ def progress() -> "Iterator[ProgressCallback]":
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}
+        now = ""
 
         def tell(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total or None)
-            bar.update(tasks[stage], completed=done)
+            nonlocal now
+            if stage != now:
+                # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
+                if now:
+                    bar.update(tasks[now], total=1, completed=1, visible=False)
+                if stage in tasks:
+                    bar.reset(tasks[stage], total=total or None, visible=True)
+                else:
+                    tasks[stage] = bar.add_task(stage, total=total or None)
+                now = stage
+            bar.update(tasks[stage], completed=done, total=total or None)
 
         yield tell
 
 
-def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool) -> None:
-    """Run a command, print its result, and exit with 1 where a check does not hold."""
+def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, kept: Path | None = None) -> None:
+    """Run a command, print its result, and exit with 1 where a check does not hold.
+
+    `kept` is the folder from which the same command goes on where it was stopped.
+    """
+    goes_on = "" if kept is None else f"; what was found is kept in {kept}, the same command goes on from there"
+    say_when_stopped(f"stopped{goes_on}.")
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:

@@ -39,6 +39,10 @@ MaybeRefine = Annotated[
     typer.Option("--refine", help="lines, with any of poses, intrinsics, rig (with --poses sfm: lines,poses; else: lines)."),
 ]
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
+ScaleFrom = Annotated[
+    str | None,
+    typer.Option("--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP)."),
+]
 Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
 MinViews = Annotated[
     int, typer.Option("--min-views", help="Photos that have to see a line (3 or more); one fewer where all of its arcs agree.")
@@ -63,6 +67,7 @@ def reconstruct(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     pattern: MaybePattern = None,
+    scale_from: ScaleFrom = None,
     mask: Mask = None,
     min_views: MinViews = 4,
     tolerance_px: TolerancePx = None,
@@ -78,6 +83,8 @@ def reconstruct(
         raise InputError(
             f"Photos, or --segments with a table of matched segments, were expected, found {found}; give one of them."
         )
+    if segments is not None and scale_from is not None:
+        raise InputError("--scale-from is for photos, found --segments; give poses in metres.")
     if segments is not None:
         _from_segments(
             calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine or "lines",
@@ -88,11 +95,12 @@ def reconstruct(
 
     run(
         lambda progress: reconstruct_photos(
-            photos or [], calibration, poses, out, pattern=pattern, mask=mask, least_views=min_views, tolerance_px=tolerance_px,
-            triangulation=triangulation or "ml", cost=cost or "whitened", refine=refine, loss=loss or "cauchy", colmap=colmap,
-            recording=recording, device=device, seed=seed, progress=progress,
+            photos or [], calibration, poses, out, pattern=pattern, scale_from=scale_from, mask=mask,
+            least_views=min_views, tolerance_px=tolerance_px, triangulation=triangulation or "ml", cost=cost or "whitened",
+            refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device, seed=seed, progress=progress,
         ),
         as_json,
+        kept=out / "work",
     )  # fmt: skip
 
 

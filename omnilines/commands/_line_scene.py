@@ -12,6 +12,7 @@ from jaxtyping import Int
 from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.commands._arc_counts import arc_stages, counted, photo_counts
 from omnilines.commands._common import ProgressCallback
 from omnilines.commands._line_poses import poses_by_lines
 from omnilines.commands._photo_arcs import FoundArcs
@@ -20,7 +21,7 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.chance import chance_of_lines
 from omnilines.matching.match import Matched, match_arcs
-from omnilines.records import ImagePoses, Lines, Segments, StageCount
+from omnilines.records import ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.clipping import Stretches, supported_stretches
 
 MOST_SLACKS = 3.0
@@ -62,6 +63,10 @@ class PhotoScene:
     slack_px: float
     supported: Int[np.ndarray, " k"]
     """Line of `scene.lines` of every arc of `segments`, -1 for none."""
+    photos: tuple[PhotoCount, ...]
+    """What became of the arcs of each photo of `segments`."""
+    matched: Matched
+    """The tracks that the lines come from, with the poses that they were matched with."""
 
 
 def photo_scene(
@@ -98,7 +103,7 @@ def photo_scene(
             break
         before, slack_px = members, matched.slack_px
         poses, cameras = scene.poses if moved is None else moved, refined
-    return _clipped(found, segments, matched, scene, _refined(cameras, scene), options)
+    return _clipped(found, segments, matched, scene, _refined(cameras, scene), options, progress)
 
 
 def _require(matched: Matched) -> None:
@@ -121,6 +126,7 @@ def _with_tracks(segments: Segments, matched: Matched) -> Segments:
 def _adjusted(
     segments: Segments, poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
 ) -> LineScene:
+    progress("triangulating lines", 0, 0)
     return reconstruct_lines(
         segments,
         poses,
@@ -149,8 +155,10 @@ def _clipped(
     scene: LineScene,
     cameras: Mapping[str, CameraModel],
     options: SceneOptions,
+    progress: ProgressCallback,
 ) -> PhotoScene:
     """The lines that pass, clipped, and the counts of all stages."""
+    progress("clipping lines", 0, 0)
     lines = scene.lines
     limit_px = max(MOST_SLACKS * matched.slack_px, LEAST_RMS_PX)
     known = lines.known
@@ -158,6 +166,7 @@ def _clipped(
     weak = known & ~far & (np.array(lines.status) == "weak")
     kept = np.flatnonzero(known & ~far & ~weak)
     seen = _supported(matched, kept, scene)
+    progress("comparing lines with chance", 0, 0)
     camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
     stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images])
     unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
@@ -175,46 +184,11 @@ def _clipped(
         ("nowhere supported by enough photos", int(unsupported)),
         ("by chance as many photos would show them", int(by_chance)),
     )
-    stages = (*_arc_stages(found, segments, matched), StageCount("lines", len(table), _counted(filtered)))
+    stages = (*arc_stages(found, segments, matched, options.least_views), StageCount("lines", len(table), counted(filtered)))
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
     segments = replace(segments, track=supported, tracks=table.tracks)
-    return PhotoScene(replace(scene, lines=table), segments, stages, matched.slack_px, supported)
-
-
-def _counted(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
-    return tuple((reason, count) for reason, count in reasons if count)
-
-
-def _arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched) -> tuple[StageCount, ...]:
-    total = sum(map(len, found))
-    hypotheses, tracks = matched.hypotheses, matched.tracks
-    partner = hypotheses.candidates > 0
-    several = partner & (matched.agreeing_photos() >= 2)
-    member = int((tracks.track >= 0).sum())
-    return (
-        StageCount("detected arcs", total, _counted([("photos skipped", sum(arcs.reason is not None for arcs in found))])),
-        StageCount("in photos with poses", len(segments), _counted([("photo without a pose", total - len(segments))])),
-        StageCount(
-            "matched",
-            int(partner.sum()),
-            _counted([("no arc of another photo could show its line and looks like it", int((~partner).sum()))]),
-        ),
-        StageCount(
-            "confirmed by a third photo",
-            int(several.sum()),
-            _counted([("only one photo agrees", int((partner & ~several).sum()))]),
-        ),
-        StageCount(
-            "in tracks",
-            member,
-            _counted([("did not fit the others of a track, or too few photos see it", max(int(several.sum()) - member, 0))]),
-        ),
-        StageCount(
-            "tracks triangulated",
-            len(tracks),
-            _counted([("parts of other tracks", tracks.merged), ("other lines explain what they show", tracks.explained)]),
-        ),
-    )
+    photos = photo_counts(segments, matched, options.least_views)
+    return PhotoScene(replace(scene, lines=table), segments, stages, matched.slack_px, supported, photos, matched)
 
 
 def _lines_of(scene: LineScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:

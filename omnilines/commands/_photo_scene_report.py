@@ -10,10 +10,17 @@ import numpy as np
 from camera_models import Calibration
 from omnilines import report
 from omnilines.commands._line_scene import PhotoScene
+from omnilines.commands._scene_frame import UNIT_KEY, SceneFrame
 from omnilines.files import PhotoRef
 from omnilines.least_squares import Outcome
 from omnilines.records import Summary
-from omnilines.report.line_scene import families_section, line_photos_section, line_table_section, stage_section
+from omnilines.report.line_scene import (
+    families_section,
+    line_photos_section,
+    line_table_section,
+    photo_arcs_section,
+    stage_section,
+)
 from omnilines.structure.families import Families
 
 
@@ -24,11 +31,11 @@ def scene_summary(scene: PhotoScene, photos: int, families: Families) -> Summary
     rows = (
         ("photos", f"{len(scene.segments.images)} of {photos}"),
         *((stage.stage, _stage(stage.kept, stage.dropped)) for stage in scene.stages),
-        ("length of all lines", f"{float(length.sum()):.2f} m"),
+        ("length of all lines", f"{float(length.sum()):.2f} {lines.unit.sign}"),
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", f"{scene.scene.rms_px():.3f}"),
         ("slack of poses and calibration", f"{scene.slack_px:g} px"),
-        ("median sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} m"),
+        ("median sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
         ("families of parallel lines", str(len(families.members))),
     )
     outcome = scene.scene.adjusted.outcome
@@ -40,11 +47,14 @@ def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
     return f"{kept} ({reasons})" if reasons else str(kept)
 
 
-def scene_data(scene: PhotoScene, families: Families) -> dict[str, Any]:
+def scene_data(scene: PhotoScene, frame: SceneFrame) -> dict[str, Any]:
     """What `--json` prints."""
-    lines = scene.scene.lines
+    lines, families = frame.lines, frame.families
     return {
         "photos": list(scene.segments.images),
+        UNIT_KEY: lines.unit.sign,
+        "up": list(frame.up),
+        "arcs": [{**asdict(photo), "share": photo.share} for photo in scene.photos],
         "stages": [asdict(stage) for stage in scene.stages],
         "lines": len(lines),
         "rms_px": scene.scene.rms_px(),
@@ -69,10 +79,10 @@ def scene_data(scene: PhotoScene, families: Families) -> dict[str, Any]:
 
 
 def scene_sections(
-    scene: PhotoScene, cameras: Calibration, photos: Sequence[PhotoRef], families: Families, summary: Summary
+    scene: PhotoScene, cameras: Calibration, photos: Sequence[PhotoRef], frame: SceneFrame, summary: Summary
 ) -> list[report.Section]:
     """The sections of report.html."""
-    lines, residual = scene.scene.lines, np.abs(scene.scene.residual_px)
+    lines, families, residual = frame.lines, frame.families, np.abs(scene.scene.residual_px)
     labels = [f"family {k + 1}" if k >= 0 else "no family" for k in families.family.tolist()]
     # All photo names end their path in the same folder.
     folder = photos[0].path.parents[len(photos[0].name.split("/")) - 1]
@@ -80,9 +90,10 @@ def scene_sections(
     figures = replace(summary, rows=tuple(row for row in summary.rows if row[0] not in told))
     return [
         report.summary_section(figures),
+        report.scene_section(lines=lines, groups=labels, cameras=frame.poses, up=frame.up),
         stage_section(scene.stages),
-        report.scene_section(lines=lines, groups=labels, cameras=scene.scene.poses),
-        line_photos_section(folder, lines, scene.segments, scene.scene.poses, cameras),
+        photo_arcs_section(scene.photos),
+        line_photos_section(folder, lines, scene.segments, frame.poses, cameras),
         report.histogram_section(
             "Residuals", {"adjusted": residual[np.isfinite(residual)]}, "orthogonal distance of an observed end (px)"
         ),

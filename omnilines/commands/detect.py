@@ -67,10 +67,14 @@ class PhotoCorners:
 def on_all_cores(work: Callable[[T], R], items: Sequence[T], stage: str, progress: ProgressCallback) -> list[R]:
     """The results in order, one item per core at a time."""
     results = []
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    pool = ThreadPoolExecutor(os.cpu_count() or 1)
+    try:
         for done, result in enumerate(pool.map(work, items), 1):
             results.append(result)
             progress(stage, done, len(items))
+    finally:
+        # After an error, or where the user stops it, what has not begun does not begin.
+        pool.shutdown(cancel_futures=True)
     return results
 
 

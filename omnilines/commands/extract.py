@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
 from camera_models import Calibration, CameraModel, InputError, load
+from camera_models.formats.disk import write_atomically
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.commands.detect import on_all_cores
 from omnilines.extraction import ExtractedArcs, extract_arcs
@@ -126,7 +127,7 @@ def _picture_name(photo: PhotoRef) -> str:
 def _write_picture(path: Path, image: Shaped[np.ndarray, "h w *c"], model: CameraModel, found: ExtractedArcs) -> None:
     output_folder(path.parent)
     encoded = cv2.imencode(".jpg", draw_arcs(image, model, found), [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
-    path.write_bytes(encoded.tobytes())
+    write_atomically(path, encoded.tobytes())
 
 
 def draw_arcs(image: Shaped[np.ndarray, "h w *c"], model: CameraModel, found: ExtractedArcs) -> UInt8[np.ndarray, "h w 3"]:

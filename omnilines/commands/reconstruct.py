@@ -14,6 +14,7 @@ from omnilines import report
 from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_lines
 from omnilines.adjustment.suspects import Suspect
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands._scene_frame import UNIT_KEY, unit_of_table
 from omnilines.files import read_poses, read_segments, write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.least_squares import Outcome, Progress
 from omnilines.records import Segments, Summary
@@ -71,6 +72,7 @@ def reconstruct_segments(
         device=device,
         callback=tell,
     )
+    scene = replace(scene, lines=replace(scene.lines, unit=unit_of_table(poses)))
     folder = output_folder(out)
     files = write_scene(folder, scene, table, cameras, {"calibration": calibration, "poses": poses, "segments": segments})
     progress("writing the report", 0, 0)
@@ -122,7 +124,7 @@ def refined_calibration(scene: LineScene, cameras: Calibration, inputs: dict[str
     if scene.cam_from_rig is not None and scene.adjusted.rig_covariance is not None:
         sigmas = scene.adjusted.rig_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt().numpy()
         rig = {name: RigCamera(scene.cam_from_rig[k], sigmas[k]) for k, name in enumerate(rig)}
-    return Calibration(models, estimates, rig, cameras.views, provenance(inputs))
+    return Calibration(models, estimates, rig, cameras.views, {**provenance(inputs), UNIT_KEY: scene.lines.unit.sign})
 
 
 def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, ...]) -> Summary:
@@ -136,7 +138,7 @@ def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, 
         ("refined", ", ".join(parts)),
         ("rms_px before", f"{scene.rms_px(before=True):.4f}"),
         ("rms_px after", f"{scene.rms_px():.4f}"),
-        ("median sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} m"),
+        ("median sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} {lines.unit.sign}"),
     )
     notes = _named("do not belong to their track and were left out", scene.wrong)
     notes += _named("lie farther from their line than 99.9 percent should", scene.suspect)
@@ -178,6 +180,7 @@ def _data(scene: LineScene, names: tuple[str, ...]) -> dict[str, Any]:
     sigma = _median_sigma_m(scene)
     return {
         "tracks": len(scene.lines),
+        UNIT_KEY: scene.lines.unit.sign,
         "status": dict(Counter(scene.lines.status)),
         "rms_px_before": scene.rms_px(before=True),
         "rms_px": scene.rms_px(),

@@ -1,20 +1,28 @@
 """omnilines reconstruct PHOTOS: photos + calibration + poses -> arcs, tracks, adjusted lines, scene folder, report."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
 from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
 from omnilines.commands._rough_poses import better_poses
+from omnilines.commands._scene_frame import (
+    KnownDistance,
+    parse_known_distance,
+    require_poses,
+    scene_frame,
+    unit_of_poses,
+    without_scale,
+)
+from omnilines.commands._weak_photos import advice
 from omnilines.commands.extract import camera_of_photo, read_mask
 from omnilines.commands.reconstruct import write_scene
 from omnilines.costs import check_cost
@@ -27,13 +35,12 @@ from omnilines.least_squares.devices import usable_device
 from omnilines.matching.match import LEAST_VIEWS
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
+from omnilines.records import LengthUnit
 from omnilines.report import write_report
 from omnilines.structure.families import line_families
 from omnilines.triangulation import check_triangulation
 
-WORK, STAMP = "work", "done.json"
-HARDLY_EXPLAINED = 0.4
-"""Of the share of arcs that lines explain in the median photo: below it a photo is named."""
+WORK, STAMP, POSES = "work", "done.json", "poses.npz"
 
 
 def reconstruct_photos(
@@ -43,6 +50,7 @@ def reconstruct_photos(
     out: Path,
     *,
     pattern: str | None = None,
+    scale_from: str | None = None,
     mask: Path | None = None,
     least_views: int = LEAST_VIEWS,
     tolerance_px: float | None = None,
@@ -61,7 +69,8 @@ def reconstruct_photos(
     `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. `refine` is `lines` unless
     given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
     at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
-    of poses and calibration; it is found from the arcs where it is not given. `colmap` and `recording` add a COLMAP model and a
+    of poses and calibration; it is found from the arcs where it is not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the
+    distance in metres of two photos, where poses leave the scale open. `colmap` and `recording` add a COLMAP model and a
     recording for the rerun viewer. `device` is `cpu` or `cuda`.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
@@ -73,34 +82,80 @@ def reconstruct_photos(
     cameras = load(calibration)
     camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    unit = unit_of_poses(poses, cameras, camera_of)
+    distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
     folder = output_folder(out)
     _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
     inputs = [photo.path for photo in refs] + [calibration] + ([] if mask is None else [mask]) + _pose_files(poses)
-    stamp = Stamp(folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, colmap, recording, [p.name for p in refs]))))
+    stamp = Stamp(
+        folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, distance, colmap, recording, [p.name for p in refs])))
+    )
     done = stamp.result()
     if done is not None:
         return done
+    if distance is not None and poses not in SOURCES:
+        names = photo_poses(poses, refs, cameras, camera_of, folder, progress=progress)
+        require_poses(distance, names)
     found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
-    usable = [arcs.photo for arcs in found if arcs.reason is None]
-    posed = photo_poses(
-        poses, usable, cameras, camera_of, output_folder(folder / WORK), pattern=pattern, seed=seed, progress=progress
-    )
+
+    def posed_by(source: str) -> PhotoPoses:
+        return _posed(source, found, cameras, camera_of, calibration, folder / WORK, pattern, seed, progress)
+
+    posed = posed_by(poses)
     if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
-
-        def from_photos() -> PhotoPoses:
-            return photo_poses("sfm", usable, cameras, camera_of, folder / WORK, seed=seed, progress=progress)
-
-        posed = better_poses(found, posed, cameras, seed, from_photos, progress)
+        posed = better_poses(found, posed, cameras, seed, lambda: posed_by("sfm"), progress)
     table = folder / WORK / "poses.csv"
     write_poses(table, posed.poses)
+    if distance is not None:
+        require_poses(distance, posed)
     try:
         scene = photo_scene(found, posed.poses, cameras, options, progress)
     except GeometryError as error:
         raise GeometryError(f"{error} Of {len(refs)} photos, {len(posed.poses)} have poses: {table}.") from None
-    result = _written(folder, scene, found, posed, cameras, refs, calibration, poses, colmap, recording, progress)
+    asked = _Asked(calibration, poses, unit, distance, "poses" in parts, least_views, colmap, recording)
+    result = _written(folder, scene, found, posed, cameras, refs, asked, progress)
     stamp.write(result)
     return result
+
+
+def _posed(
+    source: str,
+    found: Sequence[FoundArcs],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    calibration: Path,
+    work: Path,
+    pattern: str | None,
+    seed: int,
+    progress: ProgressCallback,
+) -> PhotoPoses:
+    """Poses of the photos that can be used; what has to be looked for in them is kept."""
+    usable = [arcs.photo for arcs in found if arcs.reason is None]
+    pattern = pattern if source == "boards" else None
+
+    def find() -> PhotoPoses:
+        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, seed=seed, progress=progress)
+
+    if source not in SOURCES:
+        return find()
+    names = [photo.name for photo in usable]
+    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names)))
+    return kept_poses(work / POSES, made_from, find)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What else decides what is written."""
+
+    calibration: Path
+    poses: str
+    unit: LengthUnit
+    distance: KnownDistance | None
+    refines_poses: bool
+    least_views: int
+    colmap: bool
+    recording: bool
 
 
 def _check(
@@ -146,32 +201,33 @@ def _written(
     posed: PhotoPoses,
     cameras: Calibration,
     photos: Sequence[PhotoRef],
-    calibration: Path,
-    poses: str,
-    colmap: bool,
-    recording: bool,
+    asked: _Asked,
     progress: ProgressCallback,
 ) -> CommandResult:
+    progress("looking for parallel lines", 0, 0)
+    families = line_families(scene.scene.lines)
+    frame = scene_frame(scene.scene.lines, scene.scene.poses, families, asked.poses, asked.unit, asked.distance)
+    scene = replace(scene, scene=replace(scene.scene, lines=frame.lines, poses=frame.poses))
+    told = (*_of_poses(asked.poses, posed, scene), *frame.notes, *advice(scene, asked.refines_poses, asked.least_views, progress))
     progress("writing the scene", 0, 0)
-    lines = scene.scene.lines
-    inputs = {"photos": photos[0].path.parent, "calibration": calibration, "poses": poses}
+    inputs = {"photos": photos[0].path.parent, "calibration": asked.calibration, "poses": asked.poses}
     files = [*write_scene(folder, scene.scene, scene.segments, cameras, inputs), folder / "lines.obj"]
-    write_obj(files[-1], lines)
+    write_obj(files[-1], frame.lines)
     final = refined_cameras(cameras, scene)
     remarks: tuple[str, ...] = ()
-    if colmap:
+    if asked.colmap:
         known, remarks = colmap_cameras(final)
-        files += write_colmap_scene(output_folder(folder / "colmap"), known, scene.scene.poses, lines, remarks=remarks)
-    if recording:
+        files += write_colmap_scene(output_folder(folder / "colmap"), known, frame.poses, frame.lines, remarks=remarks)
+    if asked.recording:
         files.append(folder / "scene.rrd")
-        write_recording(files[-1], lines, scene.scene.poses, final)
-    families = line_families(lines)
-    summary = scene_summary(scene, len(photos), families)
+        write_recording(files[-1], frame.lines, frame.poses, final)
+    progress("writing the report", 0, 0)
+    summary = scene_summary(scene, len(photos), frame.families)
     skipped = tuple(f"{arcs.photo.name} is skipped: {arcs.reason}" for arcs in found if arcs.reason is not None)
-    notes = (*skipped, *_of_poses(poses, posed, scene), *remarks, *summary.notes)
-    sections = scene_sections(scene, final, photos, families, replace(summary, notes=notes))
+    notes = (*skipped, *told, *remarks, *summary.notes)
+    sections = scene_sections(scene, final, photos, frame, replace(summary, notes=notes))
     files.append(write_report(folder / "report.html", "Line scene", sections))
-    return CommandResult((summary,), scene_data(scene, families), files=tuple(files), report=files[-1], warnings=notes)
+    return CommandResult((summary,), scene_data(scene, frame), files=tuple(files), report=files[-1], warnings=notes)
 
 
 def _of_poses(source: str, posed: PhotoPoses, scene: PhotoScene) -> tuple[str, ...]:
@@ -181,22 +237,7 @@ def _of_poses(source: str, posed: PhotoPoses, scene: PhotoScene) -> tuple[str, .
     lost = {name: why for name, why in posed.left_out.items() if name not in known}
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
     doubts = doubt(len(lost), len(known) + len(lost)) if source == "sfm" else ()
-    return (*lost.values(), *([by_lines] if placed else []), *posed.notes, *doubts, *_hardly_explained(scene))
-
-
-def _hardly_explained(scene: PhotoScene) -> tuple[str, ...]:
-    """Which photos show far fewer of the lines than others do: a wrong pose explains arcs by chance only."""
-    arcs = np.bincount(scene.segments.image, minlength=len(scene.segments.images))
-    shown = np.bincount(scene.segments.image[scene.supported >= 0], minlength=len(arcs))
-    share = shown / np.maximum(arcs, 1)
-    few = np.flatnonzero((share < HARDLY_EXPLAINED * np.median(share)) & (arcs > 0))
-    if not len(few):
-        return ()
-    names = ", ".join(f"{scene.segments.images[k]} ({shown[k]} of {arcs[k]})" for k in few.tolist())
-    return (
-        f"Lines explain few of the arcs of {names}; half of the photos have {100 * np.median(share):.0f} % explained or more. "
-        "Their poses may be wrong, or they show what others do not.",
-    )
+    return (*lost.values(), *([by_lines] if placed else []), *without_scale(posed.notes), *doubts)
 
 
 def refined_cameras(cameras: Calibration, scene: PhotoScene) -> Calibration:

@@ -13,6 +13,7 @@ from calib_patterns import pattern as parse_pattern
 from calib_patterns._pattern import Pattern
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError, save
 from camera_models.formats.calibration_data import ViewRecord
+from camera_models.formats.disk import write_atomically
 from camera_models.pose import Pose
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.files import write_corners, write_poses
@@ -148,4 +149,4 @@ def _truth(
 def _write_photo(path: Path, photo: UInt8[np.ndarray, "h w"]) -> None:
     # Encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII.
     encoded = cv2.imencode(".png", photo)[1]
-    path.write_bytes(encoded.tobytes())
+    write_atomically(path, encoded.tobytes())

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from camera_models import Calibration, CameraEstimate, CameraModel, save
+from camera_models.formats.disk import write_atomically
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.files import find_photos, read_photo, write_poses
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
@@ -173,4 +174,4 @@ def write_scene(
 def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
     """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
     encoded = cv2.imencode(".png", photo)[1]
-    path.write_bytes(encoded.tobytes())
+    write_atomically(path, encoded.tobytes())

@@ -1,7 +1,7 @@
 """A COLMAP text model of photos: cameras.txt, images.txt, an empty points3D.txt; of a scene lines.txt too, which COLMAP skips.
 
     images.txt   IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line for points, here empty
-    lines.txt    TRACK X1 Y1 Z1 X2 Y2 Z2 VIEWS, metres
+    lines.txt    TRACK X1 Y1 Z1 X2 Y2 Z2 VIEWS; the header names the unit
 
 Rigs and frames are left to COLMAP, which gives every camera a rig of its own where the model has none (pycolmap 4.2).
 
@@ -117,5 +117,5 @@ def _lines(path: Path, lines: Lines) -> str:
     cells = [number_cells(column, path, name) for column, name in zip(ends, "x1 y1 z1 x2 y2 z2".split(), strict=True)]
     names = [safe_name(track) for track, there in zip(lines.tracks, known.tolist(), strict=True) if there]
     rows = [" ".join(row) for row in zip(names, *cells, map(str, lines.views[known].tolist()), strict=True)]
-    head = "# TRACK (bytes that are no letter, digit or _ . - ~ as %XX), X1, Y1, Z1, X2, Y2, Z2 (m), VIEWS"
+    head = "# TRACK (bytes that are no letter, digit or _ . - ~ as %XX), X1, Y1, Z1, X2, Y2, Z2 (" + lines.unit.words + "), VIEWS"
     return "\n".join([head, *rows]) + "\n"

@@ -18,7 +18,7 @@ def safe_name(name: str) -> str:
 
 
 def write_obj(path: str | Path, lines: Lines) -> None:
-    """Write the lines that are known (`ok`, `weak`), each an object called like its track, in metres and the world frame.
+    """Write the lines that are known (`ok`, `weak`), each an object called like its track, in their unit and the world frame.
 
     Raises InputError where a coordinate is NaN or infinite or the file cannot be written.
     """
@@ -26,7 +26,7 @@ def write_obj(path: str | Path, lines: Lines) -> None:
     names = [safe_name(track) for track, there in zip(lines.tracks, known.tolist(), strict=True) if there]
     columns = [number_cells(column, path, name) for column, name in zip(lines.ends_m[known].reshape(-1, 3).T, "xyz", strict=True)]
     points = [f"v {x} {y} {z}" for x, y, z in zip(*columns, strict=True)]
-    rows = ["# omnilines: 3D lines, metres, world frame"]
+    rows = [f"# omnilines: 3D lines, {lines.unit.words}, world frame"]
     for k, name in enumerate(names):
         rows += [f"o {name}", points[2 * k], points[2 * k + 1], f"l {2 * k + 1} {2 * k + 2}"]
     write_atomically(path, "\n".join(rows) + "\n")

@@ -22,7 +22,7 @@ CAMERA_COLOUR = (203, 24, 29)
 
 _HEADER = """ply
 format ascii 1.0
-comment omnilines: 3D lines, metres, world frame
+comment omnilines: 3D lines, {unit}, world frame
 element vertex {vertices}
 property double x
 property double y
@@ -46,7 +46,7 @@ def write_ply(
     family: Int[np.ndarray, " n"] | None = None,
     camera_centres_m: Float[np.ndarray, "k 3"] | None = None,
 ) -> None:
-    """Write the lines that are known (`ok`, `weak`) as edges in metres, and camera centres as single vertices after them.
+    """Write the lines that are known (`ok`, `weak`) as edges in their unit, and camera centres as single vertices after them.
 
     Colours tell the status, or the `family` of each line (any whole numbers, one colour per number, repeating after six).
     Raises InputError where a coordinate is NaN or infinite or the file cannot be written.
@@ -65,7 +65,9 @@ def write_ply(
     vertices = zip(*numbers, *_whole_cells(point_colours), strict=True)
     edges = zip(*_whole_cells(np.arange(2 * len(ends)).reshape(-1, 2)), *_whole_cells(colours), strict=True)
     rows = [*map(" ".join, vertices), *map(" ".join, edges)]
-    write_atomically(path, _HEADER.format(vertices=len(points), edges=len(ends)) + "".join(f"{row}\n" for row in rows))
+    write_atomically(
+        path, _HEADER.format(unit=lines.unit.words, vertices=len(points), edges=len(ends)) + "".join(f"{row}\n" for row in rows)
+    )
 
 
 def _whole_cells(values: Int[np.ndarray, "n k"]) -> list[list[str]]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from camera_models import CameraModel
 from camera_models.errors import InputError
 from omnilines.geometry.sphere import points_on_arc
-from omnilines.records import ImagePoses, Lines, Polyline, Segments, StageCount
+from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount
 from omnilines.report.page import Section
 from omnilines.report.photos import photos_section
 
@@ -64,6 +64,25 @@ def stage_section(stages: Sequence[StageCount], title: str = "Stages") -> Sectio
         most = max(empty.dropped, key=lambda item: item[1], default=("nothing came to it", 0))[0]
         said = Markup("<p>Nothing is left after the stage <strong>{}</strong>: {}.</p>\n").format(empty.stage, most)
     return Section(title, said + _table(("Stage", "#Kept", "#Dropped", "Why"), rows))
+
+
+def photo_arcs_section(photos: Sequence[PhotoCount], title: str = "Arcs of every photo") -> Section:
+    """How many arcs of each photo came through each stage, the photo with the smallest share in lines first."""
+    head = ("Photo", "#Arcs", "#Matched", "#Confirmed by a third", "#By enough", "#In tracks", "#In lines", "#Share in lines")
+    rows = [
+        (
+            p.image,
+            *(f"{n:,}" for n in (p.arcs, p.matched, p.confirmed, p.in_enough, p.in_tracks, p.in_lines)),
+            f"{100 * p.share:.0f} %",
+        )
+        for p in sorted(photos, key=lambda photo: photo.share)
+    ]
+    text = Markup(
+        "<p>Matched: an arc of another photo could show its line and looks like it. Confirmed: a third photo agrees, and as many "
+        "as have to see a line. A photo that loses far more arcs than the others before they are confirmed has a wrong pose, or "
+        "sees what no other does.</p>\n"
+    )
+    return Section(title, text + _table(head, rows))
 
 
 def families_section(families: FamiliesLike, title: str = "Parallel lines") -> Section:
@@ -133,7 +152,15 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
     text += Markup(". Sigma is the largest standard deviation, across the line at its worse end and of its direction")
     if covariance_file is not None and lines.covariance is not None:
         text += Markup('; the whole covariances are in <a href="{0}">{0}</a>').format(covariance_file)
-    head = ("Track", "Status", "#Views", "#Length (m)", "#Sigma across (mm)", "#Sigma of direction (°)", "#RMS (px)")
+    head = (
+        "Track",
+        "Status",
+        "#Views",
+        f"#Length ({lines.unit.sign})",
+        f"#Sigma across ({lines.unit.thousandth})",
+        "#Sigma of direction (°)",
+        "#RMS (px)",
+    )
     return Section(title, text + Markup(".</p>\n") + _table(head, rows))
 
 

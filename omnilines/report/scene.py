@@ -1,17 +1,29 @@
 """The 3D view: boards, lines, cameras and, where known, the truth, in a scene that can be turned."""
 
+import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from omnilines.records import ImagePoses, Lines
+from omnilines.records import ImagePoses, LengthUnit, Lines
 from omnilines.report.page import Section, fragment
 from omnilines.report.plots import PALETTE, QUIET, Trace, axis, broken, numbers, plot, sample, sample_note
 
 SHOWN_LINES = 10_000
 """More lines than this are sampled for the view, and the page says so."""
+ASPECT = 1.6
+"""Width of the view over its height."""
+OUTLYING = 0.02
+"""Share of the ends of lines, at each side of each axis, that need not be in the first view."""
+BEYOND = 0.25
+"""Of the extent without them, how far beyond it the view reaches at most."""
+FAR_CAMERA = 5.0
+"""Cameras farther from the median one than so many median distances need not be in view."""
+FIELD_RAD = math.radians(45.0)
+"""Plotly's field of view, up and down."""
+FILLED = 0.9
+"""Of the view, by the box of the scene: its axes have labels."""
 
 
 def scene_section(
@@ -25,12 +37,12 @@ def scene_section(
     title: str = "Scene",
     caption: str = "",
 ) -> Section:
-    """A 3D view of what stands in one frame, in metres.
+    """A 3D view of what stands in one frame, in metres or in the unit of `lines`; it opens with the whole scene in view.
 
     `boards` are (name, corners in order around the quadrilateral). `groups` labels each of `lines` for colour and legend
     (by default its status); lines without end points are counted, not drawn. `cameras` are drawn as pyramids that open along
     the optical axis. `truth_m` holds the ends of the true lines. `up` is the direction drawn upwards: (0, -1, 0) for a camera
-    frame, z for a world.
+    frame, z for a world. A few far lines or cameras lie outside the view and do not shrink it.
     """
     ends = np.empty((0, 2, 3)) if lines is None else lines.ends_m[lines.known]
     centres = np.empty((0, 3)) if cameras is None else cameras.cam_from_world.centre.numpy().reshape(-1, 3)
@@ -40,16 +52,23 @@ def scene_section(
     if not len(points):
         return Section(title, fragment("plots", intro="There is nothing to show in 3D.", plots=[]))
     traces = [*_boards(boards), *_truth(truth_m), *_lines(lines, groups), *_cameras(cameras, _pyramid_height(points, centres))]
-    ranges, outside = _ranges(points)
+    limits = _limits(ends.reshape(-1, 3), centres, np.concatenate([corners.reshape(-1, 3), truth.reshape(-1, 3)]))
+    outside = int(((points < limits[:, 0]) | (points > limits[:, 1])).any(1).sum())
+    extent = limits[:, 1] - limits[:, 0]
+    sign = (LengthUnit.METRES if lines is None else lines.unit).sign
     layout = {
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "legend": {"x": 0, "y": 1, "itemsizing": "constant"},
         "showlegend": True,
         "scene": {
-            "aspectmode": "data",
-            "camera": {"up": _xyz(np.array(up)), "eye": _eye(np.array(up)), "center": _xyz(-0.08 * np.array(up))},
+            "aspectmode": "manual",
+            "aspectratio": _xyz(extent / extent.max()),
+            "camera": _camera(np.array(up), extent / extent.max()),
             "dragmode": "turntable" if up == (0.0, 0.0, 1.0) else "orbit",
-            **{f"{name}axis": axis(f"{name} (m)", nticks=6, **own) for name, own in zip("xyz", ranges, strict=True)},
+            **{
+                f"{name}axis": axis(f"{name} ({sign})", nticks=6, range=numbers(own))
+                for name, own in zip("xyz", limits, strict=True)
+            },
         },
     }
     hint = (
@@ -58,7 +77,7 @@ def scene_section(
     )
     hint += " Hover over a line for its track, status and standard deviation." if lines is not None else ""
     hint += f" {outside:,} far points lie outside the view." if outside else ""
-    figure = plot(traces, layout, label="3D view", caption=f"{caption} {_counts(lines)}{hint}".strip(), wide=True, aspect=1.6)
+    figure = plot(traces, layout, label="3D view", caption=f"{caption} {_counts(lines)}{hint}".strip(), wide=True, aspect=ASPECT)
     return Section(title, fragment("plots", intro="", plots=[figure]))
 
 
@@ -117,7 +136,7 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
 def _describe(lines: Lines, row: int) -> str:
     return (
         f"{lines.tracks[row]}: {lines.status[row]}, {lines.views[row]} views<br>"
-        f"sigma {1e3 * lines.sigma_m[row]:.3g} mm, residual {lines.rms_px[row]:.3g} px"
+        f"sigma {1e3 * lines.sigma_m[row]:.3g} {lines.unit.thousandth}, residual {lines.rms_px[row]:.3g} px"
     )
 
 
@@ -168,25 +187,46 @@ def _pyramid_height(points: Float[np.ndarray, "n 3"], centres: Float[np.ndarray,
     return float(np.clip(0.8 * step, extent / 60, extent / 15))
 
 
-def _ranges(points: Float[np.ndarray, "n 3"]) -> tuple[list[dict[str, Any]], int]:
-    """Options of the three axes, and how many points they leave out: a few far ends must not shrink all else to a dot."""
-    low, high = np.quantile(points, [0.02, 0.98], axis=0)
-    reach = 2 * max(float((high - low).max()), 1e-9)
-    inside = ((points >= low - reach) & (points <= high + reach)).all(1)
-    if inside.all():
-        return [{}, {}, {}], 0
-    near = points[inside]
-    pad = 0.03 * float(np.ptp(near, axis=0).max())
-    limits = np.stack([near.min(0) - pad, near.max(0) + pad], 1)
-    return [{"range": numbers(limit)} for limit in limits], int(len(points) - inside.sum())
+def _limits(
+    ends: Float[np.ndarray, "n 3"], centres: Float[np.ndarray, "m 3"], others: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, "3 2"]:
+    """What the view shows along each axis: a few far lines or cameras must not shrink all else to a dot."""
+    boxes = [np.quantile(ends, [OUTLYING, 1 - OUTLYING], axis=0)] if len(ends) else []
+    if len(centres):
+        away = np.linalg.norm(centres - np.median(centres, axis=0), axis=-1)
+        near = centres[away <= FAR_CAMERA * (np.median(away) or np.inf)]
+        boxes += [near]
+    boxes += [others] if len(others) else []
+    core = np.concatenate(boxes)
+    low, high = core.min(0), core.max(0)
+    reach = BEYOND * max(float((high - low).max()), 1e-9)
+    points = np.concatenate([ends, centres, others])
+    inside = points[((points >= low - reach) & (points <= high + reach)).all(1)]
+    inside = np.concatenate([inside, core])
+    pad = max(0.03 * float(np.ptp(inside, axis=0).max()), 1e-9)
+    return np.stack([inside.min(0) - pad, inside.max(0) + pad], 1)
 
 
-def _eye(up: Float[np.ndarray, "3"]) -> dict[str, float]:
-    """A view point above and aside: in a camera frame, behind the camera."""
+def _camera(up: Float[np.ndarray, "3"], sides: Float[np.ndarray, "3"]) -> dict[str, dict[str, float]]:
+    """Plotly's camera above and aside (in a camera frame, behind the camera), as near as shows a box of these sides whole.
+
+    A corner p is in view where |p . v - c| <= h (d - p . n), n the direction to the eye, v one across it, d the distance, c
+    what the eye is moved along v by, h the half field; so the least d and its c follow from the extreme corners.
+    """
     up = up / np.linalg.norm(up)
     aside = np.array([0.7, -1.0, -0.6])
     aside = aside - (aside @ up) * up
-    return _xyz(1.8 * aside / np.linalg.norm(aside) + 0.9 * up)
+    towards = 1.8 * aside / np.linalg.norm(aside) + 0.9 * up
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross(up, towards)
+    right = right / np.linalg.norm(right)
+    corners = 0.5 * sides * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    depth, half = corners @ towards, FILLED * math.tan(FIELD_RAD / 2)
+    distance, centre = 0.0, np.zeros(3)
+    for across, reach in ((right, half * ASPECT), (np.cross(towards, right), half)):
+        low, high = (corners @ across - reach * depth).min(), (corners @ across + reach * depth).max()
+        distance, centre = max(distance, float(high - low) / (2 * reach)), centre + 0.5 * (low + high) * across
+    return {"up": _xyz(up), "eye": _xyz(centre + distance * towards), "center": _xyz(centre)}
 
 
 def _xyz(vector: Float[np.ndarray, "3"]) -> dict[str, float]:

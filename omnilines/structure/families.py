@@ -11,7 +11,7 @@ Vamech, PAMI 2003). The binomial of the mean p bounds that of differing p (Hoeff
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -70,6 +70,14 @@ class Families:
 
     def __len__(self) -> int:
         return len(self.members)
+
+    def turned(self, new_from_old: Float[Tensor, "3 3"]) -> "Families":
+        """The same families in a world that is turned."""
+        turn = new_from_old.numpy()
+        direction = self.direction @ turn.T
+        largest = np.take_along_axis(direction, np.abs(direction).argmax(-1)[:, None], -1)
+        side = np.where(largest < 0, -1.0, 1.0)
+        return replace(self, direction=side * direction, covariance=turn @ self.covariance @ turn.T)
 
 
 def line_families(

@@ -1,0 +1,101 @@
+"""Ctrl-C and SIGTERM: the command ends at once with one sentence, its status and no half-written file, and goes on later."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from omnilines.commands.render_scene import render_scene
+
+VIEWS = 6
+WORKS = (
+    "import os, sys, time\nfrom omnilines.cli import main\nfrom omnilines.commands import {module}\n{patch}\nmain(sys.argv[1:])\n"
+)
+IN_THREADS = """
+real = _photo_arcs.extract_arcs
+turn = __import__("itertools").count()
+def slow(*given):
+    own = next(turn)
+    os.write(2, b"begun\\n")
+    time.sleep(30 if own else 0)
+    return real(*given)
+_photo_arcs.extract_arcs = slow
+"""
+"""The first photo is looked at; the others take long, in as many threads as there are cores."""
+IN_C_CODE = """
+import hashlib
+def busy(*given, **named):
+    os.write(2, b"begun\\n")
+    # As compiled code does, this runs without Python's lock, and no Python runs in the main thread until it is over.
+    hashlib.pbkdf2_hmac("sha256", b"a", b"b", 1_000_000_000)
+_line_scene.match_arcs = busy
+"""
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("room")
+    render_scene(folder / "photos", scene="plain-room", views=VIEWS, size=(240, 240))
+    for name in ("calibration.yaml", "poses.csv"):
+        (folder / "photos" / name).rename(folder / name)
+    return folder
+
+
+def started(room, out, module, patch, stderr=subprocess.PIPE):
+    command = [sys.executable, "-c", WORKS.format(module=module, patch=patch), "reconstruct", room / "photos"]
+    command += ["--calibration", room / "calibration.yaml", "--poses", room / "poses.csv", "--out", out, "--json"]
+    return subprocess.Popen([str(part) for part in command], stdout=subprocess.PIPE, stderr=stderr)
+
+
+def left_behind(folder):
+    return [path for path in folder.rglob("*") if path.name.endswith((".part", ".tmp"))]
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status):
+    process = started(room, tmp_path / "scene", "_photo_arcs", IN_THREADS)
+    assert process.stderr.readline() == b"begun\n"
+    arcs = tmp_path / "scene" / "work" / "arcs"
+    while not list(arcs.glob("*.npz")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    # On one core the second photo begins as soon as the first is done.
+    assert process.stderr.readline() == b"begun\n"
+    sent = time.monotonic()
+    process.send_signal(number)
+    out, said = process.communicate(timeout=20)
+    assert process.returncode == status and time.monotonic() - sent < 5.0
+    sentence = (
+        f"omnilines: stopped; what was found is kept in {tmp_path / 'scene' / 'work'}, the same command goes on from there.\n"
+    )
+    assert said.decode().replace("begun\n", "") == sentence and out == b""
+    assert len(list(arcs.glob("*.npz"))) == 1
+    assert not left_behind(tmp_path) and not (tmp_path / "scene" / "lines.csv").exists()
+
+
+def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
+    ours, theirs = pty.openpty()
+    process = started(room, tmp_path / "scene", "_line_scene", IN_C_CODE, stderr=theirs)
+    os.close(theirs)
+    seen = b""
+    while b"begun" not in seen:
+        seen += os.read(ours, 4096)
+    sent = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    try:
+        while part := os.read(ours, 4096):
+            seen += part
+    except OSError:  # Linux's end of a terminal
+        pass
+    assert process.wait(timeout=20) == 130 and time.monotonic() - sent < 5.0
+    process.stdout.close()
+    os.close(ours)
+    said = seen.decode(errors="replace")
+    assert "omnilines: stopped; what was found is kept in" in said and "Traceback" not in said
+    # Hidden by the progress line, shown in the end.
+    assert said.rindex("\x1b[?25h") > said.rindex("\x1b[?25l")
+    assert len(list((tmp_path / "scene" / "work" / "arcs").glob("*.npz"))) == VIEWS
