@@ -174,9 +174,14 @@ def brute_force(scene: LineScene, centre: np.ndarray, rays: np.ndarray) -> tuple
 
 
 @pytest.mark.parametrize(
-    ("name", "model", "fov_deg", "size"), [("room", "opencv-fisheye", 190.0, SIZE), ("street", "scaramuzza", 220.0, (320, 240))]
+    ("name", "model", "fov_deg", "size"),
+    [
+        ("room", "opencv-fisheye", 190.0, SIZE),
+        ("flat", "equirectangular", None, (640, 320)),
+        ("street", "scaramuzza", 220.0, (320, 240)),
+    ],
 )
-def test_visibility_against_brute_force(monkeypatch, name: str, model: str, fov_deg: float, size) -> None:
+def test_visibility_against_brute_force(monkeypatch, name: str, model: str, fov_deg: float | None, size) -> None:
     """Random points of random edges: what rays beside them meet first, found without tiles, cones and masks."""
     monkeypatch.setattr(visibility, "SHORTEST_PX", 0.0)
     scene = build_scene(name, 2)
