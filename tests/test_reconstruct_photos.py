@@ -269,12 +269,14 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
 @pytest.mark.parametrize(
     ("options", "poses", "sentence"),
     [
-        (("--min-views", "2"), "poses.csv", "at least 3 views"),
-        (("--tolerance-px", "0"), "poses.csv", "slack above 0 px"),
+        (("--min-views", "2"), "poses.csv", "--min-views of 3 or more"),
+        (("--tolerance-px", "0"), "poses.csv", "--tolerance-px above 0"),
         (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern was expected with --poses boards"),
         ((), "nowhere", "--poses was expected to be"),
         ((), "rig", "rig"),
         (("--refine", "walls"), "poses.csv", "--refine was expected"),
+        (("--pose-sigma-deg", "1"), "poses.csv", "are for --segments"),
+        (("--robust",), "poses.csv", "are for --segments"),
     ],
 )
 def test_bad_requests_are_refused_in_one_sentence(room, rebuilt, tmp_path, capsys, options, poses, sentence):
