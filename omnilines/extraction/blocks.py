@@ -19,6 +19,8 @@ from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
 OFFSETS_PX = np.arange(-12, 13) * 0.5
 BLOCK_PX = 5
 """Length along an arc over which profiles are averaged."""
+LEAST_BLOCKS = 4
+"""Of an arc whose profiles are fitted: a circle through fewer is not asked for."""
 REACH_PX = 6.0
 LEAST_COSINE = 0.95
 """Between an arc and an edge beside it: 18 degrees."""
@@ -57,7 +59,7 @@ class Blocks:
     """In the middle, as the direction across."""
     across: Float[np.ndarray, "m 2"]
     profile: Float[np.ndarray, "m c k"]
-    """Mean grey levels of 255 at OFFSETS_PX."""
+    """Mean grey levels of 255 at OFFSETS_PX; 0 for arcs of fewer than LEAST_BLOCKS, which are then not `whole`."""
     sigma: Float[np.ndarray, " m"]
     place: Float[np.ndarray, "m s"]
     """Where its profile is crossed: by its own arc at 0, then by its neighbours."""
@@ -147,7 +149,8 @@ def profiled(photo: Photo, arcs: Arcs, noise: float) -> Profiled:
     starts = pieces(at, np.diff(at.starts) // BLOCK_PX)
     begins, length = starts[:-1], np.diff(starts)
     unit, closed = grey_unit(photo.image), photo.model.PERIODIC
-    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, OFFSETS_PX, closed)
+    wanted = np.bincount(at.owner[begins], minlength=len(arcs))[at.owner[begins]] >= LEAST_BLOCKS
+    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, wanted, OFFSETS_PX, closed)
     middle, count = begins + length // 2, len(begins)
     blocks = Blocks(
         len(arcs),

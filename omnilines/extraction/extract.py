@@ -104,12 +104,12 @@ def extract_arcs(
     order, starts = chains(links(edgels.number, edgels.cells, edgels.points, model.PERIODIC))
     pieces = circles(order, starts, edgels.bearings, edgels.acrosses, LEAST_EDGELS, WITHIN_PX, MOST_MISSED)
     arcs = arcs_of_ends(*pieces)
-    arcs = merged(photo, arcs, lengths_px(model, arcs))
+    arcs = merged(photo, arcs)
     for _ in range(ROUNDS):
         fitted = refit(photo, arcs, BEYOND_PX)
         good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
         arcs = joined([fitted.arcs.keep(good), fitted.cut])
-        arcs = merged(photo, arcs, lengths_px(model, arcs))
+        arcs = merged(photo, arcs)
     arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
     return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
 
