@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
+from omnilines.extraction.bearings import pixels_at
 from omnilines.extraction.curve_kernel import rays_beside
 
 COARSE = 16
@@ -94,8 +94,7 @@ def steps(model: CameraModel, pixel: Float[np.ndarray, "n k 2"]) -> Float[np.nda
 def lengths_px(model: CameraModel, arcs: Arcs) -> Float[np.ndarray, " n"]:
     """Lengths of arcs in the photo."""
     angle = arcs.low[:, None] + (arcs.high - arcs.low)[:, None] * np.linspace(0.0, 1.0, COARSE + 1)
-    with torch.no_grad():
-        pixel, _ = model.project(arcs.bearings(np.repeat(np.arange(len(arcs)), COARSE + 1), angle.ravel()))
+    pixel, _ = pixels_at(model, arcs.bearings(np.repeat(np.arange(len(arcs)), COARSE + 1), angle.ravel()))
     return np.linalg.norm(steps(model, pixel.reshape(*angle.shape, 2)), axis=-1).sum(-1)
 
 
@@ -114,8 +113,7 @@ def changes(
     model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
     """Pixels at angles on circles, their changes per radian along the circle and towards its normal, and valid."""
-    with torch.no_grad():
-        found, seen = model.project(rays_beside(arcs.frame, owner, angle, STEP_RAD))
+    found, seen = pixels_at(model, rays_beside(arcs.frame, owner, angle, STEP_RAD))
     step = np.stack([found[1] - found[0], found[2] - found[0]])
     if model.PERIODIC:
         step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])

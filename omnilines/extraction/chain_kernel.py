@@ -152,7 +152,6 @@ def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
 @njit(cache=True, nogil=True)
 @no_type_check
 def circles(
-    order: np.ndarray,
     starts: np.ndarray,
     bearings: np.ndarray,
     acrosses: np.ndarray,
@@ -173,29 +172,28 @@ def circles(
     for chain in range(len(starts) - 1):
         begin, stop = starts[chain], starts[chain + 1]
         while begin + least <= stop:
-            if not _begin_frame(bearings[order[begin]], bearings[order[begin + least - 1]], frame):
+            if not _begin_frame(bearings[begin], bearings[begin + least - 1], frame):
                 begin += 1
                 continue
             sums[:] = 0.0
             for k in range(begin, begin + least):
-                _add(sums, frame, order[k], bearings, acrosses)
+                _add(sums, frame, k, bearings, acrosses)
             _solve(sums, frame, normal)
             worst = 0.0
             for k in range(begin, begin + least):
-                worst = max(worst, abs(_distance_px(order[k], bearings, acrosses, normal)))
+                worst = max(worst, abs(_distance_px(k, bearings, acrosses, normal)))
             if worst > 0.8 * within_px:
                 begin += 1
                 continue
             end, missed = begin + least - 1, 0
             for k in range(begin + least, stop):
-                j = order[k]
                 if (
-                    frame[1, 0] * bearings[j, 0] + frame[1, 1] * bearings[j, 1] + frame[1, 2] * bearings[j, 2]
+                    frame[1, 0] * bearings[k, 0] + frame[1, 1] * bearings[k, 1] + frame[1, 2] * bearings[k, 2]
                     < LEAST_COSINE_ALONG
                 ):
                     break
-                if abs(_distance_px(order[k], bearings, acrosses, normal)) <= within_px:
-                    _add(sums, frame, j, bearings, acrosses)
+                if abs(_distance_px(k, bearings, acrosses, normal)) <= within_px:
+                    _add(sums, frame, k, bearings, acrosses)
                     _solve(sums, frame, normal)
                     end, missed = k, 0
                 else:
@@ -206,14 +204,13 @@ def circles(
                 room *= 2
                 normals, ends, information = _grown(normals, room), _grown(ends, room), _grown(information, room)
             normals[count] = normal
-            ends[count, 0], ends[count, 1] = frame[1], bearings[order[end]]
+            ends[count, 0], ends[count, 1] = frame[1], bearings[end]
             information[count] = 0.0
             for k in range(begin, end + 1):
-                j = order[k]
-                weight = 1.0 / ((acrosses[j, 0] ** 2 + acrosses[j, 1] ** 2 + acrosses[j, 2] ** 2) * NOISE_PX * NOISE_PX)
+                weight = 1.0 / ((acrosses[k, 0] ** 2 + acrosses[k, 1] ** 2 + acrosses[k, 2] ** 2) * NOISE_PX * NOISE_PX)
                 for p in range(3):
                     for q in range(3):
-                        information[count, p, q] += weight * bearings[j, p] * bearings[j, q]
+                        information[count, p, q] += weight * bearings[k, p] * bearings[k, q]
             count += 1
             begin = end + 1
     return normals[:count].copy(), ends[:count].copy(), information[:count].copy()
