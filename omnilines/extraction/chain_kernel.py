@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 REACH = 2
 """Pixels to either side in which an edge point looks for its neighbours."""
 LEAST_COSINE = 0.8
@@ -92,7 +94,7 @@ def chains(link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, starts[: made + 1].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _begin_frame(a: np.ndarray, b: np.ndarray, frame: np.ndarray) -> bool:
     """Fill the frame (rows n, e1, e2) with the unit normal of bearings a and b, a, and n x a; false where they are parallel."""
@@ -107,7 +109,7 @@ def _begin_frame(a: np.ndarray, b: np.ndarray, frame: np.ndarray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _distance_px(k: int, bearings: np.ndarray, acrosses: np.ndarray, normal: np.ndarray) -> float:
     """Of edge point k from a circle along its gradient: 0 = (bearing + distance across) . normal. Infinite where the gradient
@@ -119,7 +121,7 @@ def _distance_px(k: int, bearings: np.ndarray, acrosses: np.ndarray, normal: np.
     return (bearings[k, 0] * normal[0] + bearings[k, 1] * normal[1] + bearings[k, 2] * normal[2]) / by_px
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _add(sums: np.ndarray, frame: np.ndarray, k: int, bearings: np.ndarray, acrosses: np.ndarray) -> None:
     """Of the least squares over a, b of (bearing . (n + a e1 + b e2) / pace)^2, with frame = (n, e1, e2), edge point k."""
@@ -135,7 +137,7 @@ def _add(sums: np.ndarray, frame: np.ndarray, k: int, bearings: np.ndarray, acro
     sums[4] += y * r * weight
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
     """Their solution, as a unit normal."""

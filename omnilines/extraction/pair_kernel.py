@@ -11,6 +11,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 _CELL = 1.5
 """Side of a cell, in mean spans of arcs."""
 _STRETCH = 1.5
@@ -19,7 +21,7 @@ _MOST_OFF = 0.8
 """Of a cell's side: what lies farther off a circle is not found from it."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _along(frame: np.ndarray, arc: int, angle: float, ray: np.ndarray) -> None:
     """Fill `ray` with the bearing at an angle on a circle whose frame has the columns normal, first, second."""
@@ -28,7 +30,7 @@ def _along(frame: np.ndarray, arc: int, angle: float, ray: np.ndarray) -> None:
         ray[k] = cosine * frame[arc, k, 1] + sine * frame[arc, k, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _angle(frame: np.ndarray, arc: int, ray: np.ndarray) -> float:
     """Of a bearing on the circle."""

@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
@@ -242,7 +244,7 @@ def mean_profiles(
     """
     height, width, channels = image.shape
     pieces, size = len(starts) - 1, len(offsets)
-    grey, inside = np.zeros((pieces, channels, size)), np.ones(pieces, dtype=np.bool_)
+    grey, inside = np.zeros((pieces, channels, size), dtype=np.float32), np.ones(pieces, dtype=np.bool_)
     wu, wv, columns = np.empty(4), np.empty(4), np.empty(4, dtype=np.int64)
     for piece in range(pieces):
         inside[piece] = wanted[piece]
@@ -272,7 +274,7 @@ def mean_profiles(
     return grey, inside
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _keys(t: float, weight: np.ndarray) -> None:
     """Weights of four neighbours at -1, 0, 1, 2 for a place t in [0, 1)."""

@@ -13,6 +13,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.profile_kernel import REORDERED
 
 MOST_STEPS = 6
@@ -45,7 +46,7 @@ def _blurred_steps(blur: float, between: float) -> tuple[np.ndarray, np.ndarray]
     return half, bell
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _blurred_step(
     offsets: np.ndarray,
@@ -75,7 +76,7 @@ def _blurred_step(
         slope[j, k] = -weight[k] * (t * low + s * high)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
     """Of row i of a and row j of b."""
@@ -85,7 +86,7 @@ def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _factor(matrix: np.ndarray, size: int) -> None:
     """Cholesky factor in the lower triangle, in place; its diagonal is inverse."""
@@ -100,7 +101,7 @@ def _factor(matrix: np.ndarray, size: int) -> None:
                 matrix[i, j] = total * matrix[j, j]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor x = right, in place."""
@@ -111,7 +112,7 @@ def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None
         right[row, i] = total * factor[i, i]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor factor' x = right, in place."""
@@ -119,7 +120,7 @@ def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     _backward(factor, size, right, row)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor' x = right, in place."""
@@ -130,7 +131,7 @@ def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> Non
         right[row, i] = total * factor[i, i]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _heights(
     offsets: np.ndarray,
@@ -171,7 +172,7 @@ def _heights(
     return squares
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _newton(
     steps: int,
@@ -209,7 +210,7 @@ def _newton(
             hessian[i, j] = inner * common
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _places(
     offsets: np.ndarray,
@@ -235,7 +236,8 @@ def _places(
     """Gauss and Newton from `start` (s), damped, to the places `kept`; the others are then as `_heights` and `_newton` leave them. The sum of squares that
     they leave."""
     steps = len(start)
-    here[:steps], kept[:steps] = start, start
+    for j in range(steps):
+        here[j], kept[j] = start[j], start[j]
     least, left, refused = np.inf, 0.0, False
     for _ in range(ROUNDS):
         squares = _heights(offsets, weight, here, steps, half, bell, scaled, design, slope, factor, ridge, height)
@@ -248,7 +250,8 @@ def _places(
                 here[j] = 0.5 * (here[j] + kept[j])
             continue
         least, left = cost, squares
-        kept[:steps] = here[:steps]
+        for j in range(steps):
+            kept[j] = here[j]
         _newton(steps, scaled, design, slope, factor, ridge, height, hessian, pull, column, back)
         for j in range(steps):
             hold = square / stiff[min(j, 1)] ** 2
@@ -261,6 +264,9 @@ def _places(
             here[j] += min(max(pull[0, j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
             farthest = max(farthest, abs(pull[0, j]))
         if farthest < SETTLED_PX:
+            # What is left of the steps and heights after so small a move is of second order.
+            for j in range(steps):
+                kept[j] = here[j]
             break
     if refused:
         left = _heights(offsets, weight, kept, steps, half, bell, scaled, design, slope, factor, ridge, height)
@@ -271,6 +277,7 @@ def _places(
 @no_type_check
 def fit_steps(
     profile: np.ndarray,
+    begin: int,
     offsets: np.ndarray,
     weight: np.ndarray,
     start: np.ndarray,
@@ -279,13 +286,14 @@ def fit_steps(
     sigma: np.ndarray,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
+    """Places (m, s) of the steps of m profiles (m, c, k) from their value `begin` on, begun at `start`; the variance of the first place (m), the heights
     (m, s, c) and the sum of squares that is left of the weighted profiles (m).
 
     The offsets are equally far apart. Profile m has `count` steps and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the
     first place about its start and of the others: a faint step stays where its own arc says.
     """
-    m, channels, size = profile.shape
+    m, channels, size = len(profile), profile.shape[1], len(offsets)
+    known = min(size, profile.shape[2] - begin)
     place, variance = start.copy(), np.full(m, np.inf)
     heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros(m)
     design, slope = np.empty((MOST_STEPS + 1, size)), np.empty((MOST_STEPS, size))
@@ -294,12 +302,12 @@ def fit_steps(
     column, back = np.empty((MOST_STEPS, MOST_STEPS + 1)), np.empty((MOST_STEPS, MOST_STEPS + 1))
     design[0] = weight
     half, bell = _blurred_steps(blur, offsets[1] - offsets[0])
-    scaled, here, kept = np.empty((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
+    scaled, here, kept = np.zeros((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
     for n in range(m):
         steps = count[n]
         for c in range(channels):
-            for k in range(size):
-                scaled[c, k] = profile[n, c, k] * weight[k]
+            for k in range(known):
+                scaled[c, k] = profile[n, c, begin + k] * weight[k]
         square = sigma[n] * sigma[n]
         first = start[n, :steps]
         rest[n] = _places(
