@@ -252,7 +252,9 @@ def test_profiles_read_the_photo(channels: int) -> None:
     np.testing.assert_allclose(piece_means(grey, starts), grey.reshape(100, 5, channels, 13).mean(1), atol=1e-3)
     slope = (2.0 * np.arange(80.0) + np.arange(60.0)[:, None])[..., None] * np.ones(channels)
     every = np.ones(100, dtype=bool)
-    mean, whole = mean_profiles(slope.astype(np.uint8), 1.0, pixel, across, np.ones(500, dtype=bool), starts, every, offsets, False)
+    mean, whole = mean_profiles(
+        slope.astype(np.uint8), 1.0, pixel, across, np.ones(500, dtype=bool), starts, every, offsets, False
+    )
     truth = (2.0 * reach + places[..., 1]).reshape(100, 5, 13).mean(1)
     assert whole.sum() > 20
     np.testing.assert_allclose(mean[whole], np.repeat(truth[whole, None], channels, 1), atol=1e-4)

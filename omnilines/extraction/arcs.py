@@ -114,10 +114,11 @@ def changes(
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
     """Pixels at angles on circles, their changes per radian along the circle and towards its normal, and valid."""
     found, seen = pixels_at(model, rays_beside(arcs.frame, owner, angle, STEP_RAD))
+    valid = seen[0] & seen[1] & seen[2]
     step = np.stack([found[1] - found[0], found[2] - found[0]])
     if model.PERIODIC:
         step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
-    return found[0], step[0] / STEP_RAD, step[1] / STEP_RAD, seen.all(0)
+    return found[0], step[0] / STEP_RAD, step[1] / STEP_RAD, valid
 
 
 def across_px(

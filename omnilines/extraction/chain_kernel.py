@@ -57,13 +57,13 @@ def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: boo
                 elif along <= 0 and cost < costs[0]:
                     costs = (cost, costs[1])
                     best[k, 0] = other
-    mutual = np.full((count, 2), -1, dtype=np.int32)
+    # In place: a link that is mutual is never taken away from either of both.
     for k in range(count):
         for side in range(2):
             other = best[k, side]
-            if other >= 0 and (best[other, 0] == k or best[other, 1] == k):
-                mutual[k, side] = other
-    return mutual
+            if other >= 0 and best[other, 0] != k and best[other, 1] != k:
+                best[k, side] = -1
+    return best
 
 
 @njit(cache=True, nogil=True)

@@ -52,8 +52,8 @@ def stands_out(photo: Photo, fitted: Refitted) -> Bool[np.ndarray, " n"]:
 
 
 def _steps(photo: Photo, at: Samples, wanted: Int[np.ndarray, " n"], moved: list[int]) -> Float[np.ndarray, "d n"]:
-    """Root mean square over blocks of arcs, as many as `wanted`, of the difference in colour between the two pixels on either side
-    of each arc moved across."""
+    """Root mean square over blocks of arcs, as many as `wanted`, of the difference in colour between the two pixels on either
+    side of each arc moved across."""
     starts = pieces(at, wanted)
     begins, length = starts[:-1], np.diff(starts)
     owner = at.owner[begins]

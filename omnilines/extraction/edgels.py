@@ -125,7 +125,11 @@ class SeenChains:
 
 
 def seen_chains(
-    model: CameraModel, points: Float32[np.ndarray, "n 4"], order: Int32[np.ndarray, " n"], starts: Int[np.ndarray, " k1"], least: int
+    model: CameraModel,
+    points: Float32[np.ndarray, "n 4"],
+    order: Int32[np.ndarray, " n"],
+    starts: Int[np.ndarray, " k1"],
+    least: int,
 ) -> SeenChains:
     """Bearings of the edge points of chains of `least` or more; `order` has the points chain by chain, from `starts` on. Where
     the camera does not see a point, its chain is cut."""

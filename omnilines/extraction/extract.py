@@ -89,7 +89,22 @@ def extract_arcs(
                 f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
                 f"{size[0]}x{size[1]} px; give the one that the calibration is of."
             )
-    image = np.ascontiguousarray(image)
+    photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, least_angle_rad)
+    arcs = merged(photo, arcs)
+    for _ in range(ROUNDS):
+        fitted = refit(photo, arcs, BEYOND_PX)
+        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
+        arcs = joined([fitted.arcs.keep(good), fitted.cut])
+        arcs = merged(photo, arcs)
+    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
+    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+
+
+def _begun(
+    image: UInt[np.ndarray, "h w *channels"], model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float
+) -> tuple[Photo, Arcs, float]:
+    """The photo with its edge points, the pieces of circles along their chains, and the noise of the photo."""
+    height, width = image.shape[:2]
     circle = image_circle(image, model)
     allowed = usable_pixels((height, width), circle, mask)
     noise = noise_level(image, allowed)
@@ -106,15 +121,7 @@ def extract_arcs(
     order, starts = chains(links(edgels.number, cells, points, model.PERIODIC))
     seen = seen_chains(model, points, order, starts, LEAST_EDGELS)
     pieces = circles(seen.starts, seen.bearings, seen.acrosses, LEAST_EDGELS, WITHIN_PX, MOST_MISSED)
-    arcs = arcs_of_ends(*pieces)
-    arcs = merged(photo, arcs)
-    for _ in range(ROUNDS):
-        fitted = refit(photo, arcs, BEYOND_PX)
-        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
-        arcs = joined([fitted.arcs.keep(good), fitted.cut])
-        arcs = merged(photo, arcs)
-    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
-    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+    return photo, arcs_of_ends(*pieces), noise
 
 
 def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> ExtractedArcs:

@@ -85,7 +85,7 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     arcs = known.arcs
     whole = known.crossed(model, np.arange(len(arcs)))
     crowded_share = whole.mean((whole.count > 1).astype(np.float64))
-    rows = np.flatnonzero((crowded_share >= CROWDED) & (whole.mean(whole.whole) * np.diff(whole.starts) >= LEAST_BLOCKS))
+    rows = np.flatnonzero((crowded_share >= CROWDED) & (np.bincount(whole.owner, whole.whole, whole.arcs) >= LEAST_BLOCKS))
     if not len(rows):
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)

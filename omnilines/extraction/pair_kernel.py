@@ -48,9 +48,7 @@ def _bucket(i: int, j: int, k: int, most: int) -> int:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _table(
-    frame: np.ndarray, low: np.ndarray, high: np.ndarray, reach: np.ndarray, cell: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _table(frame: np.ndarray, low: np.ndarray, high: np.ndarray, reach: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Where the rows of each bucket begin, one more than buckets (a power of 2), and the arcs in them: those that pass through
     its cells between `reach` before their low and after their high end."""
     total = 0

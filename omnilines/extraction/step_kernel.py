@@ -34,8 +34,8 @@ _PARTS = 32
 @njit(cache=True, nogil=True)
 @no_type_check
 def _blurred_steps(blur: float, between: float) -> tuple[np.ndarray, np.ndarray]:
-    """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in row
-    j and column i: a step at any place is read from two rows, at as many columns as there are offsets."""
+    """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in
+    row j and column i: a step at any place is read from two rows, at as many columns as there are offsets."""
     columns = int(2.0 * (_FARTHEST_PX + _WIDEST_PX) / between) + 2
     half, bell = np.empty((_PARTS + 1, columns)), np.empty((_PARTS + 1, columns))
     for j in range(_PARTS + 1):
@@ -233,8 +233,8 @@ def _places(
     column: np.ndarray,
     back: np.ndarray,
 ) -> float:
-    """Gauss and Newton from `start` (s), damped, to the places `kept`; the others are then as `_heights` and `_newton` leave them. The sum of squares that
-    they leave."""
+    """Gauss and Newton from `start` (s), damped, to the places `kept`; the sum of squares that they leave. Design, heights and
+    what follows are then as `_heights` and `_newton` leave them."""
     steps = len(start)
     for j in range(steps):
         here[j], kept[j] = start[j], start[j]
@@ -286,11 +286,12 @@ def fit_steps(
     sigma: np.ndarray,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places (m, s) of the steps of m profiles (m, c, k) from their value `begin` on, begun at `start`; the variance of the first place (m), the heights
+    """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
     (m, s, c) and the sum of squares that is left of the weighted profiles (m).
 
-    The offsets are equally far apart. Profile m has `count` steps and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the
-    first place about its start and of the others: a faint step stays where its own arc says.
+    `offsets`, equally far apart, and `weight` are those of the values of a profile from `begin` on. Profile m has `count` steps
+    and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the first place about its start and of
+    the others: a faint step stays where its own arc says.
     """
     m, channels, size = len(profile), profile.shape[1], len(offsets)
     known = min(size, profile.shape[2] - begin)
@@ -311,7 +312,25 @@ def fit_steps(
         square = sigma[n] * sigma[n]
         first = start[n, :steps]
         rest[n] = _places(
-            offsets, weight, first, stiff, square, half, bell, scaled, here, kept, design, slope, factor, ridge, height, hessian, pull, column, back
+            offsets,
+            weight,
+            first,
+            stiff,
+            square,
+            half,
+            bell,
+            scaled,
+            here,
+            kept,
+            design,
+            slope,
+            factor,
+            ridge,
+            height,
+            hessian,
+            pull,
+            column,
+            back,
         )
         pull[0, :steps] = 0.0
         pull[0, 0] = 1.0

@@ -12,12 +12,11 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def median_logs(
-    image: np.ndarray, unit: float, pixel: np.ndarray, valid: np.ndarray, closed: bool, dark: float
-) -> np.ndarray:
+def median_logs(image: np.ndarray, unit: float, pixel: np.ndarray, valid: np.ndarray, closed: bool, dark: float) -> np.ndarray:
     """(n, 3): for the places (n, k, p, 2) of each row the mean over k of the median over p of ln(grey level of 255 + dark), of
-    those that are valid and in the image (h, w, c), between its pixels by interpolation; NaN where there is none. A photo of fewer
-    than three channels has three equal ones."""
+    those that are valid and in the image (h, w, c), between its pixels by interpolation; NaN where there is none.
+
+    A photo of fewer than three channels has three equal ones."""
     height, width, channels = image.shape
     rows, lines, places = valid.shape
     used = 3 if channels >= 3 else 1
