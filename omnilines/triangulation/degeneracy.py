@@ -186,7 +186,8 @@ def assess(
     angle = frames.plane_angle_rad
     # Later names win over earlier ones.
     names = {
-        "weak": (clear_views <= 2) | (angle < (WEAK * noise).clamp_min(WEAK_ANGLE_RAD)),
+        # k planes tell their angle as two of a noise smaller by the root of k / 2 do.
+        "weak": (clear_views <= 2) | (angle < (WEAK * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(WEAK_ANGLE_RAD)),
         "behind": behind,
         "through_centre": (clear_views < 2) | (sums[:, TOUCHED] > 0),
         "unsupported": torch.zeros_like(clear_views, dtype=torch.bool) if unsolved is None else unsolved,
