@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from camera_models.pose import Pose
 from omnilines.cli import main
+from omnilines.commands import reconstruct_photos
 from omnilines.commands.render_scene import render_scene
 from omnilines.evaluate_scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments, write_poses
@@ -130,7 +132,6 @@ def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, reb
 
 
 def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
-    pytest.importorskip("pycolmap")
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     model = tmp_path / "colmap"
     model.mkdir()
@@ -269,19 +270,53 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
 @pytest.mark.parametrize(
     ("options", "poses", "sentence"),
     [
-        (("--min-views", "2"), "poses.csv", "at least 3 views"),
-        (("--tolerance-px", "0"), "poses.csv", "slack above 0 px"),
+        (("--min-views", "2"), "poses.csv", "--min-views of 3 or more"),
+        (("--tolerance-px", "0"), "poses.csv", "--tolerance-px above 0"),
         (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern was expected with --poses boards"),
         ((), "nowhere", "--poses was expected to be"),
         ((), "rig", "rig"),
         (("--refine", "walls"), "poses.csv", "--refine was expected"),
+        (("--pose-sigma-deg", "1"), "poses.csv", "are for --segments"),
+        (("--robust",), "poses.csv", "are for --segments"),
+        (("--refine", "lines,rig"), "poses.csv", "--refine rig was expected"),
+        ((), "boards", "--pattern was expected"),
+        (("--pattern", "chessboard:8x6"), "boards", "pattern"),
+        (("--triangulation", "best"), "poses.csv", "a triangulation method among"),
+        (("--cost", "least"), "poses.csv", "A cost is one of"),
+        (("--loss", "soft"), "poses.csv", "A loss is one of"),
+        (("--device", "tpu"), "poses.csv", "A device is one of"),
+        ((), "calibration.yaml", "calibration.yaml"),
+        ((), "colmap", "COLMAP model were expected"),
     ],
 )
-def test_bad_requests_are_refused_in_one_sentence(room, rebuilt, tmp_path, capsys, options, poses, sentence):
-    shutil.copytree(rebuilt / "work", tmp_path / "work")
+def test_bad_requests_are_refused_in_one_sentence_before_any_photo_is_looked_at(
+    room, rebuilt, tmp_path, capsys, monkeypatch, options, poses, sentence
+):
+    monkeypatch.setattr(reconstruct_photos, "find_arcs", None)
+    if poses == "colmap":
+        (tmp_path / "colmap").mkdir()
+        poses = str(tmp_path / "colmap")
+    elif poses == "calibration.yaml":
+        poses = str(room / "calibration.yaml")
     assert call(room / "photos", room, tmp_path, *options, poses=poses) == 2
     said = capsys.readouterr().err
     assert sentence in said and "Traceback" not in said
+
+
+def test_what_the_end_would_refuse_is_refused_at_the_beginning(room, tmp_path, capsys, monkeypatch):
+    """A viewer that is not installed, a name that COLMAP's files do not hold, and photos too few for structure from motion."""
+    monkeypatch.setattr(reconstruct_photos, "find_arcs", None)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert call(room / "photos", room, tmp_path / "scene", "--recording") == 2
+    assert "omnilines[viewer]" in capsys.readouterr().err
+    (tmp_path / "photos").mkdir()
+    for name in ("view00.png", "view01.png"):
+        shutil.copy(room / "photos" / name, tmp_path / "photos")
+    assert call(tmp_path / "photos", room, tmp_path / "scene", poses="sfm") == 2
+    assert "3 photos or more, found 2" in capsys.readouterr().err
+    (tmp_path / "photos" / "view00.png").rename(tmp_path / "photos" / "view 00.png")
+    assert call(tmp_path / "photos", room, tmp_path / "scene", "--colmap") == 2
+    assert "names without blanks" in capsys.readouterr().err
 
 
 def test_photos_or_segments_are_asked_for(room, tmp_path, capsys):

@@ -76,6 +76,8 @@ def test_wheel_works_in_an_empty_environment(wheel: pathlib.Path, tmp_path: path
     help_text = run(binaries / "omnilines", "--help", cwd=elsewhere)
     assert "calibrate" in help_text and "reconstruct" in help_text
     run(binaries / "python", "-m", "pip", "check", cwd=elsewhere)
+    # Imported when it is needed, hence not by what follows; poses from photos alone are no extra.
+    run(binaries / "python", "-c", "from omnilines.posing._pycolmap import pycolmap; pycolmap()", cwd=elsewhere)
 
     *folders, count = run(binaries / "python", "-c", IMPORT_EVERYTHING, cwd=elsewhere).splitlines()
     assert len(folders) == len(PACKAGES)

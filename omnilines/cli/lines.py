@@ -91,6 +91,11 @@ def reconstruct(
             loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
         )  # fmt: skip
         return
+    if robust or pose_sigma_deg is not None or pose_sigma_m is not None:
+        raise InputError(
+            "--robust, --pose-sigma-deg and --pose-sigma-m are for --segments, found with photos, of which wrong arcs are always "
+            "left out and whose poses have no prior; leave them out."
+        )
     from omnilines.commands.reconstruct_photos import reconstruct_photos
 
     run(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from calib_patterns import pattern as parse_pattern
@@ -65,9 +66,10 @@ class PhotoCorners:
 
 
 def on_all_cores(work: Callable[[T], R], items: Sequence[T], stage: str, progress: ProgressCallback) -> list[R]:
-    """The results in order, one item per core at a time."""
+    """The results in order, one item per core at a time. Torch starts no threads within them: every core has its item, and they
+    would wait for each other at several times the cost of the work."""
     results = []
-    pool = ThreadPoolExecutor(os.cpu_count() or 1)
+    pool = ThreadPoolExecutor(os.cpu_count() or 1, initializer=torch.set_num_threads, initargs=(1,))
     try:
         for done, result in enumerate(pool.map(work, items), 1):
             results.append(result)

@@ -233,7 +233,7 @@ def _written(
 def _of_poses(source: str, posed: PhotoPoses, scene: PhotoScene) -> tuple[str, ...]:
     """What is to be said of where photos were taken."""
     known = set(scene.scene.poses.images)
-    placed = [name for name in scene.scene.poses.images if name not in posed.poses.images]
+    placed = sorted(name for name in scene.scene.poses.images if name not in posed.poses.images)
     lost = {name: why for name, why in posed.left_out.items() if name not in known}
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
     doubts = doubt(len(lost), len(known) + len(lost)) if source == "sfm" else ()

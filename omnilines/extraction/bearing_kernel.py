@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 
 @njit(cache=True, nogil=True)
 @no_type_check
@@ -41,7 +43,7 @@ def smooth_cells(node: np.ndarray, valid: np.ndarray, most_share: float) -> np.n
     return good
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _cubic(t: float, weight: np.ndarray) -> None:
     """Lagrange's weights of nodes at -1, 0, 1, 2 for a place t in [0, 1)."""

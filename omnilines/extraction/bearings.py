@@ -15,8 +15,9 @@ STEP_PX = 16.0
 MOST_ERROR_PX = 3e-4
 _BEYOND = 3
 """Nodes around the image."""
-_PLACES = 400_000
-"""Of which the model is asked at a time."""
+AT_A_TIME = 8_000
+"""Places or rays of which the model is asked at a time: what lies below 32768 numbers torch does without threads of its own,
+which burn more time than they save where every core looks at a photo already."""
 
 
 def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
@@ -38,8 +39,19 @@ def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[F
 
 def _asked(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     bearings, valid = np.empty((len(places), 3)), np.zeros(len(places), dtype=bool)
-    for start in range(0, len(places), _PLACES):
-        part = slice(start, start + _PLACES)
+    for start in range(0, len(places), AT_A_TIME):
+        part = slice(start, start + AT_A_TIME)
         with torch.no_grad():
             bearings[part], valid[part] = model.unproject(places[part])
     return bearings, valid
+
+
+def pixels_at(model: CameraModel, rays: Float[np.ndarray, "*n 3"]) -> tuple[Float[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
+    """`model.project` of many rays."""
+    flat = rays.reshape(-1, 3)
+    pixels, valid = np.empty((len(flat), 2)), np.zeros(len(flat), dtype=bool)
+    for start in range(0, len(flat), AT_A_TIME):
+        part = slice(start, start + AT_A_TIME)
+        with torch.no_grad():
+            pixels[part], valid[part] = model.project(flat[part])
+    return pixels.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])

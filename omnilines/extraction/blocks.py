@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, across_px
@@ -16,9 +16,12 @@ from omnilines.extraction.profile_kernel import mean_profiles
 from omnilines.extraction.refit import Photo, joined
 from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
 
-OFFSETS_PX = np.arange(-12, 13) * 0.5
+_BETWEEN_PX = 0.5
+OFFSETS_PX = np.arange(-12, 13) * _BETWEEN_PX
 BLOCK_PX = 5
 """Length along an arc over which profiles are averaged."""
+LEAST_BLOCKS = 4
+"""Of an arc whose profiles are fitted: a circle through fewer is not asked for."""
 REACH_PX = 6.0
 LEAST_COSINE = 0.95
 """Between an arc and an edge beside it: 18 degrees."""
@@ -56,8 +59,8 @@ class Blocks:
     pixel: Float[np.ndarray, "m 2"]
     """In the middle, as the direction across."""
     across: Float[np.ndarray, "m 2"]
-    profile: Float[np.ndarray, "m c k"]
-    """Mean grey levels of 255 at OFFSETS_PX."""
+    profile: Float32[np.ndarray, "m c k"]
+    """Mean grey levels of 255 at OFFSETS_PX; 0 for arcs of fewer than LEAST_BLOCKS, which are then not `whole`."""
     sigma: Float[np.ndarray, " m"]
     place: Float[np.ndarray, "m s"]
     """Where its profile is crossed: by its own arc at 0, then by its neighbours."""
@@ -147,7 +150,8 @@ def profiled(photo: Photo, arcs: Arcs, noise: float) -> Profiled:
     starts = pieces(at, np.diff(at.starts) // BLOCK_PX)
     begins, length = starts[:-1], np.diff(starts)
     unit, closed = grey_unit(photo.image), photo.model.PERIODIC
-    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, OFFSETS_PX, closed)
+    wanted = np.bincount(at.owner[begins], minlength=len(arcs))[at.owner[begins]] >= LEAST_BLOCKS
+    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, wanted, OFFSETS_PX, closed)
     middle, count = begins + length // 2, len(begins)
     blocks = Blocks(
         len(arcs),
@@ -187,7 +191,6 @@ def fit_places(
     weight = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
     near = np.flatnonzero(weight >= LEAST_WEIGHT)
     # Rounded up to whole lanes by values of no weight.
-    missing = -len(near) % _LANES
-    profile = np.ascontiguousarray(np.pad(blocks.profile[:, :, near[0] : near[-1] + 1], ((0, 0), (0, 0), (0, missing))))
-    offsets, weight = (np.pad(values[near], (0, missing)) for values in (OFFSETS_PX, weight))
-    return fit_steps(profile, offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px)
+    offsets, weight = OFFSETS_PX[near[0]] + _BETWEEN_PX * np.arange(len(near) + -len(near) % _LANES), weight[near]
+    weight = np.pad(weight, (0, len(offsets) - len(weight)))
+    return fit_steps(blocks.profile, near[0], offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px)

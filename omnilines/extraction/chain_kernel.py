@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 REACH = 2
 """Pixels to either side in which an edge point looks for its neighbours."""
 LEAST_COSINE = 0.8
@@ -55,13 +57,13 @@ def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: boo
                 elif along <= 0 and cost < costs[0]:
                     costs = (cost, costs[1])
                     best[k, 0] = other
-    mutual = np.full((count, 2), -1, dtype=np.int32)
+    # In place: a link that is mutual is never taken away from either of both.
     for k in range(count):
         for side in range(2):
             other = best[k, side]
-            if other >= 0 and (best[other, 0] == k or best[other, 1] == k):
-                mutual[k, side] = other
-    return mutual
+            if other >= 0 and best[other, 0] != k and best[other, 1] != k:
+                best[k, side] = -1
+    return best
 
 
 @njit(cache=True, nogil=True)
@@ -92,7 +94,7 @@ def chains(link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, starts[: made + 1].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _begin_frame(a: np.ndarray, b: np.ndarray, frame: np.ndarray) -> bool:
     """Fill the frame (rows n, e1, e2) with the unit normal of bearings a and b, a, and n x a; false where they are parallel."""
@@ -107,7 +109,7 @@ def _begin_frame(a: np.ndarray, b: np.ndarray, frame: np.ndarray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _distance_px(k: int, bearings: np.ndarray, acrosses: np.ndarray, normal: np.ndarray) -> float:
     """Of edge point k from a circle along its gradient: 0 = (bearing + distance across) . normal. Infinite where the gradient
@@ -119,7 +121,7 @@ def _distance_px(k: int, bearings: np.ndarray, acrosses: np.ndarray, normal: np.
     return (bearings[k, 0] * normal[0] + bearings[k, 1] * normal[1] + bearings[k, 2] * normal[2]) / by_px
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _add(sums: np.ndarray, frame: np.ndarray, k: int, bearings: np.ndarray, acrosses: np.ndarray) -> None:
     """Of the least squares over a, b of (bearing . (n + a e1 + b e2) / pace)^2, with frame = (n, e1, e2), edge point k."""
@@ -135,7 +137,7 @@ def _add(sums: np.ndarray, frame: np.ndarray, k: int, bearings: np.ndarray, acro
     sums[4] += y * r * weight
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
     """Their solution, as a unit normal."""
@@ -152,7 +154,6 @@ def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
 @njit(cache=True, nogil=True)
 @no_type_check
 def circles(
-    order: np.ndarray,
     starts: np.ndarray,
     bearings: np.ndarray,
     acrosses: np.ndarray,
@@ -173,29 +174,28 @@ def circles(
     for chain in range(len(starts) - 1):
         begin, stop = starts[chain], starts[chain + 1]
         while begin + least <= stop:
-            if not _begin_frame(bearings[order[begin]], bearings[order[begin + least - 1]], frame):
+            if not _begin_frame(bearings[begin], bearings[begin + least - 1], frame):
                 begin += 1
                 continue
             sums[:] = 0.0
             for k in range(begin, begin + least):
-                _add(sums, frame, order[k], bearings, acrosses)
+                _add(sums, frame, k, bearings, acrosses)
             _solve(sums, frame, normal)
             worst = 0.0
             for k in range(begin, begin + least):
-                worst = max(worst, abs(_distance_px(order[k], bearings, acrosses, normal)))
+                worst = max(worst, abs(_distance_px(k, bearings, acrosses, normal)))
             if worst > 0.8 * within_px:
                 begin += 1
                 continue
             end, missed = begin + least - 1, 0
             for k in range(begin + least, stop):
-                j = order[k]
                 if (
-                    frame[1, 0] * bearings[j, 0] + frame[1, 1] * bearings[j, 1] + frame[1, 2] * bearings[j, 2]
+                    frame[1, 0] * bearings[k, 0] + frame[1, 1] * bearings[k, 1] + frame[1, 2] * bearings[k, 2]
                     < LEAST_COSINE_ALONG
                 ):
                     break
-                if abs(_distance_px(order[k], bearings, acrosses, normal)) <= within_px:
-                    _add(sums, frame, j, bearings, acrosses)
+                if abs(_distance_px(k, bearings, acrosses, normal)) <= within_px:
+                    _add(sums, frame, k, bearings, acrosses)
                     _solve(sums, frame, normal)
                     end, missed = k, 0
                 else:
@@ -206,14 +206,13 @@ def circles(
                 room *= 2
                 normals, ends, information = _grown(normals, room), _grown(ends, room), _grown(information, room)
             normals[count] = normal
-            ends[count, 0], ends[count, 1] = frame[1], bearings[order[end]]
+            ends[count, 0], ends[count, 1] = frame[1], bearings[end]
             information[count] = 0.0
             for k in range(begin, end + 1):
-                j = order[k]
-                weight = 1.0 / ((acrosses[j, 0] ** 2 + acrosses[j, 1] ** 2 + acrosses[j, 2] ** 2) * NOISE_PX * NOISE_PX)
+                weight = 1.0 / ((acrosses[k, 0] ** 2 + acrosses[k, 1] ** 2 + acrosses[k, 2] ** 2) * NOISE_PX * NOISE_PX)
                 for p in range(3):
                     for q in range(3):
-                        information[count, p, q] += weight * bearings[j, p] * bearings[j, q]
+                        information[count, p, q] += weight * bearings[k, p] * bearings[k, q]
             count += 1
             begin = end + 1
     return normals[:count].copy(), ends[:count].copy(), information[:count].copy()

@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 LEAST_SCALE_PX = 0.05
 """Of the robust weights: smaller residuals are not told apart."""
 ROUNDS = 4
@@ -29,7 +31,7 @@ def own_samples(begin: int, end: int, shift: np.ndarray, usable: np.ndarray, mos
     return chosen[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _leftover(way: np.ndarray, shift: np.ndarray, a: float, b: float, left: np.ndarray) -> None:
     """Residuals of shifts about the circle changed by (a, b), for the way (n, 2) that a point goes with either."""
@@ -37,7 +39,7 @@ def _leftover(way: np.ndarray, shift: np.ndarray, a: float, b: float, left: np.n
         left[i] = shift[i] - a * way[i, 0] - b * way[i, 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _normal_matrix(
     way: np.ndarray, shift: np.ndarray, share: np.ndarray, a: float, b: float, scale: float, weight: np.ndarray
@@ -189,7 +191,7 @@ def reach(
     return found, place, share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _goes_on(support: np.ndarray, n: int, step: int, begin: int, end: int) -> bool:
     """Whether most of the next ten samples are supported."""
@@ -200,7 +202,7 @@ def _goes_on(support: np.ndarray, n: int, step: int, begin: int, end: int) -> bo
     return count >= 5
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _alike(steady: np.ndarray, n: int, inner: int, begin: int, end: int) -> bool:
     """Whether the sides differ in the same way as inside the arc: beyond it another edge may go on."""
@@ -212,7 +214,7 @@ def _alike(steady: np.ndarray, n: int, inner: int, begin: int, end: int) -> bool
     return product >= 0.4 * square
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _half_way(difference: np.ndarray, steady: np.ndarray, last: int, step: int, begin: int, end: int) -> float:
     """Where, from six samples inside `last` to three beyond it, the contrast first falls to half of what it is inside: a place

@@ -1,10 +1,10 @@
 """Arcs told from texture: an edge stands out from what lies beside it."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from omnilines.extraction.blocks import pieces
-from omnilines.extraction.curves import samples
+from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import grey_unit
 from omnilines.extraction.profile_kernel import piece_means, profiles
 from omnilines.extraction.refit import Photo, Refitted
@@ -18,7 +18,6 @@ STANDS_OUT = 3.0
 """Contrast of a weaker arc over that of the same curve moved to the quieter side."""
 LONG_PX = 80.0
 """Chance alignments in texture are shorter."""
-_OFFSETS_PX = np.arange(-12.0, 13.0)
 _MOVED = range(4, 11)
 BLOCK_PX = 12
 """Length over which colours are averaged along an arc."""
@@ -34,31 +33,36 @@ def stands_out(photo: Photo, fitted: Refitted) -> Bool[np.ndarray, " n"]:
     arcs = fitted.arcs
     if not len(arcs):
         return np.zeros(0, dtype=bool)
-    at = samples(photo.model, arcs, 0.0)
-    grey, _ = profiles(photo.image, grey_unit(photo.image), at.pixel, at.across, _OFFSETS_PX, photo.model.PERIODIC)
     # Blocks along the arc: an edge between the tiles of a floor changes sides.
+    at = samples(photo.model, arcs, 0.0)
     each = np.diff(at.starts)
     # Where the image is stretched along the arc, as at the poles of a panorama, its pixels tell less.
     rate = np.bincount(at.owner, at.rate, len(arcs)) / each
     length_px = np.minimum(fitted.length_px, (arcs.high - arcs.low) * rate)
-    starts = pieces(at, np.minimum(length_px, each).astype(np.int64) // BLOCK_PX)
-    begins, length = starts[:-1], np.diff(starts)
-    mean = piece_means(grey, starts)
-    owner = at.owner[begins]
-    count = np.bincount(owner, length, len(arcs))
-
-    def step(moved: int) -> Float[np.ndarray, " n"]:
-        return np.sqrt(np.bincount(owner, length * _step(mean, moved), len(arcs)) / count)
-
-    beside = [np.median([step(side * moved) for moved in _MOVED], axis=0) for side in (-1, 1)]
-    here = step(0)
+    wanted = np.minimum(length_px, each).astype(np.int64) // BLOCK_PX
+    here = _steps(photo, at, wanted, [0])[0]
     evident = here * np.sqrt(length_px) > LEAST_EVIDENCE * fitted.blur_px
-    alone = (here > STANDS_OUT * np.minimum(*beside)) | (length_px > LONG_PX)
-    return (here >= STRONG_GREY) | (evident & alone)
+    result = (here >= STRONG_GREY) | (evident & (length_px > LONG_PX))
+    rows = np.flatnonzero(evident & ~result)
+    if len(rows):
+        at = samples(photo.model, arcs.keep(rows), 0.0)
+        beside = [np.median(_steps(photo, at, wanted[rows], [side * moved for moved in _MOVED]), axis=0) for side in (-1, 1)]
+        result[rows] = here[rows] > STANDS_OUT * np.minimum(*beside)
+    return result
 
 
-def _step(mean: Float[np.ndarray, "m c k"], moved: int) -> Float[np.ndarray, " m"]:
-    """Squared difference in colour between the two pixels on either side of the arc moved across."""
-    k = moved + len(_OFFSETS_PX) // 2
-    step = 0.5 * (mean[..., k + 1] + mean[..., k + 2] - mean[..., k - 1] - mean[..., k - 2])
-    return (step**2).sum(-1)
+def _steps(photo: Photo, at: Samples, wanted: Int[np.ndarray, " n"], moved: list[int]) -> Float[np.ndarray, "d n"]:
+    """Root mean square over blocks of arcs, as many as `wanted`, of the difference in colour between the two pixels on either
+    side of each arc moved across."""
+    starts = pieces(at, wanted)
+    begins, length = starts[:-1], np.diff(starts)
+    owner = at.owner[begins]
+    arcs = len(at.starts) - 1
+    offsets = np.arange(min(moved) - 2.0, max(moved) + 3.0)
+    grey, _ = profiles(photo.image, grey_unit(photo.image), at.pixel, at.across, offsets, photo.model.PERIODIC)
+    mean = piece_means(grey, starts)
+    found = []
+    for k in np.array(moved) - min(moved) + 2:
+        step = 0.5 * (mean[..., k + 1] + mean[..., k + 2] - mean[..., k - 1] - mean[..., k - 2])
+        found.append(np.bincount(owner, length * (step**2).sum(-1), arcs) / np.bincount(owner, length, arcs))
+    return np.sqrt(np.stack(found))

@@ -11,6 +11,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 
 @njit(cache=True, nogil=True)
 @no_type_check
@@ -111,7 +113,7 @@ def leave_out_far(
                 good[k] = False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _hermite(s: float, k: int, c: int, table: np.ndarray, slope: np.ndarray) -> float:
     """Column c at the share s of the way from node k to the next."""

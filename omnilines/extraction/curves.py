@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import COARSE, LONGEST_RAD, STEP_RAD, Arcs, across_px, changes, steps
+from omnilines.extraction.bearings import pixels_at
 from omnilines.extraction.curve_kernel import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
 
 NODE_PX = 10.0
@@ -77,8 +78,7 @@ def _ends_px(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, " n"], F
     """Lengths of the first and the last of the COARSE intervals of arcs."""
     interval = (arcs.high - arcs.low) / COARSE
     angle = np.stack([arcs.low, arcs.low + interval, arcs.high - interval, arcs.high], -1)
-    with torch.no_grad():
-        pixel, _ = model.project(arcs.bearings(np.repeat(np.arange(len(arcs)), 4), angle.ravel()))
+    pixel, _ = pixels_at(model, arcs.bearings(np.repeat(np.arange(len(arcs)), 4), angle.ravel()))
     step = np.linalg.norm(steps(model, pixel.reshape(len(arcs), 4, 2)), axis=-1)
     return step[:, 0], step[:, 2]
 

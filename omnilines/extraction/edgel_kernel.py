@@ -9,6 +9,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.profile_kernel import REORDERED
 
 
@@ -37,7 +38,7 @@ def strengths(tensor: np.ndarray, strength: np.ndarray) -> None:
             strength[i, j] = np.sqrt(np.float32(0.5) * (tensor[0, i, j] + tensor[2, i, j]) + root)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _direction(tensor: np.ndarray, i: int, j: int) -> tuple[float, float]:
     """Of the steepest change, one of two: the eigenvector of J, from whichever of its two forms does not cancel."""
@@ -50,7 +51,7 @@ def _direction(tensor: np.ndarray, i: int, j: int) -> tuple[float, float]:
     return 1.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _at(image: np.ndarray, u: float, v: float) -> float:
     j, i = math.floor(u), math.floor(v)

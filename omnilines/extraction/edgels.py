@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, UInt
+from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
@@ -31,21 +31,11 @@ class Edgels:
 
     number: Int32[np.ndarray, "h w"]
     """Index of the edge point of each pixel, or -1."""
-    cells: Int32[np.ndarray, "n 2"]
-    """Row and column of the pixel of each."""
     points: Float32[np.ndarray, "n 4"]
     """(u, v) and the unit direction across the edge, either of two."""
-    bearings: Float[np.ndarray, "n 3"]
-    acrosses: Float[np.ndarray, "n 3"]
-    """Change of the bearing with a pixel along the direction across the edge."""
 
     def __len__(self) -> int:
-        return len(self.cells)
-
-    def keep(self, rows: Bool[np.ndarray, " n"]) -> "Edgels":
-        """Some of the edge points."""
-        size = (self.number.shape[1], self.number.shape[0])
-        return _numbered(size, self.cells[rows], self.points[rows], self.bearings[rows], self.acrosses[rows])
+        return len(self.points)
 
 
 def grey_unit(image: UInt[np.ndarray, "h w *channels"]) -> float:
@@ -116,29 +106,46 @@ def _around(rows: np.ndarray, side: int) -> np.ndarray:
     return np.concatenate([rows[:, -side:], rows, rows[:, :side]], 1) if side else rows
 
 
-def seen_edgels(model: CameraModel, cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
-    """The edge points that the camera model sees, with their bearings."""
-    place, half = points[:, :2].astype(np.float64), 0.5 * points[:, 2:].astype(np.float64)
+def numbered(size: tuple[int, int], cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
+    """Edge points in an image of this width and height."""
+    number = np.full(size[::-1], -1, dtype=np.int32)
+    number[cells[:, 0], cells[:, 1]] = np.arange(len(cells), dtype=np.int32)
+    return Edgels(number, points)
+
+
+@dataclass(frozen=True)
+class SeenChains:
+    """Chains of edge points that the camera model sees, one after another."""
+
+    starts: Int[np.ndarray, " n1"]
+    """Where each chain begins, and one more."""
+    bearings: Float[np.ndarray, "m 3"]
+    acrosses: Float[np.ndarray, "m 3"]
+    """Change of the bearing with a pixel along the direction across the edge."""
+
+
+def seen_chains(
+    model: CameraModel,
+    points: Float32[np.ndarray, "n 4"],
+    order: Int32[np.ndarray, " n"],
+    starts: Int[np.ndarray, " k1"],
+    least: int,
+) -> SeenChains:
+    """Bearings of the edge points of chains of `least` or more; `order` has the points chain by chain, from `starts` on. Where
+    the camera does not see a point, its chain is cut."""
+    count = np.diff(starts)
+    chosen = order[np.repeat(count >= least, count)]
+    chain = np.repeat(np.arange(len(count)), np.where(count >= least, count, 0))
+    place, half = points[chosen, :2].astype(np.float64), 0.5 * points[chosen, 2:].astype(np.float64)
     (before, seen), (after, also) = bearings_at(model, place - half), bearings_at(model, place + half)
     acrosses, bearings = after - before, before + after
     bearings /= np.maximum(_length(bearings), 1e-12)[:, None]
     seen &= also & (_length(acrosses) > 0)
-    if seen.all():
-        return _numbered(model.image_size, cells, points, bearings, acrosses)
-    return _numbered(model.image_size, cells[seen], points[seen], bearings[seen], acrosses[seen])
+    # A number that changes from chain to chain and at every point that is not seen.
+    piece = (2 * chain + np.cumsum(~seen))[seen]
+    begins = np.flatnonzero(np.diff(piece, prepend=-1))
+    return SeenChains(np.append(begins, len(piece)), bearings[seen], acrosses[seen])
 
 
 def _length(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
-
-
-def _numbered(
-    size: tuple[int, int],
-    cells: Int32[np.ndarray, "n 2"],
-    points: Float32[np.ndarray, "n 4"],
-    bearings: Float[np.ndarray, "n 3"],
-    acrosses: Float[np.ndarray, "n 3"],
-) -> Edgels:
-    number = np.full(size[::-1], -1, dtype=np.int32)
-    number[cells[:, 0], cells[:, 1]] = np.arange(len(cells), dtype=np.int32)
-    return Edgels(number, cells, points, bearings, acrosses)

@@ -14,10 +14,11 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
+from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.chain_kernel import chains, circles, links
 from omnilines.extraction.clutter import stands_out
-from omnilines.extraction.edgels import find_points, noise_level, seen_edgels
+from omnilines.extraction.edgels import find_points, noise_level, numbered, seen_chains
 from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
 from omnilines.extraction.merging import duplicates, merged
@@ -88,7 +89,22 @@ def extract_arcs(
                 f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
                 f"{size[0]}x{size[1]} px; give the one that the calibration is of."
             )
-    image = np.ascontiguousarray(image)
+    photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, least_angle_rad)
+    arcs = merged(photo, arcs)
+    for _ in range(ROUNDS):
+        fitted = refit(photo, arcs, BEYOND_PX)
+        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
+        arcs = joined([fitted.arcs.keep(good), fitted.cut])
+        arcs = merged(photo, arcs)
+    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
+    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+
+
+def _begun(
+    image: UInt[np.ndarray, "h w *channels"], model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float
+) -> tuple[Photo, Arcs, float]:
+    """The photo with its edge points, the pieces of circles along their chains, and the noise of the photo."""
+    height, width = image.shape[:2]
     circle = image_circle(image, model)
     allowed = usable_pixels((height, width), circle, mask)
     noise = noise_level(image, allowed)
@@ -96,22 +112,16 @@ def extract_arcs(
     if circle is not None:
         scene = ~follows_rim(image, circle, points.astype(np.float64))
         cells, points = cells[scene], points[scene]
-    edgels = seen_edgels(model, cells, points)
     if least_angle_rad > 0.0:
         axis = model.unproject(model.centre_px.detach().numpy())[0]
-        edgels = edgels.keep(edgels.bearings @ axis < np.cos(least_angle_rad))
+        scene = bearings_at(model, points[:, :2].astype(np.float64))[0] @ axis < np.cos(least_angle_rad)
+        cells, points = cells[scene], points[scene]
+    edgels = numbered(model.image_size, cells, points)
     photo = Photo(image.reshape(height, width, -1), model, edgels)
-    order, starts = chains(links(edgels.number, edgels.cells, edgels.points, model.PERIODIC))
-    pieces = circles(order, starts, edgels.bearings, edgels.acrosses, LEAST_EDGELS, WITHIN_PX, MOST_MISSED)
-    arcs = arcs_of_ends(*pieces)
-    arcs = merged(photo, arcs, lengths_px(model, arcs))
-    for _ in range(ROUNDS):
-        fitted = refit(photo, arcs, BEYOND_PX)
-        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
-        arcs = joined([fitted.arcs.keep(good), fitted.cut])
-        arcs = merged(photo, arcs, lengths_px(model, arcs))
-    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
-    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+    order, starts = chains(links(edgels.number, cells, points, model.PERIODIC))
+    seen = seen_chains(model, points, order, starts, LEAST_EDGELS)
+    pieces = circles(seen.starts, seen.bearings, seen.acrosses, LEAST_EDGELS, WITHIN_PX, MOST_MISSED)
+    return photo, arcs_of_ends(*pieces), noise
 
 
 def _finished(photo: Photo, fitted: Refitted, noise: float, least_px: float) -> ExtractedArcs:

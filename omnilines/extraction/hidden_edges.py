@@ -51,6 +51,7 @@ class Hidden:
 
 def hidden_arcs(model: CameraModel, known: Profiled, rows: Int[np.ndarray, " k"], blur_px: float, noise: float) -> Hidden:
     """Edges beside some of the arcs that one more step in their profiles shows."""
+    rows = rows[np.bincount(known.blocks.owner, known.blocks.whole, len(known.arcs))[rows] >= LEAST_HIDDEN_BLOCKS]
     count = len(rows)
     base, blocks = known.arcs.keep(rows), known.crossed(model, rows)
     place, _, heights, _ = fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px)
@@ -99,7 +100,15 @@ def _settled(
     edge = (used >= LEAST_HIDDEN_BLOCKS) & (evidence > LEAST_EVIDENCE) & (height > LEAST_RATIO * own)
     edge &= (unsteady < MOST_UNSTEADY_PX) & (np.sqrt(scatter) < MOST_SCATTER_PX)
     close = np.abs(blocks.mean(shift - place[:, 1])) < CLOSE_BLURS * blur_px
-    blurred = np.min([blocks.mean(fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px * b)[3]) for b in OTHER_BLURS], axis=0)
-    edge &= blocks.mean(rest) < np.where(close, MOST_LEFT_CLOSE, MOST_LEFT) * blurred
+    rows = np.flatnonzero(edge)
+    edge[rows] = blocks.mean(rest)[rows] < np.where(close, MOST_LEFT_CLOSE, MOST_LEFT)[rows] * _left_by_other_blurs(
+        blocks.keep(rows), blur_px
+    )
     floor = floor_covariance(arcs, blocks.owner, blocks.rate, FLOOR_PX)
     return moved(arcs, change, inverse * scatter[:, None, None] + floor), edge
+
+
+def _left_by_other_blurs(blocks: Blocks, blur_px: float) -> Float[np.ndarray, " n"]:
+    """The mean square that the known steps leave of the profiles of each arc, with the blur that suits it best."""
+    tried = [blocks.mean(fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px * factor)[3]) for factor in OTHER_BLURS]
+    return np.min(tried, axis=0)

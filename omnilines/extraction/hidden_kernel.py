@@ -9,11 +9,12 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.profile_kernel import REORDERED
 from omnilines.extraction.step_kernel import MOST_STEPS
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
     """Gram and Schmidt on the rows of `basis` in place; rows that the others explain are dropped. Returns how many are left."""
@@ -39,7 +40,7 @@ def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
     return kept
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _explained(offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, blur: float, basis: np.ndarray) -> int:
     """Fill the first rows of `basis`, orthonormal, with what a level, steps at places and their shifts explain; how many."""
@@ -53,7 +54,7 @@ def _explained(offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, blur:
     return _orthonormal(basis, 1 + 2 * steps, size)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _rest(profile: np.ndarray, weight: np.ndarray, basis: np.ndarray, kept: int, rest: np.ndarray) -> float:
     """Fill `rest` with what the basis leaves of a weighted profile (c, k); its sum of squares."""

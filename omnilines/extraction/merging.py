@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2
+from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2, spans
 from omnilines.extraction.curves import Samples
 from omnilines.extraction.pair_kernel import near_pairs
 from omnilines.extraction.refit import Photo, support_of
@@ -27,6 +27,10 @@ GAP_SUPPORT = 0.8
 """Share of a longer gap beside which there must be edge points."""
 SAME_PX = 1.0
 """An arc that lies so near to a longer one over most of its length is the same edge seen twice."""
+MOST_OFF_PX = 2.0
+"""Of the ends of an arc from the circle of one that it is joined with; of the nearer one half of that."""
+_SAFETY = 1.5
+"""Over the pixels for a radian where an arc has fewest of them, measured at a few places of it."""
 _BLINK_PX = 0.05
 """Standard deviation across arcs added to what their covariances say: edges are not ideal."""
 
@@ -48,48 +52,50 @@ class _Pairs:
         return _Pairs(self.a[rows], self.b[rows], self.angles[rows], self.gap[rows], self.after[rows])
 
 
-def merged(photo: Photo, arcs: Arcs, length_px: Float[np.ndarray, " n"]) -> Arcs:
+def merged(photo: Photo, arcs: Arcs) -> Arcs:
     """The arcs with pieces of one edge joined and duplicates dropped; joined ones want a refit."""
     if len(arcs) < 2:
         return arcs
-    pairs = _pairs(arcs, length_px)
+    length_px, rate = spans(photo.model, arcs)
+    pairs = _pairs(arcs, length_px, rate, MOST_OFF_PX, MOST_GAP_PX)
+    if not len(pairs.a):
+        return arcs
     pixels_per_rad = length_px / np.maximum(arcs.high - arcs.low, 1e-9)
     gap_px = pairs.gap * np.minimum(pixels_per_rad[pairs.a], pixels_per_rad[pairs.b])
     follows = gap_px < np.minimum(MOST_GAP_PX, 0.5 * (length_px[pairs.a] + length_px[pairs.b]))
-    overlaps = _overlaps(arcs, pairs)
-    rows = np.flatnonzero(follows | overlaps)
-    if not len(rows):
-        return arcs
-    pairs, gap_px, follows, overlaps = pairs.keep(rows), gap_px[rows], follows[rows], overlaps[rows]
     offset = _offsets(photo, arcs, pairs)
-    allowed = follows & (offset.min(-1) < 1.0) & (offset.max(-1) < 2.0)
+    allowed = follows & (offset.min(-1) < 0.5 * MOST_OFF_PX) & (offset.max(-1) < MOST_OFF_PX)
     allowed[allowed] = _chi2(arcs, pairs.keep(allowed), pixels_per_rad) < MOST_CHI2
     joins = pairs.keep(allowed)
     joins = joins.keep((gap_px[allowed] <= BLIND_PX) | _filled(photo, arcs, joins, gap_px[allowed]))
-    twice = pairs.keep(overlaps & (offset.max(-1) < SAME_PX) & ~allowed)
+    twice = pairs.keep(_overlaps(arcs, pairs) & (offset.max(-1) < SAME_PX) & ~allowed)
     dropped = np.zeros(len(arcs), dtype=bool)
     dropped[np.where(length_px[twice.a] < length_px[twice.b], twice.a, twice.b)] = True
     return _joined(arcs, length_px, joins.keep(~dropped[joins.a] & ~dropped[joins.b]), dropped)
 
 
 def duplicates(
-    photo: Photo, arcs: Arcs, length_px: Float[np.ndarray, " n"], kin: Int[np.ndarray, " n"], same_px: float = SAME_PX
+    photo: Photo, arcs: Arcs, rank: Float[np.ndarray, " n"], kin: Int[np.ndarray, " n"], same_px: float = SAME_PX
 ) -> Bool[np.ndarray, " n"]:
-    """Arcs that lie beside a longer one over most of their length; those of the same number in `kin` are not compared."""
+    """Arcs that lie beside one of higher rank over most of their length; those of the same number in `kin` are not compared."""
     dropped = np.zeros(len(arcs), dtype=bool)
     if len(arcs) < 2:
         return dropped
-    pairs = _pairs(arcs, length_px)
-    pairs = pairs.keep((kin[pairs.a] != kin[pairs.b]) & _overlaps(arcs, pairs))
+    pairs = _pairs(arcs, rank, spans(photo.model, arcs)[1], same_px, 0.0)
+    pairs = pairs.keep(kin[pairs.a] != kin[pairs.b])
     if len(pairs.a):
         dropped[pairs.b[_offsets(photo, arcs, pairs).max(-1) < same_px]] = True
     return dropped
 
 
-def _pairs(arcs: Arcs, length_px: Float[np.ndarray, " n"]) -> _Pairs:
-    """Each pair once, the longer arc first."""
-    order = np.argsort(np.abs(arcs.normal[:, 2]), kind="stable")
-    found, values = near_pairs(arcs.frame, arcs.low, arcs.high, length_px, order, NEAR_RAD, MOST_GAP_RAD, LONGEST_RAD)
+def _pairs(
+    arcs: Arcs, rank: Float[np.ndarray, " n"], rate: Float[np.ndarray, " n"], most_off_px: float, most_gap_px: float
+) -> _Pairs:
+    """Each pair once, the arc of higher rank (its length in pixels, where gaps are allowed) first."""
+    beside = np.minimum(_SAFETY * most_off_px / np.maximum(rate, 1e-9), 1.0)
+    found, values, _ = near_pairs(
+        arcs.frame, arcs.low, arcs.high, rank, np.sin(beside), NEAR_RAD, most_gap_px, MOST_GAP_RAD, LONGEST_RAD
+    )
     rows = np.lexsort((found.max(-1), found.min(-1)))
     found, values = found[rows], values[rows]
     return _Pairs(found[:, 0], found[:, 1], values[:, :2], values[:, 2], values[:, 3] > 0)

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import Blocks, Profiled, fit_places
+from omnilines.extraction.blocks import LEAST_BLOCKS, Blocks, Profiled, fit_places
 from omnilines.extraction.circle_kernel import fit_circles
 from omnilines.extraction.refit import floor_covariance, moved
 
@@ -35,7 +35,6 @@ MUCH_WORSE = 4.0
 ALONE_SHARE = 2.0
 """Standard deviation of the latter by what it does not know of, over the difference between both."""
 MOST_OFF_PX = 0.4
-LEAST_BLOCKS = 4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 TYPICAL_BLUR_PX = 0.7
 """Where no arc tells the blur of the photo."""
@@ -45,7 +44,7 @@ SHARP_CONTRAST = 20.0
 
 def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"]) -> float:
     """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them."""
-    strong = np.flatnonzero(contrast >= SHARP_CONTRAST)
+    strong = np.flatnonzero((contrast >= SHARP_CONTRAST) & (np.diff(known.blocks.starts) >= LEAST_BLOCKS))
     blocks = known.crossed(model, strong)
     lone = np.flatnonzero(blocks.mean((blocks.count > 1).astype(np.float64)) < CROWDED)
     # Longest first.
@@ -85,7 +84,8 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     """
     arcs = known.arcs
     whole = known.crossed(model, np.arange(len(arcs)))
-    rows = np.flatnonzero(whole.mean((whole.count > 1).astype(np.float64)) >= CROWDED)
+    crowded_share = whole.mean((whole.count > 1).astype(np.float64))
+    rows = np.flatnonzero((crowded_share >= CROWDED) & (np.bincount(whole.owner, whole.whole, whole.arcs) >= LEAST_BLOCKS))
     if not len(rows):
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)

@@ -1,4 +1,6 @@
-"""Pairs of arcs with nearly one circle, compiled.
+"""Pairs of arcs that follow each other on nearly one circle, or lie beside each other; compiled.
+
+Arcs are looked up by where they are on the sphere, so that the work goes with the number of arcs, not with its square.
 
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
@@ -9,32 +11,70 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
 
-@njit(cache=True, nogil=True)
+_CELL = 1.5
+"""Side of a cell, in mean spans of arcs."""
+_STRETCH = 1.5
+"""How much longer a gap may be in radians than its pixels at the arc before it say."""
+_MOST_OFF = 0.8
+"""Of a cell's side: what lies farther off a circle is not found from it."""
+
+
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
-def _angle(row: int, frame: np.ndarray, x: float, y: float, z: float) -> float:
-    """Of a bearing on a circle whose frame has the columns normal, first, second."""
+def _along(frame: np.ndarray, arc: int, angle: float, ray: np.ndarray) -> None:
+    """Fill `ray` with the bearing at an angle on a circle whose frame has the columns normal, first, second."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    for k in range(3):
+        ray[k] = cosine * frame[arc, k, 1] + sine * frame[arc, k, 2]
+
+
+@njit(cache=True, nogil=True, **BORROWED)
+@no_type_check
+def _angle(frame: np.ndarray, arc: int, ray: np.ndarray) -> float:
+    """Of a bearing on the circle."""
     return math.atan2(
-        x * frame[row, 0, 2] + y * frame[row, 1, 2] + z * frame[row, 2, 2],
-        x * frame[row, 0, 1] + y * frame[row, 1, 1] + z * frame[row, 2, 1],
+        ray[0] * frame[arc, 0, 2] + ray[1] * frame[arc, 1, 2] + ray[2] * frame[arc, 2, 2],
+        ray[0] * frame[arc, 0, 1] + ray[1] * frame[arc, 1, 1] + ray[2] * frame[arc, 2, 1],
     )
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _ends(a: int, b: int, frame: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
-    """Angles of the ends of arc b on a's circle, in order."""
-    found = np.empty(2)
-    for side in range(2):
-        angle = low[b] if side == 0 else high[b]
-        cosine, sine = math.cos(angle), math.sin(angle)
-        x, y, z = (
-            cosine * frame[b, 0, 1] + sine * frame[b, 0, 2],
-            cosine * frame[b, 1, 1] + sine * frame[b, 1, 2],
-            cosine * frame[b, 2, 1] + sine * frame[b, 2, 2],
-        )
-        found[side] = _angle(a, frame, x, y, z)
-    return min(found[0], found[1]), max(found[0], found[1])
+def _bucket(i: int, j: int, k: int, most: int) -> int:
+    return ((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & most
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _table(frame: np.ndarray, low: np.ndarray, high: np.ndarray, reach: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the rows of each bucket begin, one more than buckets (a power of 2), and the arcs in them: those that pass through
+    its cells between `reach` before their low and after their high end."""
+    total = 0
+    for arc in range(len(low)):
+        total += int((high[arc] - low[arc] + 2.0 * reach[arc]) / cell) + 2
+    size = 1024
+    while size < 2 * total:
+        size *= 2
+    bucket, owner = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int32)
+    starts, ray, n = np.zeros(size + 1, dtype=np.int64), np.empty(3), 0
+    for arc in range(len(low)):
+        span = high[arc] - low[arc] + 2.0 * reach[arc]
+        parts = int(span / cell) + 1
+        for part in range(parts + 1):
+            _along(frame, arc, low[arc] - reach[arc] + span * part / parts, ray)
+            i, j, k = math.floor(ray[0] / cell), math.floor(ray[1] / cell), math.floor(ray[2] / cell)
+            bucket[n], owner[n] = _bucket(i, j, k, size - 1), arc
+            starts[bucket[n] + 1] += 1
+            n += 1
+    for k in range(size):
+        starts[k + 1] += starts[k]
+    rows, filled = np.empty(total, dtype=np.int32), starts[:-1].copy()
+    for n in range(total):
+        rows[filled[bucket[n]]] = owner[n]
+        filled[bucket[n]] += 1
+    return starts, rows
 
 
 @njit(cache=True, nogil=True)
@@ -43,47 +83,75 @@ def near_pairs(
     frame: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    length: np.ndarray,
-    order: np.ndarray,
+    length_px: np.ndarray,
+    beside: np.ndarray,
     near: float,
+    most_gap_px: float,
     most_gap: float,
     longest: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (k, 2) of arcs whose normals, or one and the opposite of the other, are at most `near` apart, the longer arc first;
-    and (k, 4) the angles of the ends of the second on the first one's circle, the gap between them in radians, negative where
-    they overlap, and whether the second follows the first one's high end. `order` sorts the normals' third components by size.
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Pairs (k, 2) of arcs, the longer one first, and (k, 4) the angles of the ends of the second on the first one's circle, the
+    gap between both in radians, negative where they overlap, and whether the second follows the first one's high end; and how
+    many pairs were looked at.
 
-    Pairs with a gap of `most_gap` or more, and those that together span `longest` or more, are left out.
+    Their normals, or one and the opposite of the other, are at most `near` apart; the ends of the second lie at most `beside`
+    (n, radians, of the first) off the first one's circle; together they span less than `longest`. The gap is below `most_gap`,
+    `most_gap_px` and half of both lengths; or the second lies beside the first over more than half of its length.
     """
-    count, room = 0, 1024
+    arcs, count, room, looked = len(low), 0, 1024, 0
     pairs, values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
-    least_cosine = 1.0 - 0.5 * near * near
-    for i in range(len(order)):
-        p = order[i]
-        for j in range(i + 1, len(order)):
-            q = order[j]
-            if abs(frame[q, 2, 0]) - abs(frame[p, 2, 0]) > near:
-                break
-            cosine = frame[p, 0, 0] * frame[q, 0, 0] + frame[p, 1, 0] * frame[q, 1, 0] + frame[p, 2, 0] * frame[q, 2, 0]
-            if abs(cosine) < least_cosine:
-                continue
-            a, b = min(p, q), max(p, q)
-            if length[a] < length[b]:
-                a, b = b, a
-            first, last = _ends(a, b, frame, low, high)
-            # An arc that straddles the far side of a's circle has its ends on both sides of pi.
-            if last - first >= math.pi or max(last, high[a]) - min(first, low[a]) >= longest:
-                continue
-            ahead, behind = first - high[a], low[a] - last
-            if max(ahead, behind) >= most_gap:
-                continue
-            if count == room:
-                room *= 2
-                more_pairs, more_values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
-                more_pairs[:count], more_values[:count] = pairs, values
-                pairs, values = more_pairs, more_values
-            pairs[count, 0], pairs[count, 1] = a, b
-            values[count, 0], values[count, 1], values[count, 2] = first, last, max(ahead, behind)
-            values[count, 3] = 1.0 if ahead >= behind else 0.0
-            count += 1
-    return pairs[:count].copy(), values[:count].copy()
+    least_cosine, ppr, reach, total = 1.0 - 0.5 * near * near, np.empty(arcs), np.empty(arcs), 0.0
+    ends, off = np.empty((arcs, 2, 3)), np.empty(2)
+    for arc in range(arcs):
+        span = max(high[arc] - low[arc], 1e-9)
+        ppr[arc] = length_px[arc] / span
+        gap = min(min(most_gap_px, length_px[arc]) / max(ppr[arc], 1e-9), most_gap)
+        # The middle of the other one lies half its span beyond the gap, and it is the shorter one.
+        reach[arc] = _STRETCH * (gap + 0.5 * span) if most_gap_px > 0.0 else 0.0
+        total += span
+        _along(frame, arc, low[arc], ends[arc, 0])
+        _along(frame, arc, high[arc], ends[arc, 1])
+    cell = _CELL * total / max(arcs, 1)
+    starts, rows = _table(frame, low, high, reach, cell)
+    most, seen, ray = len(starts) - 2, np.full(arcs, -1, dtype=np.int32), np.empty(3)
+    for b in range(arcs):
+        _along(frame, b, 0.5 * (low[b] + high[b]), ray)
+        i, j, k = math.floor(ray[0] / cell), math.floor(ray[1] / cell), math.floor(ray[2] / cell)
+        for neighbour in range(27):
+            key = _bucket(i + neighbour // 9 - 1, j + neighbour // 3 % 3 - 1, k + neighbour % 3 - 1, most)
+            for row in range(starts[key], starts[key + 1]):
+                a = rows[row]
+                if seen[a] == b or length_px[a] < length_px[b] or (length_px[a] == length_px[b] and a >= b):
+                    continue
+                seen[a] = b
+                looked += 1
+                cosine = frame[a, 0, 0] * frame[b, 0, 0] + frame[a, 1, 0] * frame[b, 1, 0] + frame[a, 2, 0] * frame[b, 2, 0]
+                if abs(cosine) < least_cosine:
+                    continue
+                for side in range(2):
+                    x, y, z = ends[b, side]
+                    off[side] = abs(x * frame[a, 0, 0] + y * frame[a, 1, 0] + z * frame[a, 2, 0])
+                if max(off[0], off[1]) > min(beside[a], _MOST_OFF * cell):
+                    continue
+                one, two = _angle(frame, a, ends[b, 0]), _angle(frame, a, ends[b, 1])
+                first, last = min(one, two), max(one, two)
+                # An arc that straddles the far side of a's circle has its ends on both sides of pi.
+                if last - first >= math.pi or max(last, high[a]) - min(first, low[a]) >= longest:
+                    continue
+                ahead, behind = first - high[a], low[a] - last
+                gap = max(ahead, behind)
+                most_px = min(most_gap_px, 0.5 * (length_px[a] + length_px[b]))
+                follows = gap < most_gap and gap * min(ppr[a], ppr[b]) < most_px
+                overlaps = min(last, high[a]) - max(first, low[a]) > 0.5 * max(last - first, 1e-9)
+                if not (overlaps or (follows and most_gap_px > 0.0)):
+                    continue
+                if count == room:
+                    room *= 2
+                    more_pairs, more_values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
+                    more_pairs[:count], more_values[:count] = pairs, values
+                    pairs, values = more_pairs, more_values
+                pairs[count, 0], pairs[count, 1] = a, b
+                values[count, 0], values[count, 1], values[count, 2] = first, last, gap
+                values[count, 3] = 1.0 if ahead >= behind else 0.0
+                count += 1
+    return pairs[:count].copy(), values[:count].copy(), looked

@@ -9,6 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
+
 REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
@@ -230,20 +232,24 @@ def mean_profiles(
     across: np.ndarray,
     valid: np.ndarray,
     starts: np.ndarray,
+    wanted: np.ndarray,
     offsets: np.ndarray,
     closed: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of 255 (n, c, k) at offsets across samples, averaged over those from starts[n] to starts[n + 1]; and whether
-    all of them are valid and lie in the image (n); what does not counts as 0.
+    all of them are valid and lie in the image (n); what does not counts as 0. Those not `wanted` (n) are not read: 0 and false.
 
     By cubic convolution (R. Keys 1981): bilinear interpolation would blur by how far a point lies from the pixels' centres, and
     edges a pixel apart are told from each other by what blur is expected.
     """
     height, width, channels = image.shape
     pieces, size = len(starts) - 1, len(offsets)
-    grey, inside = np.zeros((pieces, channels, size)), np.ones(pieces, dtype=np.bool_)
+    grey, inside = np.zeros((pieces, channels, size), dtype=np.float32), np.ones(pieces, dtype=np.bool_)
     wu, wv, columns = np.empty(4), np.empty(4), np.empty(4, dtype=np.int64)
     for piece in range(pieces):
+        inside[piece] = wanted[piece]
+        if not wanted[piece]:
+            continue
         share = 1.0 / (unit * (starts[piece + 1] - starts[piece]))
         for n in range(starts[piece], starts[piece + 1]):
             inside[piece] = inside[piece] and valid[n]
@@ -268,7 +274,7 @@ def mean_profiles(
     return grey, inside
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _keys(t: float, weight: np.ndarray) -> None:
     """Weights of four neighbours at -1, 0, 1, 2 for a place t in [0, 1)."""

@@ -13,45 +13,70 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.profile_kernel import REORDERED
 
 MOST_STEPS = 6
 """Steps of one profile: its own and the nearest of its neighbours."""
 ROUNDS = 5
-SETTLED_PX = 0.003
+SETTLED_PX = 0.01
 _MOST_MOVE_PX = 0.5
 
 
 _RIDGE = 1e-6
 """Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
-_TABLE_REACH, _TABLE_STEPS = 6.0, 32
-"""Of the table of the Gaussian and its integral: standard deviations to either side, and entries in each."""
-_PLACES = np.arange(-_TABLE_REACH * _TABLE_STEPS, _TABLE_REACH * _TABLE_STEPS + 1) / _TABLE_STEPS
-_GAUSS = np.exp(-0.5 * _PLACES**2) / math.sqrt(2.0 * math.pi)
-_HALF_ERF = np.array([0.5 * math.erf(x / math.sqrt(2.0)) for x in _PLACES])
+_FARTHEST_PX, _WIDEST_PX = 12.0, 12.0
+"""Places of steps and offsets that the table of a blurred step reaches."""
+_PARTS = 32
+"""Rows of the table between two offsets."""
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True)
+@no_type_check
+def _blurred_steps(blur: float, between: float) -> tuple[np.ndarray, np.ndarray]:
+    """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in
+    row j and column i: a step at any place is read from two rows, at as many columns as there are offsets."""
+    columns = int(2.0 * (_FARTHEST_PX + _WIDEST_PX) / between) + 2
+    half, bell = np.empty((_PARTS + 1, columns)), np.empty((_PARTS + 1, columns))
+    for j in range(_PARTS + 1):
+        for i in range(columns):
+            x = ((j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX) / blur
+            half[j, i] = 0.5 * math.erf(x * 0.7071067811865476)
+            bell[j, i] = math.exp(-0.5 * x * x) / (blur * 2.5066282746310002)
+    return half, bell
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _blurred_step(
-    offsets: np.ndarray, weight: np.ndarray, place: float, blur: float, j: int, design: np.ndarray, slope: np.ndarray
+    offsets: np.ndarray,
+    weight: np.ndarray,
+    place: float,
+    half: np.ndarray,
+    bell: np.ndarray,
+    j: int,
+    design: np.ndarray,
+    slope: np.ndarray,
 ) -> None:
-    """A weighted step of 1 about 0 and its derivative by its place: Hermite's cubics through a table, good to 1e-8."""
-    over = 1.0 / blur
-    for k in range(len(offsets)):
-        x = (min(max((offsets[k] - place) * over, -_TABLE_REACH + 1e-9), _TABLE_REACH - 1e-9) + _TABLE_REACH) * _TABLE_STEPS
-        i = int(x)
-        s = x - i
-        t = 1.0 - s
-        after, left, right = s * s * (3.0 - 2.0 * s), s * t * t / _TABLE_STEPS, -s * s * t / _TABLE_STEPS
-        low, high = _GAUSS[i], _GAUSS[i + 1]
-        half = _HALF_ERF[i] + after * (_HALF_ERF[i + 1] - _HALF_ERF[i]) + left * low + right * high
-        bell = low + after * (high - low) - left * _PLACES[i] * low - right * _PLACES[i + 1] * high
-        design[1 + j, k] = weight[k] * half
-        slope[j, k] = -weight[k] * over * bell
+    """A weighted step of 1 about 0 and its derivative by its place: between rows of the table by Hermite's cubic (good to 1e-8)
+    and by a line (good to 2e-4)."""
+    between = offsets[1] - offsets[0]
+    x = (offsets[0] - min(max(place, -_FARTHEST_PX), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
+    i = int(x)
+    y = (x - i) * _PARTS
+    row = int(y)
+    s = y - row
+    t = 1.0 - s
+    after, rise = s * s * (3.0 - 2.0 * s), between / _PARTS
+    left, right = s * t * t * rise, -s * s * t * rise
+    for k in range(len(weight)):
+        low, high = bell[row, i + k], bell[row + 1, i + k]
+        value = half[row, i + k] + after * (half[row + 1, i + k] - half[row, i + k]) + left * low + right * high
+        design[1 + j, k] = weight[k] * value
+        slope[j, k] = -weight[k] * (t * low + s * high)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
     """Of row i of a and row j of b."""
@@ -61,7 +86,7 @@ def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _factor(matrix: np.ndarray, size: int) -> None:
     """Cholesky factor in the lower triangle, in place; its diagonal is inverse."""
@@ -76,7 +101,7 @@ def _factor(matrix: np.ndarray, size: int) -> None:
                 matrix[i, j] = total * matrix[j, j]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor x = right, in place."""
@@ -87,7 +112,7 @@ def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None
         right[row, i] = total * factor[i, i]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor factor' x = right, in place."""
@@ -95,7 +120,7 @@ def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     _backward(factor, size, right, row)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor' x = right, in place."""
@@ -106,16 +131,26 @@ def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> Non
         right[row, i] = total * factor[i, i]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _heights(
-    offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, steps: int, blur: float, scaled: np.ndarray, work: tuple
+    offsets: np.ndarray,
+    weight: np.ndarray,
+    place: np.ndarray,
+    steps: int,
+    half: np.ndarray,
+    bell: np.ndarray,
+    scaled: np.ndarray,
+    design: np.ndarray,
+    slope: np.ndarray,
+    factor: np.ndarray,
+    ridge: np.ndarray,
+    height: np.ndarray,
 ) -> float:
-    """Fill `work` for steps at these places: design D, slope, factor of N = D'D + R, ridge R, heights h = N^-1 D'y; and the sum
-    of squares that they leave of y, y'y - h'D'y - h'Rh."""
-    design, slope, factor, ridge, height = work[:5]
+    """Fill the design D for steps at these places, its slope, the factor of N = D'D + R, the ridge R and the heights
+    h = N^-1 D'y; and the sum of squares that they leave of y, y'y - h'D'y - h'Rh."""
     for j in range(steps):
-        _blurred_step(offsets, weight, place[j], blur, j, design, slope)
+        _blurred_step(offsets, weight, place[j], half, bell, j, design, slope)
     for p in range(steps + 1):
         for q in range(p + 1):
             factor[p, q] = _inner(design, p, design, q)
@@ -137,12 +172,23 @@ def _heights(
     return squares
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _newton(steps: int, scaled: np.ndarray, work: tuple) -> None:
+def _newton(
+    steps: int,
+    scaled: np.ndarray,
+    design: np.ndarray,
+    slope: np.ndarray,
+    factor: np.ndarray,
+    ridge: np.ndarray,
+    height: np.ndarray,
+    hessian: np.ndarray,
+    pull: np.ndarray,
+    column: np.ndarray,
+    back: np.ndarray,
+) -> None:
     """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and
     w = D's, they hold s's - 2 w' N^-1 w + w' N^-1 D'D N^-1 w and s'r - w' N^-1 D'r, where D'r = R h."""
-    design, slope, factor, ridge, height, hessian, pull, column, back = work
     for i in range(steps):
         for p in range(steps + 1):
             column[i, p] = _inner(design, p, slope, i)
@@ -164,7 +210,7 @@ def _newton(steps: int, scaled: np.ndarray, work: tuple) -> None:
             hessian[i, j] = inner * common
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
 def _places(
     offsets: np.ndarray,
@@ -172,20 +218,29 @@ def _places(
     start: np.ndarray,
     stiff: np.ndarray,
     square: float,
-    blur: float,
+    half: np.ndarray,
+    bell: np.ndarray,
     scaled: np.ndarray,
     here: np.ndarray,
     kept: np.ndarray,
-    work: tuple,
+    design: np.ndarray,
+    slope: np.ndarray,
+    factor: np.ndarray,
+    ridge: np.ndarray,
+    height: np.ndarray,
+    hessian: np.ndarray,
+    pull: np.ndarray,
+    column: np.ndarray,
+    back: np.ndarray,
 ) -> float:
-    """Gauss and Newton from `start` (s), damped, to the places `kept`; `work` is then as they leave it. The sum of squares that
-    they leave."""
+    """Gauss and Newton from `start` (s), damped, to the places `kept`; the sum of squares that they leave. Design, heights and
+    what follows are then as `_heights` and `_newton` leave them."""
     steps = len(start)
-    hessian, pull = work[5:7]
-    here[:steps], kept[:steps] = start, start
+    for j in range(steps):
+        here[j], kept[j] = start[j], start[j]
     least, left, refused = np.inf, 0.0, False
     for _ in range(ROUNDS):
-        squares = _heights(offsets, weight, here, steps, blur, scaled, work)
+        squares = _heights(offsets, weight, here, steps, half, bell, scaled, design, slope, factor, ridge, height)
         cost = squares
         for j in range(steps):
             cost += square * ((here[j] - start[j]) / stiff[min(j, 1)]) ** 2
@@ -195,8 +250,9 @@ def _places(
                 here[j] = 0.5 * (here[j] + kept[j])
             continue
         least, left = cost, squares
-        kept[:steps] = here[:steps]
-        _newton(steps, scaled, work)
+        for j in range(steps):
+            kept[j] = here[j]
+        _newton(steps, scaled, design, slope, factor, ridge, height, hessian, pull, column, back)
         for j in range(steps):
             hold = square / stiff[min(j, 1)] ** 2
             hessian[j, j] += hold + 1e-9
@@ -208,9 +264,12 @@ def _places(
             here[j] += min(max(pull[0, j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
             farthest = max(farthest, abs(pull[0, j]))
         if farthest < SETTLED_PX:
+            # What is left of the steps and heights after so small a move is of second order.
+            for j in range(steps):
+                kept[j] = here[j]
             break
     if refused:
-        left = _heights(offsets, weight, kept, steps, blur, scaled, work)
+        left = _heights(offsets, weight, kept, steps, half, bell, scaled, design, slope, factor, ridge, height)
     return left
 
 
@@ -218,6 +277,7 @@ def _places(
 @no_type_check
 def fit_steps(
     profile: np.ndarray,
+    begin: int,
     offsets: np.ndarray,
     weight: np.ndarray,
     start: np.ndarray,
@@ -229,33 +289,49 @@ def fit_steps(
     """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
     (m, s, c) and the sum of squares that is left of the weighted profiles (m).
 
-    Profile m has `count` steps and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the
-    first place about its start and of the others: a faint step stays where its own arc says.
+    `offsets`, equally far apart, and `weight` are those of the values of a profile from `begin` on. Profile m has `count` steps
+    and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the first place about its start and of
+    the others: a faint step stays where its own arc says.
     """
-    m, channels, size = profile.shape
+    m, channels, size = len(profile), profile.shape[1], len(offsets)
+    known = min(size, profile.shape[2] - begin)
     place, variance = start.copy(), np.full(m, np.inf)
     heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros(m)
-    work = (
-        np.empty((MOST_STEPS + 1, size)),
-        np.empty((MOST_STEPS, size)),
-        np.empty((MOST_STEPS + 1, MOST_STEPS + 1)),
-        np.empty(MOST_STEPS + 1),
-        np.empty((channels, MOST_STEPS + 1)),
-        np.empty((MOST_STEPS, MOST_STEPS)),
-        np.empty((1, MOST_STEPS)),
-        np.empty((MOST_STEPS, MOST_STEPS + 1)),
-        np.empty((MOST_STEPS, MOST_STEPS + 1)),
-    )
-    height, hessian, pull = work[4:7]
-    work[0][0] = weight
-    scaled, here, kept = np.empty((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
+    design, slope = np.empty((MOST_STEPS + 1, size)), np.empty((MOST_STEPS, size))
+    factor, ridge = np.empty((MOST_STEPS + 1, MOST_STEPS + 1)), np.empty(MOST_STEPS + 1)
+    height, hessian, pull = np.empty((channels, MOST_STEPS + 1)), np.empty((MOST_STEPS, MOST_STEPS)), np.empty((1, MOST_STEPS))
+    column, back = np.empty((MOST_STEPS, MOST_STEPS + 1)), np.empty((MOST_STEPS, MOST_STEPS + 1))
+    design[0] = weight
+    half, bell = _blurred_steps(blur, offsets[1] - offsets[0])
+    scaled, here, kept = np.zeros((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
     for n in range(m):
         steps = count[n]
         for c in range(channels):
-            for k in range(size):
-                scaled[c, k] = profile[n, c, k] * weight[k]
+            for k in range(known):
+                scaled[c, k] = profile[n, c, begin + k] * weight[k]
         square = sigma[n] * sigma[n]
-        rest[n] = _places(offsets, weight, start[n, :steps], stiff, square, blur, scaled, here, kept, work)
+        first = start[n, :steps]
+        rest[n] = _places(
+            offsets,
+            weight,
+            first,
+            stiff,
+            square,
+            half,
+            bell,
+            scaled,
+            here,
+            kept,
+            design,
+            slope,
+            factor,
+            ridge,
+            height,
+            hessian,
+            pull,
+            column,
+            back,
+        )
         pull[0, :steps] = 0.0
         pull[0, 0] = 1.0
         _solve(hessian, steps, pull, 0)

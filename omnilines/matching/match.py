@@ -81,7 +81,7 @@ def match_arcs(
     _require_parallax(arcs)
     near = _near(arcs, neighbours)
     if slack_px is None:
-        slack_px = evidence_of_lines(arcs, near, seed).slack_px
+        slack_px = evidence_of_lines(arcs, near, seed, lambda done, total: progress("choosing the slack", done, total)).slack_px
     widened = arcs.widened(slack_px)
     found = find_hypotheses(widened, near, progress=lambda done, total: progress("matching arcs", done, total))
     tracks = build_tracks(widened, found, least_views, lambda done, total: progress("building tracks", done, total))
@@ -110,7 +110,12 @@ def evidence_of_poses(arcs: ViewedArcs, seed: int = 0, neighbours: int = NEIGHBO
     return evidence_of_lines(arcs, _near(arcs, neighbours), seed)
 
 
-def evidence_of_lines(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], seed: int) -> Evidence:
+def evidence_of_lines(
+    arcs: ViewedArcs,
+    neighbours: Bool[np.ndarray, "m m"],
+    seed: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Evidence:
     """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of the precise ones.
 
     Too little of it and true partners miss each other: the best line of an arc stands out less from its best rival than under
@@ -121,8 +126,12 @@ def evidence_of_lines(arcs: ViewedArcs, neighbours: Bool[np.ndarray, "m m"], see
     rng = np.random.default_rng(seed)
     chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), LEAST_SAMPLED), rng)
     turned = arcs.with_poses(_turned(arcs.poses, rng))
-    found = [find_hypotheses(arcs.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
-    chance = [find_hypotheses(turned.widened(slack), neighbours, rows=chosen) for slack in SLACKS_PX]
+    found, chance = [], []
+    for done, slack in enumerate(SLACKS_PX):
+        progress(done, len(SLACKS_PX))
+        found.append(find_hypotheses(arcs.widened(slack), neighbours, rows=chosen))
+        chance.append(find_hypotheses(turned.widened(slack), neighbours, rows=chosen))
+    progress(len(SLACKS_PX), len(SLACKS_PX))
     gain = np.array([float((one.score - one.rival).mean()) for one in found])
     by_chance = np.array([float((one.score - one.rival).mean()) for one in chance])
     most = int(np.argmax(gain - by_chance))

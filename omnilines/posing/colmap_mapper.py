@@ -58,8 +58,8 @@ def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress |
     """cam_from_world of photos by number, one mapping for each part that COLMAP could join, the largest first.
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
-    make the result repeatable. Of the ways in which photos may be added (RESECTIONS) that is taken whose largest part explains
-    most matches.
+    make the result repeatable. Photos are added in several ways (RESECTIONS), with all pairs and without those whose rotation
+    contradicts the others (rotations.py); that is taken whose largest part explains most matches.
     """
     module = pycolmap()
     shutil.rmtree(folder, ignore_errors=True)
@@ -67,9 +67,17 @@ def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress |
     path = folder / "database.db"
     with module.Database.open(str(path)) as database:
         rays = _write(module, database, given, seed, progress)
+    contradicting = [pair for pair, one in rays.items() if not one.agrees]
     best: list[dict[int, Pose]] = []
     most = -1
-    for number, (error_px, least) in enumerate(RESECTIONS):
+    for number, (all_pairs, (error_px, least)) in enumerate(itertools.product((True, False), RESECTIONS)):
+        if not all_pairs and not contradicting:
+            break
+        if number == len(RESECTIONS):
+            with module.Database.open(str(path)) as database:
+                for i, j in contradicting:
+                    database.delete_two_view_geometry(i + 1, j + 1)
+                    database.delete_matches(i + 1, j + 1)
         models = folder / f"models{number}"
         models.mkdir()
         parts = _mapped(module, path, models, _options(module, seed, error_px, least), len(given.features), progress)
@@ -170,14 +178,13 @@ def _write(
         if geometry is not None:
             verified[pair] = matches, geometry
     relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
-    rays = {}
-    for i, j in agreeing_pairs(relative, len(images)):
-        matches, found = verified[i, j]
+    rays, agreeing = {}, set(agreeing_pairs(relative, len(images)))
+    for (i, j), (matches, found) in verified.items():
         database.write_matches(i + 1, j + 1, matches)
         database.write_two_view_geometry(i + 1, j + 1, found)
         agree = np.asarray(found.inlier_matches)
         a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
-        rays[i, j] = _Rays(a, b, LARGEST_PX * 2 * math.pi / seen[j].camera.width)
+        rays[i, j] = _Rays(a, b, LARGEST_PX * 2 * math.pi / seen[j].camera.width, (i, j) in agreeing)
     return rays
 
 
@@ -188,6 +195,8 @@ class _Rays:
     a: Float[Tensor, "m 3"]
     b: Float[Tensor, "m 3"]
     limit_rad: float
+    agrees: bool
+    """Whether its rotation is that of the others."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,79 @@
+"""Pairs of photos that contradict the rotations of the others, and a mapping that is interrupted."""
+
+import itertools
+import os
+import signal
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from test_posing_sfm import described, places, world
+
+from omnilines.least_squares.threads import one_torch_thread
+from omnilines.posing.colmap_mapper import MapperInput, map_photos
+from omnilines.posing.feature_matches import matched
+from omnilines.posing.rotations import agreeing_pairs
+from omnilines.scenes import scene_camera
+
+
+def of_pairs(turned: Rotation, pairs: list[tuple[int, int]], rng: np.random.Generator, noise_deg: float = 0.5):
+    """Relative rotations with noise, and many matches."""
+    found = {}
+    for i, j in pairs:
+        noise = Rotation.from_rotvec(np.radians(noise_deg) * rng.normal(size=3))
+        found[i, j] = ((noise * turned[j] * turned[i].inv()).as_matrix(), int(rng.integers(30, 200)))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pairs_that_contradict_the_others_are_dropped(seed):
+    rng = np.random.default_rng(seed)
+    turned = Rotation.random(12, random_state=seed)
+    # A chain with neighbours two apart, closed to a ring; eight chance pairs of few matches, each with a turn of its own.
+    ring = [(min(k, other), max(k, other)) for k in range(12) for other in ((k + 1) % 12, (k + 2) % 12)]
+    pairs = of_pairs(turned, sorted(set(ring)), rng)
+    others = [pair for pair in itertools.combinations(range(12), 2) if pair not in pairs]
+    wrong = [others[k] for k in rng.choice(len(others), 8, replace=False)]
+    for i, j in wrong:
+        turn = Rotation.from_rotvec(np.radians(rng.uniform(20, 180)) * np.array([0.0, 1.0, 0.0]))
+        pairs[i, j] = ((turn * turned[j] * turned[i].inv()).as_matrix(), int(rng.integers(15, 25)))
+    kept = agreeing_pairs(pairs, 12)
+    assert set(kept) == set(ring)
+
+
+def test_parts_without_a_pair_between_them_and_no_pairs_at_all():
+    rng = np.random.default_rng(0)
+    turned = Rotation.random(7, random_state=1)
+    pairs = of_pairs(turned, [(0, 1), (1, 2), (0, 2), (4, 5), (5, 6), (4, 6)], rng)
+    assert set(agreeing_pairs(pairs, 7)) == set(pairs)
+    assert agreeing_pairs({}, 3) == []
+
+
+def test_a_mapping_tells_how_far_it_is_and_an_interrupt_ends_it(tmp_path):
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    truth = places(6, 2)
+    features = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    matches = {(i, j): matched(features[i], features[j])[0] for i, j in itertools.combinations(range(6), 2)}
+    given = MapperInput(features, matches, [0] * 6, list(range(6)), {})
+    told = []
+    parts = map_photos(given, tmp_path / "whole", 0, lambda *step: told.append(step))
+    assert len(parts[0]) == 6
+    assert ("checking pairs of photos", 14, 15) in told
+    assert [done for stage, done, _ in told if stage == "structure from motion"][:4] == [0, 3, 4, 5]
+
+    def interrupt(stage: str, done: int, total: int) -> None:
+        if stage == "structure from motion" and done == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        map_photos(given, tmp_path / "cut", 0, interrupt)
+
+
+def test_torch_has_its_threads_back_after_small_products():
+    before = torch.get_num_threads()
+    with pytest.raises(ValueError), one_torch_thread():
+        assert torch.get_num_threads() == 1
+        raise ValueError
+    assert torch.get_num_threads() == before
