@@ -22,8 +22,19 @@ def drawn(ends_m: np.ndarray, pose: Pose, camera: CameraModel) -> list[np.ndarra
     points = pose.transform(torch.as_tensor(ends_m[:, None, 0] + share * (ends_m[:, None, 1] - ends_m[:, None, 0])))
     pixel, valid = (np.asarray(found) for found in camera.project(points.numpy()))
     inside = valid & ((pixel >= 0) & (pixel <= np.array(camera.image_size) - 1)).all(-1)
-    curves = [pixel[k, inside[k]] for k in range(len(ends_m)) if inside[k].sum() > 1]
-    return [curve for curve in curves if np.linalg.norm(np.diff(curve, axis=0), axis=-1).sum() >= SEEN_PX]
+    curves = [unbroken(pixel[k, inside[k]], camera.image_size[0]) for k in range(len(ends_m)) if inside[k].sum() > 1]
+    return [curve for curve in curves if length_px(curve) >= SEEN_PX]
+
+
+def unbroken(curve: np.ndarray, width_px: int) -> np.ndarray:
+    """The longest part of a curve (k 2) that does not leave a panorama by one side to go on at the other."""
+    jumps = np.flatnonzero(np.abs(np.diff(curve[:, 0])) > 0.5 * width_px) + 1
+    return max(np.split(curve, jumps), key=length_px)
+
+
+def length_px(curve: np.ndarray) -> float:
+    """Of a curve (k 2)."""
+    return float(np.linalg.norm(np.diff(curve, axis=0), axis=-1).sum())
 
 
 def nearest_px(curve: np.ndarray, segments_px: np.ndarray) -> float:

@@ -20,32 +20,50 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 
 
-def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tuple[Adjusted, Adjusted]:
-    """Compiled, and by torch."""
-    compiled = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)  # type: ignore[arg-type]
-    assert isinstance(compiled.whitened, LineSolution)
+def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, **options: object) -> Adjusted:
+    """The general engine where the compiled one would be taken."""
     with monkeypatch.context() as patch:
         patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
-        general = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)  # type: ignore[arg-type]
-    assert isinstance(general.whitened, Solution)
-    return compiled, general
+        found = adjust_lines(*given, **options)  # type: ignore[arg-type]
+    assert isinstance(found.whitened, Solution)
+    return found
 
 
-def assert_same(compiled: Adjusted, general: Adjusted, alone: bool = False) -> None:
-    """Cost to 1e-10, estimates to 1e-3 standard deviations, covariances to 1e-6; the same steps, or fewer of lines alone."""
-    assert compiled.outcome is general.outcome is Outcome.CONVERGED
-    assert compiled.iterations == general.iterations or (alone and compiled.iterations < general.iterations)
-    assert abs(compiled.initial_cost / general.initial_cost - 1) < 1e-10
-    assert abs(compiled.cost / general.cost - 1) < 1e-10
-    assert abs(compiled.noise_factor / general.noise_factor - 1) < 1e-8
+def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tuple[Adjusted, Adjusted]:
+    """Compiled, and by torch, at the point where the compiled engine ends: the scale, which nothing fixes, depends on the way.
+
+    From the start it gets there in as many steps or fewer, and no less far down; torch stays there.
+    """
+    start = (scene.arcs, scene.lines, scene.poses)
+    first, other = adjust_lines(*start, **options), by_torch(monkeypatch, *start, **options)  # type: ignore[arg-type]
+    assert first.outcome is other.outcome is Outcome.CONVERGED
+    assert abs(first.initial_cost / other.initial_cost - 1) < 1e-10
+    assert first.iterations <= other.iterations and first.cost <= other.cost * (1 + 1e-10)
+    end = (scene.arcs, first.state.chart.lines(), first.state.rig_from_world)
+    stays = by_torch(monkeypatch, *end, **options)
+    assert stays.outcome is Outcome.CONVERGED and abs(first.cost / stays.cost - 1) < 1e-10
+    compiled = adjust_lines(*end, **options, max_iterations=0)  # type: ignore[arg-type]
+    assert isinstance(compiled.whitened, LineSolution)
+    assert_near(compiled, stays)
+    return compiled, by_torch(monkeypatch, *end, **options, max_iterations=0)
+
+
+def assert_near(compiled: Adjusted, general: Adjusted) -> None:
+    """Estimates in the same charts to 1e-3 standard deviations."""
     sigma = general.line_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt()
     steps = torch.stack([compiled.state.chart.phi - general.state.chart.phi, sigma[:, 3]])
-    assert bool((steps[0].abs() <= 1e-3 * steps[1]).all())
+    assert bool((steps[0].abs() <= 1e-3 * steps[1] + 1e-12).all())
     turned = (compiled.state.chart.S - general.state.chart.S).flatten(1).norm(dim=1)
-    assert bool((turned <= 1e-3 * sigma[:, :3].norm(dim=1)).all())
+    assert bool((turned <= 1e-3 * sigma[:, :3].norm(dim=1) + 1e-12).all())
     moved = (compiled.state.rig_from_world @ general.state.rig_from_world.inverse()).log()
     own = general.pose_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt()
     assert bool((moved.abs() <= 1e-3 * own + 1e-12).all())
+
+
+def assert_same(compiled: Adjusted, general: Adjusted) -> None:
+    """Cost to 1e-10 and covariances to 1e-6."""
+    assert abs(compiled.cost / general.cost - 1) < 1e-10
+    assert abs(compiled.noise_factor / general.noise_factor - 1) < 1e-8
     for found, expected in (
         (compiled.line_covariance, general.line_covariance),
         (compiled.pose_covariance, general.pose_covariance),
@@ -65,7 +83,7 @@ def test_lines_and_poses_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cos
 
 @pytest.mark.parametrize("cost", ["sector", "whitened"])
 def test_lines_alone_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: str) -> None:
-    assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False), alone=True)
+    assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False))
 
 
 def test_no_line_alone_depends_on_another() -> None:
@@ -112,6 +130,17 @@ def test_the_bend_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
     np.testing.assert_allclose(np.tril(e), np.tril(expected.numpy()), rtol=1e-12, atol=1e-12)
 
 
+def test_few_doubtful_lines_do_not_hold_up_poses() -> None:
+    """A third of the observations of some lines are wrong: poses and all lines converge together nevertheless."""
+    scene = row(lines=120, reach=8, seed=7)
+    generator = torch.Generator().manual_seed(0)
+    wrong = (torch.rand(len(scene.arcs), generator=generator) < 0.4) & (scene.arcs.track < 30)
+    bearings = torch.where(wrong[:, None, None], scene.arcs.bearings + 0.02, scene.arcs.bearings)
+    arcs = dataclasses.replace(scene.arcs, bearings=bearings / bearings.norm(dim=-1, keepdim=True))
+    found = adjust_lines(arcs, scene.lines, scene.poses, cost="whitened", loss=Loss("cauchy", 2.0))
+    assert found.outcome is Outcome.CONVERGED and found.iterations < 30
+
+
 @pytest.mark.parametrize("held", [(0,), (2, 7), (4,)])
 def test_held_poses_give_what_torch_gives(monkeypatch: pytest.MonkeyPatch, held: tuple[int, ...]) -> None:
     mask = torch.zeros(10, dtype=torch.bool)
@@ -145,8 +174,8 @@ def test_the_order_of_photos_does_not_matter(monkeypatch: pytest.MonkeyPatch) ->
     freedom = Freedom(torch.zeros(30, dtype=torch.bool))
     engine = LineEngine(LineProblem(arcs, "sector", freedom, state), Loss())
     assert engine.layout.pattern.reach < 12
-    compiled, general = both(monkeypatch, shuffled)
-    assert_same(compiled, general)
+    assert_same(*both(monkeypatch, shuffled))
+    compiled = adjust_lines(shuffled.arcs, shuffled.lines, shuffled.poses)
     straight = adjust_lines(scene.arcs, scene.lines, scene.poses)
     assert abs(straight.cost / compiled.cost - 1) < 1e-10
     torch.testing.assert_close(straight.pose_covariance[shuffle], compiled.pose_covariance, rtol=1e-6, atol=1e-12)

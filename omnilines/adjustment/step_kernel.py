@@ -82,10 +82,13 @@ def move_line(line, right, factor, gradient, diagonal, damping, lines, new_centr
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def follow_frames(low, high, views, pose, moved_pose, step, lines, damping, solved, moved):
-    """Lines at the places low to high after the frames' step: (cost there, decrease promised of the lines' own steps)."""
+def follow_frames(low, high, views, pose, moved_pose, step, lines, damping, solved, moved, cost):
+    """Lines at the places low to high after the frames' step, with the `cost` (t) of each there.
+
+    Returns the decrease promised of the lines' own steps.
+    """
     right, own, turned = np.empty(4), np.empty(4), np.empty((3, 3))
-    cost = promised = 0.0
+    promised = 0.0
     for place in range(low, high):
         line = views.order[place]
         for x in range(4):
@@ -106,8 +109,8 @@ def follow_frames(low, high, views, pose, moved_pose, step, lines, damping, solv
             turned,
         )
         promised += decrease
-        cost += line_cost(views, place, moved_pose, moved.centre[line], lines.rho[line], moved.turn[line], moved.phi[line])
-    return cost, promised
+        cost[line] = line_cost(views, place, moved_pose, moved.centre[line], lines.rho[line], moved.turn[line], moved.phi[line])
+    return promised
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
