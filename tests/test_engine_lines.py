@@ -1,6 +1,7 @@
 """The compiled line engine against the general path in torch, which the other tests compare with autograd and Monte Carlo."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,18 +21,18 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 
 
-def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, settled: bool = False, **options: object) -> Adjusted:
+def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, settled: bool = False, **options: Any) -> Adjusted:
     """The general engine where the compiled one would be taken; with `settled` the latter takes lines to their own minima."""
     with monkeypatch.context() as patch:
         patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
         if not settled:
             patch.setattr(adjustment, "lines_settled", lambda problem, loss: None)
-        found = adjust_lines(*given, **options)  # type: ignore[arg-type]
+        found = adjust_lines(*given, **options)
     assert isinstance(found.whitened, Solution)
     return found
 
 
-def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tuple[Adjusted, Adjusted]:
+def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: Any) -> tuple[Adjusted, Adjusted]:
     """Compiled, and by torch, at the point where the compiled engine ends: the scale, which nothing fixes, depends on the way.
 
     From the start it gets there in as many steps or fewer, and no less far down; torch stays there.

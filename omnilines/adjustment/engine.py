@@ -247,7 +247,8 @@ def lines_settled(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses],
     arcs, held = problem.arcs, torch.ones(problem.arcs.images, dtype=torch.bool)
     if problem.cost_name not in COMPILED_COSTS or arcs.bearings.device.type != "cpu":
         return None
-    freedom, laid_out = Freedom(held, problem.freedom.held_lines), None
+    freedom = Freedom(held, problem.freedom.held_lines)
+    laid_out: Layout | None = None
 
     def settle(state: LinesAndPoses) -> LinesAndPoses:
         nonlocal laid_out

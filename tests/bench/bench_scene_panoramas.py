@@ -3,8 +3,8 @@
     python tests/bench/bench_scene_panoramas.py --work DIR [--data DIR] [--left-out NAME] [--arcs DIR]
 
 `omnilines reconstruct --poses sfm` on all photos, and on all but one. The lines of the latter are brought into the frame of the
-former by the poses of the photos of both, and drawn into the photo left out with the pose that it has there. Compared are the arcs found in it
-(SEEN_PX / 2 and more), as `held_out.py` does it.
+former by the poses of the photos of both, and drawn into the photo left out with the pose that it has there. Compared are the
+arcs found in it (SEEN_PX / 2 and more), as `held_out.py` does it.
 
 A panorama has all directions, so that every line of another room is drawn, through the walls. Hence two rows: every line; and
 those in view, which at least one of the NEIGHBOURS photos shows that share most lines with the photo left out in the run of all.
