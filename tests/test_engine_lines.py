@@ -1,6 +1,7 @@
 """The compiled line engine against the general path in torch, which the other tests compare with autograd and Monte Carlo."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +21,18 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 
 
-def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, **options: object) -> Adjusted:
-    """The general engine where the compiled one would be taken."""
+def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, settled: bool = False, **options: Any) -> Adjusted:
+    """The general engine where the compiled one would be taken; with `settled` the latter takes lines to their own minima."""
     with monkeypatch.context() as patch:
         patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
-        found = adjust_lines(*given, **options)  # type: ignore[arg-type]
+        if not settled:
+            patch.setattr(adjustment, "lines_settled", lambda problem, loss: None)
+        found = adjust_lines(*given, **options)
     assert isinstance(found.whitened, Solution)
     return found
 
 
-def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tuple[Adjusted, Adjusted]:
+def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: Any) -> tuple[Adjusted, Adjusted]:
     """Compiled, and by torch, at the point where the compiled engine ends: the scale, which nothing fixes, depends on the way.
 
     From the start it gets there in as many steps or fewer, and no less far down; torch stays there.
@@ -38,7 +41,8 @@ def both(monkeypatch: pytest.MonkeyPatch, scene: Row, **options: object) -> tupl
     first, other = adjust_lines(*start, **options), by_torch(monkeypatch, *start, **options)  # type: ignore[arg-type]
     assert first.outcome is other.outcome is Outcome.CONVERGED
     assert abs(first.initial_cost / other.initial_cost - 1) < 1e-10
-    assert first.iterations <= other.iterations and first.cost <= other.cost * (1 + 1e-10)
+    alone = not options.get("refine_poses", True)
+    assert (alone or first.iterations <= other.iterations) and first.cost <= other.cost * (1 + 1e-10)
     end = (scene.arcs, first.state.chart.lines(), first.state.rig_from_world)
     stays = by_torch(monkeypatch, *end, **options)
     assert stays.outcome is Outcome.CONVERGED and abs(first.cost / stays.cost - 1) < 1e-10
@@ -130,15 +134,19 @@ def test_the_bend_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
     np.testing.assert_allclose(np.tril(e), np.tril(expected.numpy()), rtol=1e-12, atol=1e-12)
 
 
-def test_few_doubtful_lines_do_not_hold_up_poses() -> None:
-    """A third of the observations of some lines are wrong: poses and all lines converge together nevertheless."""
+def test_few_doubtful_lines_do_not_hold_up_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four of ten observations of some lines are wrong: poses and all lines converge together nevertheless, by either engine."""
     scene = row(lines=120, reach=8, seed=7)
     generator = torch.Generator().manual_seed(0)
     wrong = (torch.rand(len(scene.arcs), generator=generator) < 0.4) & (scene.arcs.track < 30)
     bearings = torch.where(wrong[:, None, None], scene.arcs.bearings + 0.02, scene.arcs.bearings)
     arcs = dataclasses.replace(scene.arcs, bearings=bearings / bearings.norm(dim=-1, keepdim=True))
-    found = adjust_lines(arcs, scene.lines, scene.poses, cost="whitened", loss=Loss("cauchy", 2.0))
-    assert found.outcome is Outcome.CONVERGED and found.iterations < 30
+    given = (arcs, scene.lines, scene.poses)
+    found = adjust_lines(*given, cost="whitened", loss=Loss("cauchy", 2.0))
+    general = by_torch(monkeypatch, *given, settled=True, cost="whitened", loss=Loss("cauchy", 2.0))
+    assert found.outcome is general.outcome is Outcome.CONVERGED
+    assert max(found.iterations, general.iterations) < 30
+    assert abs(found.cost / general.cost - 1) < 1e-9
 
 
 @pytest.mark.parametrize("held", [(0,), (2, 7), (4,)])

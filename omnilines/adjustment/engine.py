@@ -25,7 +25,7 @@ from omnilines.adjustment.line_kernel import (
     LineStates,
     Views,
 )
-from omnilines.adjustment.problem import LineProblem
+from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
@@ -237,6 +237,28 @@ class LineEngine:
         total.gradient[:, :6] -= gradient
         total.gradient[:, 6:] -= gradient
         total.diagonal[:] += own.diagonal(axis1=1, axis2=2)
+
+
+def lines_settled(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses], LinesAndPoses] | None:
+    """What takes every line of a state to its own minimum, for problems of which the engine takes no more (cameras, rigs).
+
+    None where it does not even take that.
+    """
+    arcs, held = problem.arcs, torch.ones(problem.arcs.images, dtype=torch.bool)
+    if problem.cost_name not in COMPILED_COSTS or arcs.bearings.device.type != "cpu":
+        return None
+    freedom = Freedom(held, problem.freedom.held_lines)
+    laid_out: Layout | None = None
+
+    def settle(state: LinesAndPoses) -> LinesAndPoses:
+        nonlocal laid_out
+        alone = LinesAndPoses(state.cam_from_world, state.chart)
+        own = LineProblem(arcs.seen_by(state.models) if state.models else arcs, problem.cost_name, freedom, alone)
+        laid_out = laid_out or layout(own)
+        engine = LineEngine(own, loss, laid_out)
+        return replace(state, chart=engine.minimise(alone, MOST_STEPS_ALONE).state.chart)
+
+    return settle
 
 
 def _search(cost: Float[np.ndarray, " t"]) -> LineSearch:

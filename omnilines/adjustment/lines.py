@@ -11,7 +11,7 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled
+from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled, lines_settled
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.memory import engine_bytes, require_for_general, require_memory
 from omnilines.adjustment.prior import PosePrior
@@ -105,7 +105,8 @@ def adjust_lines(
         found = engine.finish(engine.minimise(state, max_iterations, callback)).end
         return _with_sparse_uncertainty(problem, found, engine.layout)
     require_for_general(arcs, problem.structure.kept_size)
-    solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback)
+    settle = lines_settled(problem, loss or Loss())
+    solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
     if solution.state.models:
         arcs = arcs.seen_by(solution.state.models)
     return _with_uncertainty(arcs, freedom, prior, solution)

@@ -186,8 +186,9 @@ class Minimum(Generic[S]):
 class DenseEngine(Generic[S]):
     """Any problem: batched products in torch and a dense reduced system."""
 
-    def __init__(self, problem: Problem[S], state: S, loss: Loss) -> None:
-        self.problem, self.loss = problem, loss
+    def __init__(self, problem: Problem[S], state: S, loss: Loss, settle: Callable[[S], S] | None = None) -> None:
+        """`settle` takes the eliminated blocks of a state to lower costs of their own, after every step."""
+        self.problem, self.loss, self.settle = problem, loss, settle
         self._trial: tuple[S, Linearisation | CellLinearisation, Tensor] | None = None
         self._at: tuple[S, NormalEquations] | None = None
         self.residuals = 0
@@ -220,6 +221,8 @@ class DenseEngine(Generic[S]):
             return None
         eliminated = back_substitute(reduced, kept)
         trial = self.problem.retract(state, kept, eliminated)
+        if self.settle is not None:
+            trial = self.settle(trial)
         return Step(trial, self.cost(trial), equations.promised_decrease(kept, eliminated, damping))
 
 
@@ -279,9 +282,10 @@ def solve(
     tolerance: float = 1e-12,
     callback: Callable[[Progress], None] | None = None,
     damping: float = 1e-4,
+    settle: Callable[[S], S] | None = None,
 ) -> Solution[S]:
-    """Minimise sum loss(|r|^2) of any problem; the options are those of `minimise`."""
-    engine = DenseEngine(problem, state, loss or Loss())
+    """Minimise sum loss(|r|^2) of any problem; the options are those of `minimise` and, `settle`, of `DenseEngine`."""
+    engine = DenseEngine(problem, state, loss or Loss(), settle)
     found = minimise(engine, state, max_iterations, tolerance, callback, damping)
     return _finish(problem, found, reduce(engine.equations(found.state), 0.0))
 

@@ -3,8 +3,8 @@
     python tests/bench/bench_scene_panoramas.py --work DIR [--data DIR] [--left-out NAME] [--arcs DIR]
 
 `omnilines reconstruct --poses sfm` on all photos, and on all but one. The lines of the latter are brought into the frame of the
-former by the camera centres, and drawn into the photo left out with the pose that it has there. Compared are the arcs found in it
-(SEEN_PX / 2 and more), as `held_out.py` does it.
+former by the poses of the photos of both, and drawn into the photo left out with the pose that it has there. Compared are the
+arcs found in it (SEEN_PX / 2 and more), as `held_out.py` does it.
 
 A panorama has all directions, so that every line of another room is drawn, through the walls. Hence two rows: every line; and
 those in view, which at least one of the NEIGHBOURS photos shows that share most lines with the photo left out in the run of all.
@@ -31,9 +31,8 @@ from held_out import MATCHED_PX, NEAR_PX, SEEN_PX, held_out
 
 import camera_models
 from camera_models import Calibration, CameraModel, Equirectangular, Pose
-from omnilines.evaluate_scene import aligned_ends
 from omnilines.files import find_photos, read_lines, read_poses, read_segments
-from omnilines.records import Segments
+from omnilines.records import ImagePoses, Segments
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "lines" / "flat_panoramas"
 SIZE = (5376, 2688)
@@ -76,6 +75,20 @@ def neighbours(table: Segments, name: str) -> list[str]:
     return [other for other, _ in shared.most_common(NEIGHBOURS)]
 
 
+def in_frame_of(ends_m: np.ndarray, found: ImagePoses, other: ImagePoses) -> np.ndarray:
+    """Lines (n 2 3) of some poses in the frame of others: turned as the photos of both are, scaled and shifted as their centres.
+
+    A few centres that are some mm off would turn the scene by several pixels of a panorama.
+    """
+    place = {name: k for k, name in enumerate(other.images)}
+    a, b = found.cam_from_world, other.cam_from_world[[place[name] for name in found.images]]
+    u, _, vt = np.linalg.svd((b.rotation.mT @ a.rotation).sum(0).numpy())
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    from_middle, to_middle = (pose.centre.numpy() - pose.centre.numpy().mean(0) for pose in (a, b))
+    scale = (to_middle * (from_middle @ turn.T)).sum() / (from_middle**2).sum()
+    return scale * (ends_m - a.centre.numpy().mean(0)) @ turn.T + b.centre.numpy().mean(0)
+
+
 def in_photo(table: Segments, name: str) -> np.ndarray:
     """(n 2 2) arcs of a photo that are long enough, matched or not."""
     ends = table.endpoints_px[table.image == table.images.index(name)]
@@ -110,11 +123,15 @@ def main(data: Path, work: Path, left_out: str | None, arcs: Path | None) -> Non
     fewer = reconstructed(rest, work / "calibration.yaml", work / "without", work / "all" / "work" / "arcs")
     rows = [row("all", work / "all", every, len(photos)), row(f"without {name}", work / "without", fewer, len(rest))]
     print_table(data.name, ["photos", "posed", "lines", "rms px", "CPU s a photo", "peak GB"], rows)
+    judge(work, name, camera, len(rest))
 
+
+def judge(work: Path, name: str, camera: CameraModel, photos: int) -> None:
+    """The second table."""
     poses, seen = read_poses(work / "all" / "poses.csv"), read_segments(work / "all" / "segments.csv")
     pose = poses.cam_from_world[poses.images.index(name)]
     lines, own = read_lines(work / "without" / "lines.csv"), photos_of_lines(read_segments(work / "without" / "segments.csv"))
-    ends_m = aligned_ends(lines.ends_m[lines.known], read_poses(work / "without" / "poses.csv"), poses)
+    ends_m = in_frame_of(lines.ends_m[lines.known], read_poses(work / "without" / "poses.csv"), poses)
     number = {track: k for k, track in enumerate(read_segments(work / "without" / "segments.csv").tracks)}
     near = set(neighbours(seen, name))
     tracks = [lines.tracks[k] for k in np.flatnonzero(lines.known)]
@@ -125,7 +142,7 @@ def main(data: Path, work: Path, left_out: str | None, arcs: Path | None) -> Non
         judged(f"in view: shown by {' or '.join(sorted(near))}", ends_m[in_view], pose, camera, arcs_px),
     ]
     header = ["", "lines", f"{SEEN_PX:.0f} px long", f"within {NEAR_PX:.0f} px", "%", "% by chance", "median px"]
-    print_table(f"lines of {len(rest)} photos in {name}", header, rows)
+    print_table(f"lines of {photos} photos in {name}", header, rows)
 
 
 if __name__ == "__main__":
