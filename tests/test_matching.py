@@ -158,7 +158,7 @@ def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
     names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
     arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
     near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    assert [evidence_of_lines(arcs, near, seed).slack_px for seed in range(3)] == [SLACKS_PX[0]] * 3
+    assert max(evidence_of_lines(arcs, near, seed).slack_px for seed in range(3)) <= 0.1
 
 
 def test_too_little_tolerance_costs_tracks() -> None:

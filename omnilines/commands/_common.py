@@ -1,5 +1,6 @@
 """What every command hands back to the command line and the Python API, and how it tells of its progress."""
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -55,3 +56,12 @@ def output_folder(out: str | Path) -> Path:
             f"A folder to write to was expected at {folder}, found that it cannot be made ({error.strerror})."
         ) from error
     return folder
+
+
+def check_output_folder(out: str | Path) -> None:
+    """Refuse, before any work, a folder that could not be made or written to; nothing is made yet. Raises InputError."""
+    folder = Path(out).absolute()
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        why = "cannot be written to" if there.is_dir() else "is no folder"
+        raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")

@@ -17,7 +17,7 @@ from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
 from omnilines.commands._calibration_report import calibration_data, calibration_sections, calibration_summaries
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands._common import CommandResult, ProgressCallback, check_output_folder, output_folder, provenance, silent
 from omnilines.commands.detect import PhotoCorners, counts_remark, detect_corners, search_again
 from omnilines.files import PhotoRef, find_photos, read_corners, write_corners
 from omnilines.least_squares import Loss, Progress
@@ -103,7 +103,7 @@ def calibrate_photos(
     options = CalibrationOptions(model, degree, coefficients, loss, mirror, refine_board)
     refs = find_photos(photos)
     pattern = parse_pattern(pattern_spec)
-    output_folder(out)
+    check_output_folder(out)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect_corners(refs, pattern, mirrored=mirror, progress=progress)
     return _calibrate(_guided(refs, found, pattern, options, progress), out, options, progress)

@@ -12,7 +12,7 @@ from omnilines.calibration.rig import calibrate_rig
 from omnilines.calibration.rig_alone import AUTO, CameraSetup
 from omnilines.calibration.rig_result import RigCalibration
 from omnilines.calibration.rig_views import BOARDS
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands._common import CommandResult, ProgressCallback, check_output_folder, output_folder, provenance, silent
 from omnilines.commands._rig_report import rig_data, rig_sections, rig_summaries
 from omnilines.commands._rig_search import searched_with_rig
 from omnilines.commands._rig_sources import RigSource, is_rig, rig_from_photos, rig_from_table
@@ -101,7 +101,7 @@ def calibrate_rig_photos(
         raise InputError(
             "--boards known was expected with a corners.csv that has all boards in one frame, found photos; give fixed or moving."
         )
-    output_folder(out)
+    check_output_folder(out)
     cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
     options.known(cameras)
     mirrors = [name for name in cameras if options.model_of(name) in (AUTO, "scaramuzza")]

@@ -20,7 +20,7 @@ from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError, load
 from camera_models.pose import Pose
 from omnilines.commands._camera_search import completed, searched
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._common import CommandResult, ProgressCallback, check_output_folder, output_folder, silent
 from omnilines.files import PhotoRef, find_photos, read_photo, write_corners
 from omnilines.records import Corners, Summary, ViewResult
 
@@ -224,7 +224,7 @@ def detect(
     """
     pattern = parse_pattern(pattern_spec)
     model = None if calibration is None else _one_camera(calibration)
-    folder = output_folder(out)
+    check_output_folder(out)
     found = detect_corners(find_photos(photos), pattern, model=model, mirrored=mirror, progress=progress)
     if model is not None and found.image_size != model.image_size:
         photo_size, camera_size = (f"{width}x{height} px" for width, height in (found.image_size, model.image_size))
@@ -232,7 +232,7 @@ def detect(
             f"{calibration}: the camera of the photos, of {photo_size}, was expected, found one of {camera_size}; give the "
             "calibration of these photos, or leave it out."
         )
-    path = folder / "corners.csv"
+    path = output_folder(out) / "corners.csv"
     write_corners(path, found.corners)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))

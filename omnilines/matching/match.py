@@ -22,7 +22,7 @@ from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbour
 from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.triangulation.robust import noise_level
 
-SLACKS_PX = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+SLACKS_PX = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 """Standard deviations that are tried, from exact poses to poor ones."""
 SAMPLED_PAIRS, LEAST_SAMPLED = 2_000_000, 250
 """Arcs that the slack is chosen by: as many as give so many pairs with another arc, or the least number."""
