@@ -176,25 +176,32 @@ def _square(one: np.ndarray, at: int, other: np.ndarray, k: int) -> float:
 def _best(found: np.ndarray, weight: np.ndarray, seen: np.ndarray, images: int) -> tuple[int, float, float]:
     """Which pair of depths, sorted by the first, the other photos agree on most, its score, and that of its best rival."""
     count = len(found)
-    near = found[:, 0].copy()
+    first, second = found[:, 0].copy(), found[:, 1].copy()
+    first_variance, second_variance = found[:, 2] ** 2, found[:, 3] ** 2
     column, photos = np.full(images, -1, dtype=np.int64), 0
     for photo in seen:
         if column[photo] < 0:
             column[photo] = photos
             photos += 1
-    votes = np.zeros((count, photos))
+    votes = np.zeros((photos, count))
     for k in range(count):
-        # A pair votes within its own standard deviation: most of them are small, and so is what they are compared with.
-        reach = math.sqrt(2.0) * GATE * found[k, 2]
-        for h in range(np.searchsorted(near, near[k] - reach), count):
-            if near[h] > near[k] + reach:
+        # A pair votes within its own standard deviation: most of them are small, and so is what they are compared with. This is
+        # `_square`, written out where it is asked most often.
+        reach, own = math.sqrt(2.0) * GATE * found[k, 2], votes[column[seen[k]]]
+        for h in range(np.searchsorted(first, first[k] - reach), count):
+            off = first[h] - first[k]
+            if off > reach:
                 break
-            square = _square(found, h, found, k)
-            if square < np.inf:
-                vote = weight[k] * math.exp(-0.25 * square)
-                votes[h, column[seen[k]]] = max(vote, votes[h, column[seen[k]]])
+            spread = first_variance[k] + min(first_variance[k], first_variance[h])
+            if off * off > GATE**2 * spread:
+                continue
+            other = second[h] - second[k]
+            wide = second_variance[k] + min(second_variance[k], second_variance[h])
+            square = off * off / spread + other * other / wide
+            if square <= GATE**2:
+                own[h] = max(own[h], weight[k] * math.exp(-0.25 * square))
     best, score = -1, 0.0
-    scores = votes.sum(1)
+    scores = votes.sum(0)
     for h in range(count):
         if scores[h] > score:
             score, best = scores[h], h
