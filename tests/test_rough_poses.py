@@ -92,3 +92,8 @@ def test_where_the_photos_give_no_poses_the_note_says_so(exact: MatchingScene) -
     result = better(exact, shaken(exact.poses, 2.0, 100.0, 3), nothing)
     assert "the photos themselves give none: no three photos could be joined." in result.notes[-1]
     assert math.isfinite(float(result.poses.cam_from_world.translation.sum()))
+
+
+def test_too_few_photos_are_left_to_matching(exact: MatchingScene) -> None:
+    two = table(shaken(exact.poses, 2.0, 100.0, 3), range(2))
+    assert better_poses(found_arcs(exact), two, Calibration({"cam0": exact.camera}), 0, must_not_be_asked, silent) is two

@@ -48,7 +48,11 @@ def better_poses(
         return replace(poses, cam_from_world=turned_poses(viewed_arcs(found, poses, cameras))[0], covariance=None)
 
     given, notes = posed.poses, list(posed.notes)
-    best, held = given, evidence(given)
+    try:
+        best, held = given, evidence(given)
+    except GeometryError:
+        # Too few photos or places: matching says so, with the counts that it has.
+        return posed
     trial = turned(given)
     its = evidence(trial)
     if its.gain > CLEARLY_MORE * held.gain:
