@@ -24,6 +24,7 @@ from omnilines.files import read_lines, read_poses
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
+from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import line_families
 from omnilines.structure.upright import vertical_family
@@ -50,7 +51,7 @@ def found_by_sfm(room) -> PhotoPoses:
     away = Pose(rotation_from_vector(TURN), torch.tensor([0.3, 0.2, -0.1], dtype=torch.float64))
     covariance = np.broadcast_to(np.diag([1e-8] * 3 + [1e-6] * 3), (VIEWS, 6, 6)).copy()
     poses = moved_poses(ImagePoses(true.images, true.cam_from_world, true.cameras, covariance), 1 / UNIT_M, away)
-    return PhotoPoses(poses, {}, ("The scale is not known: some unit.",))
+    return PhotoPoses(poses, {}, (OPEN_SCALE,))
 
 
 def call(room, out, *options, poses="sfm", photos=None):

@@ -16,6 +16,7 @@ from camera_models import Calibration, InputError, load
 from camera_models.errors import OmnilinesError
 from camera_models.pose import Pose
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
+from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import Families
 from omnilines.structure.upright import photos_up, upright_from_world, vertical_family
@@ -23,8 +24,6 @@ from omnilines.structure.upright import photos_up, upright_from_world, vertical_
 SFM = "sfm"
 UNIT_KEY = "length_unit"
 """In the provenance of a scene's calibration.yaml, and in `--json`."""
-OPEN_SCALE = "The scale is not known"
-"""How structure from motion begins to say so; what the unit is in the end is said here."""
 Z_UP_RAD = math.radians(5.0)
 """A vertical so near to z is z."""
 
@@ -188,14 +187,14 @@ def moved_lines(lines: Lines, scale: float, turn: torch.Tensor) -> Lines:
 
 def without_scale(notes: Sequence[str]) -> tuple[str, ...]:
     """The notes on poses but for the one on their unit, which `scene_frame` says anew."""
-    return tuple(note for note in notes if not note.startswith(OPEN_SCALE))
+    return tuple(note for note in notes if note != OPEN_SCALE)
 
 
 def _open(source: str) -> str:
     what = "one unit is the cameras' root mean square distance from their middle"
     if source != SFM:
         what = "lengths are in units of the given poses"
-    return f"{OPEN_SCALE}: {what}; --scale-from PHOTO,PHOTO:METRES gives metres."
+    return f"The scale is not known: {what}; --scale-from PHOTO,PHOTO:METRES gives metres."
 
 
 def _scaled(known: KnownDistance, share: float) -> str:

@@ -29,6 +29,8 @@ Progress = Callable[[str, int, int], None]
 MOST_LEFT_OUT = 0.25
 """Share of the photos without a pose from which on those of the others are called doubtful: they share too few features for
 residuals to tell a wrong pose."""
+OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
+"""The note of poses whose unit nothing tells."""
 LEAST_SEEN = 10
 """Points that a photo must see in the end."""
 LEAST_FEATURES = 20
@@ -151,8 +153,9 @@ def _result(
         return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note))
     centre = table.cam_from_world.centre
     spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
-    metric = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
-    return PhotoPoses(moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), lost, (metric, note))
+    return PhotoPoses(
+        moved_poses(table, 1.0 / spread, Pose(first.rotation, first.translation / spread)), lost, (OPEN_SCALE, note)
+    )
 
 
 def doubt(lost: int, photos: int) -> tuple[str, ...]:
