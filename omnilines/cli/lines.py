@@ -18,7 +18,9 @@ PoseSource = Annotated[
 ]
 ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
-MaybeSegments = Annotated[Path | None, typer.Option("--segments", help="segments.csv (matched segments), in place of photos.")]
+MaybeSegments = Annotated[
+    Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
+]
 Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging, svd or ml.")]
 Cost = Annotated[str, typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm.")]
 MaybeTriangulation = Annotated[
@@ -78,14 +80,13 @@ def reconstruct(
     as_json: Json = False,
 ) -> None:
     """Photos, calibration and poses (or matched segments in place of photos) -> 3D lines, report.html."""
-    if bool(photos) == (segments is not None):
-        found = "both" if photos else "neither"
+    if not photos and segments is None:
         raise InputError(
-            f"Photos, or --segments with a table of matched segments, were expected, found {found}; give one of them."
+            "Photos, or --segments with a table of matched segments, were expected, found neither; give one of them."
         )
-    if segments is not None and scale_from is not None:
-        raise InputError("--scale-from is for photos, found --segments; give poses in metres.")
-    if segments is not None:
+    if not photos and scale_from is not None:
+        raise InputError("--scale-from is for photos, found --segments without them; give poses in metres.")
+    if not photos and segments is not None:
         _from_segments(
             calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine or "lines",
             loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
@@ -93,14 +94,14 @@ def reconstruct(
         return
     if robust or pose_sigma_deg is not None or pose_sigma_m is not None:
         raise InputError(
-            "--robust, --pose-sigma-deg and --pose-sigma-m are for --segments, found with photos, of which wrong arcs are always "
-            "left out and whose poses have no prior; leave them out."
+            "--robust, --pose-sigma-deg and --pose-sigma-m are for --segments without photos, found with photos: wrong arcs are "
+            "always left out, and their poses have no prior; leave them out."
         )
     from omnilines.commands.reconstruct_photos import reconstruct_photos
 
     run(
         lambda progress: reconstruct_photos(
-            photos or [], calibration, poses, out, pattern=pattern, scale_from=scale_from, mask=mask,
+            photos or [], calibration, poses, out, segments=segments, pattern=pattern, scale_from=scale_from, mask=mask,
             least_views=min_views, tolerance_px=tolerance_px, triangulation=triangulation or "ml", cost=cost or "whitened",
             refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device, seed=seed, progress=progress,
         ),

@@ -62,7 +62,7 @@ def find_arcs(
         try:
             content = photo.path.read_bytes()
         except OSError as error:
-            return _skipped(photo, name, f"{photo.path} cannot be read ({error.strerror}).")
+            return skipped(photo, name, f"{photo.path} cannot be read ({error.strerror}).")
         least = math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
         kept = folder / f"{fingerprint(content, cameras[name], mask, least)}.npz"
         found = _kept(kept)
@@ -70,7 +70,7 @@ def find_arcs(
             try:
                 found = _looked(photo, cameras[name], mask, least)
             except InputError as error:
-                return _skipped(photo, name, str(error))
+                return skipped(photo, name, str(error))
             buffer = io.BytesIO()
             np.savez(buffer, **found)  # type: ignore[arg-type]
             write_atomically(kept, buffer.getvalue())
@@ -95,7 +95,8 @@ def fingerprint(content: bytes, model: CameraModel, mask: Bool[np.ndarray, "h w"
     return what.hexdigest()[:32]
 
 
-def _skipped(photo: PhotoRef, camera: str, reason: str) -> FoundArcs:
+def skipped(photo: PhotoRef, camera: str, reason: str) -> FoundArcs:
+    """A photo that cannot be used, and why."""
     none = np.zeros((0, 2, 2))
     return FoundArcs(photo, camera, none, np.zeros((0, 2, 2, 2)), np.zeros(0), np.zeros((0, 2, 3)), reason)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._given_arcs import given_arcs, read_given, remarks_on
 from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
@@ -49,6 +50,7 @@ def reconstruct_photos(
     poses: str,
     out: Path,
     *,
+    segments: Path | None = None,
     pattern: str | None = None,
     scale_from: str | None = None,
     mask: Path | None = None,
@@ -70,8 +72,9 @@ def reconstruct_photos(
     given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
     at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
     of poses and calibration; it is found from the arcs where it is not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the
-    distance in metres of two photos, where poses leave the scale open. `colmap` and `recording` add a COLMAP model and a
-    recording for the rerun viewer. `device` is `cpu` or `cuda`.
+    distance in metres of two photos, where poses leave the scale open. `segments` is a table of unmatched segments of these
+    photos, taken in place of arcs that would be found in them. `colmap` and `recording` add a COLMAP model and a recording for
+    the rerun viewer. `device` is `cpu` or `cuda`.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
@@ -83,11 +86,16 @@ def reconstruct_photos(
     camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     unit = unit_of_poses(poses, cameras, camera_of)
+    given = None if segments is None else read_given(segments, refs, camera_of)
+    if given is not None and mask is not None:
+        raise InputError("--mask says where arcs are looked for, found --segments beside it; leave one of them out.")
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
     folder = output_folder(out)
     _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
-    inputs = [photo.path for photo in refs] + [calibration] + ([] if mask is None else [mask]) + _pose_files(poses)
+    inputs = [photo.path for photo in refs] + [calibration]
+    inputs += [path for path in (mask, segments) if path is not None]
+    inputs += _pose_files(poses)
     stamp = Stamp(
         folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, distance, colmap, recording, [p.name for p in refs])))
     )
@@ -97,7 +105,10 @@ def reconstruct_photos(
     if distance is not None and poses not in SOURCES:
         names = photo_poses(poses, refs, cameras, camera_of, folder, progress=progress)
         require_poses(distance, names)
-    found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
+    if given is None:
+        found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
+    else:
+        found = given_arcs(given, refs, cameras, camera_of, progress)
 
     def posed_by(source: str) -> PhotoPoses:
         return _posed(source, found, cameras, camera_of, calibration, folder / WORK, pattern, seed, progress)
@@ -105,7 +116,7 @@ def reconstruct_photos(
     posed = posed_by(poses)
     if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
         posed = better_poses(found, posed, cameras, seed, lambda: posed_by("sfm"), progress)
-    table = folder / WORK / "poses.csv"
+    table = output_folder(folder / WORK) / "poses.csv"
     write_poses(table, posed.poses)
     if distance is not None:
         require_poses(distance, posed)
@@ -113,7 +124,8 @@ def reconstruct_photos(
         scene = photo_scene(found, posed.poses, cameras, options, progress)
     except GeometryError as error:
         raise GeometryError(f"{error} Of {len(refs)} photos, {len(posed.poses)} have poses: {table}.") from None
-    asked = _Asked(calibration, poses, unit, distance, "poses" in parts, least_views, colmap, recording)
+    remarks = () if given is None else remarks_on(given, found)
+    asked = _Asked(calibration, poses, unit, distance, "poses" in parts, least_views, colmap, recording, remarks)
     result = _written(folder, scene, found, posed, cameras, refs, asked, progress)
     stamp.write(result)
     return result
@@ -156,6 +168,8 @@ class _Asked:
     least_views: int
     colmap: bool
     recording: bool
+    remarks: tuple[str, ...]
+    """On the segments that were given."""
 
 
 def _check(
@@ -224,7 +238,7 @@ def _written(
     progress("writing the report", 0, 0)
     summary = scene_summary(scene, len(photos), frame.families)
     skipped = tuple(f"{arcs.photo.name} is skipped: {arcs.reason}" for arcs in found if arcs.reason is not None)
-    notes = (*skipped, *told, *remarks, *summary.notes)
+    notes = (*skipped, *asked.remarks, *told, *remarks, *summary.notes)
     sections = scene_sections(scene, final, photos, frame, replace(summary, notes=notes))
     files.append(write_report(folder / "report.html", "Line scene", sections))
     return CommandResult((summary,), scene_data(scene, frame), files=tuple(files), report=files[-1], warnings=notes)
