@@ -55,7 +55,7 @@ def everything(found: Matched) -> KnownLines:
 
 
 def others(found: Matched, k: int) -> KnownLines:
-    return lines_of_others(everything(found), found.arcs, found.tracks, k)
+    return lines_of_others(everything(found), found.arcs, found.tracks, np.array([k]))
 
 
 def test_lines_of_the_others_are_those_of_all_their_arcs() -> None:
@@ -129,6 +129,20 @@ def test_the_jacobian_is_that_of_finite_differences() -> None:
     for k, step in enumerate(1e-6 * torch.eye(6, dtype=torch.float64)):
         ahead, behind = (
             _linearised(own.with_poses(Pose.exp(sign * step[None]) @ own.poses), known, pairs.arc, pairs.line)[0]
+            for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose((ahead - behind) / 2e-6, jacobian[..., k], atol=1e-7)
+
+
+def test_photos_that_move_as_one_have_one_jacobian() -> None:
+    found = matched("fisheye", True)
+    own, known = found.arcs.of_photos(np.array([1, 4])), everything(found)
+    pairs = explained_by_lines(own, known)
+    assert set(own.image[pairs.arc]) == {0, 1}
+    _, jacobian = _linearised(own, known, pairs.arc, pairs.line)
+    for k, step in enumerate(1e-6 * torch.eye(6, dtype=torch.float64)):
+        ahead, behind = (
+            _linearised(own.moved_to(Pose.exp(sign * step[None]) @ own.poses[[0]]), known, pairs.arc, pairs.line)[0]
             for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose((ahead - behind) / 2e-6, jacobian[..., k], atol=1e-7)

@@ -66,7 +66,7 @@ def photo_poses(
         return read_photo(path_of[name])
 
     if source == "sfm":
-        frames = _frames(names) if cameras.rig else None
+        frames = instants(names) if cameras.rig else None
         return sfm_poses(names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed)
     if source == "boards":
         return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress)
@@ -75,7 +75,7 @@ def photo_poses(
 
 def _without_photos(source: str, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
     """Poses from a source that does not look into the photos."""
-    frame_of = _frames(names)
+    frame_of = instants(names)
     if source == "rig":
         return poses_from_rig(cameras, names, camera_of, frame_of)
     if Path(source).is_dir():
@@ -87,7 +87,8 @@ def _without_photos(source: str, names: Sequence[str], cameras: Calibration, cam
     return _from_table(Path(source), names, cameras, camera_of, frame_of)
 
 
-def _frames(names: Sequence[str]) -> dict[str, str]:
+def instants(names: Sequence[str]) -> dict[str, str]:
+    """The instant of each photo of a rig: photos of one file name are of one."""
     return {name: PurePosixPath(name).stem for name in names}
 
 

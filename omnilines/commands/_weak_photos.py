@@ -69,7 +69,7 @@ def _better_poses(scene: PhotoScene, names: Sequence[str], progress: ProgressCal
     for done, name in enumerate(names):
         progress("looking into weak photos", done, len(names))
         row = poses.images.index(name)
-        better = _better_pose(arcs.of_photo(row), lines_of_others(known, arcs, matched.tracks, row))
+        better = _better_pose(arcs.of_photo(row), lines_of_others(known, arcs, matched.tracks, np.array([row])))
         if better is not None:
             found[name] = better
     return found

@@ -49,8 +49,12 @@ class ViewedArcs:
 
     def of_photo(self, image: int) -> "ViewedArcs":
         """The arcs of one photo, and its pose."""
-        own = self.rows(np.flatnonzero(self.image == image))
-        return replace(own, image=np.zeros_like(own.image), poses=self.poses[[image]])
+        return self.of_photos(np.array([image]))
+
+    def of_photos(self, images: Int[np.ndarray, " m"]) -> "ViewedArcs":
+        """The arcs of some photos (in ascending order), and their poses."""
+        own = self.rows(np.flatnonzero(np.isin(self.image, images)))
+        return replace(own, image=np.searchsorted(images, own.image), poses=self.poses[images])
 
     def sharpest(self, most: int) -> "ViewedArcs":
         """The arcs whose great circles are known best, `most` of them at most, in the same order."""
@@ -61,6 +65,11 @@ class ViewedArcs:
     def widened(self, slack_px: float) -> "ViewedArcs":
         """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
         return replace(self, covariance_px2=self.covariance_px2 + slack_px**2 * np.eye(2))
+
+    def moved_to(self, first: Pose) -> "ViewedArcs":
+        """The same arcs where all photos moved as one, so that the first of them has the pose `first` (1,)."""
+        back = self.poses[[0]].inverse()
+        return self.with_poses(self.poses @ (back @ first)[0])
 
     def with_poses(self, poses: Pose) -> "ViewedArcs":
         """The same arcs in photos that stand elsewhere."""

@@ -1,10 +1,13 @@
 """Photos placed by the lines of other photos: poses that are off are mended, and photos without a pose find one.
 
+What is placed is one photo, or several that move as one: those of a rig at one instant.
+
 A right pose is told from a wrong one by how many arcs of the photo are explained, to their noise, by lines that look like them:
 most of them under the right one, a small share under any other. What the best of the others explains is what chance does.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -39,19 +42,20 @@ def lines_of_tracks(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) 
     return known_lines(arcs, track, found)
 
 
-def lines_of_others(known: KnownLines, arcs: ViewedArcs, tracks: Tracks, image: int) -> KnownLines:
-    """The lines of tracks as all photos but one show them; `known` as all do. Only those that the one shows are not the same."""
-    own = np.unique(tracks.track[(arcs.image == image) & (tracks.track >= 0)])
+def lines_of_others(known: KnownLines, arcs: ViewedArcs, tracks: Tracks, images: Int[np.ndarray, " m"]) -> KnownLines:
+    """The lines of tracks as all photos but `images` show them; `known` as all do. Only those that they show differ."""
+    theirs = np.isin(arcs.image, images)
+    own = np.unique(tracks.track[theirs & (tracks.track >= 0)])
     if not len(own):
         return known
     number = np.full(len(tracks) + 1, -1)
     number[own] = np.arange(len(own))
-    without = lines_of_tracks(arcs, np.where(arcs.image == image, -1, number[tracks.track]), len(own))
+    without = lines_of_tracks(arcs, np.where(theirs, -1, number[tracks.track]), len(own))
     return known.rows(~np.isin(known.track, own)).and_also(replace(without, track=own[without.track]))
 
 
 def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int, typical: float = 1.0) -> PlacedByLines | None:
-    """A pose that explains clearly more of the one photo of `arcs` than the one it has; None where there is none.
+    """A pose that explains clearly more of the photos of `arcs` than the one they have; None where there is none.
 
     It is looked for nearby, and anywhere where hardly any arcs are explained: `typical` is the share (`explained_share`) of the
     median photo, which in texture is small.
@@ -66,26 +70,38 @@ def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int, typical: float =
 
 
 def explained_share(arcs: ViewedArcs, known: KnownLines) -> float:
-    """Share of the sharpest arcs of the one photo of `arcs` that lines explain, each by how much they look alike."""
+    """Share of the sharpest arcs of the photos of `arcs` that lines explain, each by how much they look alike."""
     arcs = arcs.sharpest(MOST_ARCS)
     return explained_by_lines(arcs, known).score / max(len(arcs), 1)
 
 
 def placed_anywhere(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
-    """The pose of the one photo of `arcs`, wherever it is; None where none explains clearly more than others do."""
+    """The pose of the photos of `arcs`, wherever they are; None where none explains clearly more than others do.
+
+    Of their own poses only where they stand to each other counts.
+    """
     arcs, known = arcs.sharpest(MOST_ARCS), known.longest(MOST_LINES)
-    starts, apart = start_poses(arcs.with_poses(Pose.identity(1)), known, seed), OTHER_SHARE * _extent(known)
+    apart = OTHER_SHARE * _extent(known)
     placed: list[PlacedByLines] = []
-    for k in range(len(starts)):
+    for start in _starts(arcs, known, seed):
         # A start beside a pose that was found leads there.
-        if all(_is_other(starts[k : k + 1], one.pose, apart) for one in placed):
-            one = refined_by_lines(arcs.with_poses(starts[k : k + 1]), known)
+        if all(_is_other(start.poses, one.pose, apart) for one in placed):
+            one = refined_by_lines(start, known)
             placed += [] if one is None else [one]
     best = max(placed, key=lambda one: one.score, default=None)
     if best is None or best.score < LEAST_SCORE:
         return None
     others = (one.score for one in placed if _is_other(one.pose, best.pose, apart))
     return best if best.score >= ABOVE_CHANCE * max(others, default=0.0) else None
+
+
+def _starts(arcs: ViewedArcs, known: KnownLines, seed: int) -> Iterator[ViewedArcs]:
+    """The photos of `arcs` where each of them by itself could have been, and the others with it."""
+    for k in range(arcs.images):
+        starts = start_poses(arcs.of_photo(k).with_poses(Pose.identity(1)), known, seed)
+        first_from_photo = arcs.poses[[0]] @ arcs.poses[[k]].inverse()
+        for at in range(len(starts)):
+            yield arcs.moved_to(first_from_photo @ starts[[at]])
 
 
 def _is_other(one: Pose, pose: Pose, apart: float) -> bool:

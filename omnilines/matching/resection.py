@@ -1,4 +1,4 @@
-"""The pose of a photo from lines that are known.
+"""The pose of a photo, or of photos that move as one (of a rig at one instant), from lines that are known.
 
 Its arcs are given to the lines that pass near them and look like them, the pose is refined, and so in turn with a reach that
 narrows. With M = R m + t x R d the normal of the plane of a line (camera frame) the residual of an end V of an arc is the sine of
@@ -6,7 +6,8 @@ its angle to the plane,
 
     h = V . M / |M|,    dh = w . (M x U) + v . (d x U),    U = (V - h M / |M|) / |M|,
 
-for the left perturbation (w, v) of the pose.
+for the left perturbation (w, v) of the pose of its photo. That of photo k is Ad(T_k) times that of the first one where T_k takes
+bearings of the first to those of photo k, which is held.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from camera_models.pose import Pose
+from camera_models.pose import Pose, adjoint
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
 from omnilines.matching.known_lines import REACH_PX, KnownLines, most_likely
@@ -38,7 +39,7 @@ class PlacedByLines:
     """A pose and the lines that it rests on."""
 
     pose: Pose
-    """cam_from_world."""
+    """cam_from_world of each photo."""
     score: float
     """Sum over the arcs that lines explain of how much they look alike (at most 1 each)."""
     arc: Int[np.ndarray, " k"]
@@ -47,24 +48,26 @@ class PlacedByLines:
 
 
 def refined_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | None:
-    """The pose of the one photo of `arcs` near the one it has; None where lines near it do not determine one."""
+    """The pose of the photos of `arcs`, moved as one, near the one that they have; None where lines near it determine none."""
+    # Where the photos stand to each other is always that of the start: rounding would add up.
+    start = arcs
     for reach in np.repeat(REACHES_RAD, STEPS).tolist():
-        moved = _step(arcs, known, reach)
-        if moved is None:
+        first = _step(arcs, known, reach)
+        if first is None:
             return None
-        arcs = moved
+        arcs = start.moved_to(first)
     return explained_by_lines(arcs, known)
 
 
 def explained_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines:
-    """The pose that the photo has, with the arcs that lines explain."""
+    """The poses that the photos have, with the arcs that lines explain."""
     arc, line, alike, square = known.explaining(arcs)
     best = most_likely(arc, alike, square)
     return PlacedByLines(arcs.poses, float(alike[best].sum()), arc[best], line[best])
 
 
-def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs | None:
-    """The photo after a step of iteratively reweighted least squares; None where the step is not determined."""
+def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> Pose | None:
+    """The pose (1,) of the first photo after a step of iteratively reweighted least squares; None where the step is not determined."""
     noise = arcs.packed[:, 12:]
     spread = np.sqrt(noise**2 + (reach_rad / REACH_SIGMAS) ** 2)
     arc, line = known.near(arcs, np.maximum(REACH_SIGMAS * spread.max(-1), REACH_PX * arcs.px_rad))
@@ -86,19 +89,24 @@ def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> ViewedArcs |
         return None
     right = -np.einsum("nki,nk,nk->i", jacobian, weight, residual) * unit
     step = unit * (vectors @ ((vectors.T @ right) / values))
-    return arcs.with_poses(Pose.exp(torch.as_tensor(step)[None]) @ arcs.poses)
+    return Pose.exp(torch.as_tensor(step)[None]) @ arcs.poses[[0]]
 
 
 def _linearised(
     arcs: ViewedArcs, known: KnownLines, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2 6"]]:
-    """h of both ends of arcs from lines, and its derivative by the left perturbation of the pose."""
-    rotation, shift = arcs.poses.rotation[0].numpy(), arcs.poses.translation[0].numpy()
-    direction = known.direction[line] @ rotation.T
-    moment = known.moment[line] @ rotation.T + np.cross(shift, direction)
+    """h of both ends of arcs from lines, and its derivative by the left perturbation of the pose of the first photo."""
+    photo = arcs.image[arc]
+    rotation, shift = arcs.poses.rotation.numpy()[photo], arcs.poses.translation.numpy()[photo]
+    direction = (rotation @ known.direction[line, :, None])[..., 0]
+    moment = (rotation @ known.moment[line, :, None])[..., 0] + np.cross(shift, direction)
     length = np.linalg.norm(moment, axis=-1, keepdims=True)
     normal = moment / length
     ends = arcs.bearings[arc]
     residual = (ends * normal[:, None]).sum(-1)
     across = (ends - residual[..., None] * normal[:, None]) / length[:, None]
-    return residual, np.concatenate([np.cross(moment[:, None], across), np.cross(direction[:, None], across)], -1)
+    jacobian = np.concatenate([np.cross(moment[:, None], across), np.cross(direction[:, None], across)], -1)
+    if arcs.images > 1:
+        from_first = arcs.poses @ arcs.poses[0].inverse()
+        jacobian = jacobian @ adjoint(from_first).numpy()[photo]
+    return residual, jacobian

@@ -1,0 +1,110 @@
+"""Instants of a rig placed by the lines of the others: a pair of fisheyes in a room of known lines."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matching_scenes import SIZE, MatchingScene, camera_named, from_views, looking
+
+from camera_models import Calibration
+from camera_models.formats.calibration_data import RigCamera
+from camera_models.pose import Pose
+from omnilines.commands._line_poses import poses_by_lines
+from omnilines.commands._photo_arcs import FoundArcs
+from omnilines.commands._viewed_arcs import viewed_arcs
+from omnilines.files import PhotoRef
+from omnilines.matching.match import match_arcs
+from omnilines.matching.placing import lines_of_tracks, placed_anywhere
+from omnilines.posing.photo_poses import image_poses
+from omnilines.records import ImagePoses
+from omnilines.simulate_lines import room_world
+
+INSTANTS, CAMERAS = 9, ("left", "right")
+IN_RIG = Pose.exp(torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.1, 2.0, 0.0, 0.2, 0.0, 0.1]], dtype=torch.float64))
+FEW = 13
+"""Arcs that each camera has at a poor instant: too few to place one photo alone."""
+
+
+@pytest.fixture(scope="module")
+def rig() -> tuple[MatchingScene, Calibration]:
+    """All photos, those of one instant after each other, and the calibration of both cameras."""
+    camera, half_rad = camera_named("fisheye")
+    rng = np.random.default_rng(7)
+    rig_from_world = looking(rng.uniform(0.25, 0.75, (INSTANTS, 3)) * SIZE, rng.standard_normal((INSTANTS, 3)) * [1, 1, 0.4])
+    poses = Pose.stack([IN_RIG[k] @ rig_from_world[instant] for instant in range(INSTANTS) for k in range(2)])
+    cameras = dict.fromkeys(CAMERAS, camera)
+    placed = {name: RigCamera(IN_RIG[k]) for k, name in enumerate(CAMERAS)}
+    return from_views(camera, half_rad, poses, room_world(1).ends_m), Calibration(cameras, rig=placed)
+
+
+def found_in(scene: MatchingScene, few: int | None = None) -> list[FoundArcs]:
+    """The arcs of all photos; of the instant `few` FEW arcs a photo."""
+    arcs = scene.arcs(0.3, 3, True)
+    pixels, _ = scene.camera.project(torch.as_tensor(arcs.bearings))
+    found = []
+    for k in range(arcs.images):
+        rows = np.flatnonzero(arcs.image == k)
+        rows = rows[:: max(len(rows) // FEW, 1)][:FEW] if k // 2 == few else rows
+        photo = PhotoRef(Path(f"{CAMERAS[k % 2]}/{k // 2:03d}.png"), f"{CAMERAS[k % 2]}/{k // 2:03d}.png")
+        ends = pixels[rows].numpy()
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+        found.append(FoundArcs(photo, CAMERAS[k % 2], ends, arcs.covariance_px2[rows], length, arcs.colours[rows]))
+    return found
+
+
+def known_poses(found: list[FoundArcs], poses: Pose, instants: list[int]) -> ImagePoses:
+    rows = [2 * instant + k for instant in instants for k in range(2)]
+    names = [found[k].photo.name for k in rows]
+    return image_poses(names, [poses[k] for k in rows], [found[k].camera for k in rows], [Path(name).stem for name in names])
+
+
+def errors(placed: ImagePoses, found: list[FoundArcs], truth: Pose, instant: int) -> tuple[float, float]:
+    """Degrees and metres of the worse photo of an instant."""
+    apart = []
+    for k in (2 * instant, 2 * instant + 1):
+        pose = placed.cam_from_world[placed.images.index(found[k].photo.name)]
+        turn = (pose @ truth[k].inverse()).log()[:3].norm()
+        apart.append((math.degrees(float(turn)), float((pose.centre - truth[k].centre).norm())))
+    return max(turn for turn, _ in apart), max(metres for _, metres in apart)
+
+
+@pytest.mark.parametrize("few", [None, INSTANTS - 1])
+def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) -> None:
+    scene, calibration = rig
+    found, last = found_in(scene, few), INSTANTS - 1
+    poses = known_poses(found, scene.poses, list(range(last)))
+    matched = match_arcs(viewed_arcs(found, poses, calibration))
+    placed = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    assert placed is not None and placed.frames is not None
+    assert placed.images[:-2] == poses.images and placed.frames[-2:] == (f"{last:03d}",) * 2
+    degrees, metres = errors(placed, found, scene.poses, last)
+    assert degrees < 0.2 and metres < 0.01
+    if few is not None:
+        known = lines_of_tracks(matched.arcs, matched.tracks.track, len(matched.tracks))
+        for photo in found[-2:]:
+            alone = viewed_arcs([photo], image_poses([photo.photo.name], [Pose.identity()], [photo.camera]), calibration)
+            assert placed_anywhere(alone.widened(matched.slack_px), known, 0) is None
+    between = placed.cam_from_world[-1] @ placed.cam_from_world[-2].inverse()
+    expected = IN_RIG[1] @ IN_RIG[0].inverse()
+    torch.testing.assert_close(between.rotation, expected.rotation, rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(between.translation, expected.translation, rtol=0.0, atol=1e-12)
+
+
+def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None:
+    scene, calibration = rig
+    found = found_in(scene)
+    step = Pose.exp(torch.tensor([[0.02, -0.02, 0.015, 0.05, -0.04, 0.03]], dtype=torch.float64))
+    off = Pose(scene.poses.rotation.clone(), scene.poses.translation.clone())
+    for k in range(2):
+        moved = IN_RIG[k] @ (step[0] @ (IN_RIG[0].inverse() @ scene.poses[4]))
+        off.rotation[4 + k], off.translation[4 + k] = moved.rotation, moved.translation
+    poses = known_poses(found, off, list(range(INSTANTS)))
+    matched = match_arcs(viewed_arcs(found, poses, calibration))
+    assert errors(poses, found, scene.poses, 2)[1] > 0.05
+    mended = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    assert mended is not None
+    degrees, metres = errors(mended, found, scene.poses, 2)
+    assert degrees < 0.2 and metres < 0.01
+    assert mended.frames == poses.frames
