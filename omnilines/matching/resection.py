@@ -67,7 +67,7 @@ def explained_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines:
 
 
 def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> Pose | None:
-    """The pose (1,) of the first photo after a step of iteratively reweighted least squares; None where the step is not determined."""
+    """The pose (1,) of the first photo after a step of iteratively reweighted least squares; None where it is not determined."""
     noise = arcs.packed[:, 12:]
     spread = np.sqrt(noise**2 + (reach_rad / REACH_SIGMAS) ** 2)
     arc, line = known.near(arcs, np.maximum(REACH_SIGMAS * spread.max(-1), REACH_PX * arcs.px_rad))
