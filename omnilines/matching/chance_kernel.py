@@ -36,15 +36,20 @@ def shown_and_beside(
     """
     lines, photos = len(direction), len(starts) - 1
     width, beside = np.full((lines, photos), np.nan), np.zeros((lines, photos))
-    low, high, at, view = np.empty(len(packed)), np.empty(len(packed)), np.empty(4), np.empty(9)
-    for line in range(lines):
-        for photo in range(photos):
+    at, view = np.empty(4), np.empty(9)
+    for photo in range(photos):
+        begin, end = starts[photo], starts[photo + 1]
+        ends, most_rad = packed[begin:end, :6].T.copy(), (reach_px + 6.0) * px_rad[begin:end]
+        low, high, close = np.empty(end - begin), np.empty(end - begin), np.empty(end - begin, dtype=np.bool_)
+        for line in range(lines if begin < end else 0):
             count = 0
-            if starts[photo] < starts[photo + 1]:
-                _view(packed[starts[photo]], direction[line], moment[line], span[line], view)
-            for arc in range(starts[photo], starts[photo + 1]):
+            _view(packed[begin], direction[line], moment[line], span[line], view)
+            _within(ends, view, most_rad, close)
+            for arc in range(begin, end):
                 mine = own[arc] == line
-                flipped = _seen(packed[arc], direction[line], view, (reach_px + 6.0) * px_rad[arc], mine, at)
+                if not mine and not close[arc - begin]:
+                    continue
+                flipped = _seen(packed[arc], direction[line], view, mine, at)
                 if flipped < 0:
                     continue
                 first, second = at[2] / packed[arc, 12], at[3] / packed[arc, 13]
@@ -84,15 +89,26 @@ def _view(p: np.ndarray, d: np.ndarray, moment: np.ndarray, span: np.ndarray, ou
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, most_rad: float, mine: bool, out: np.ndarray) -> int:
+def _within(ends: np.ndarray, view: np.ndarray, most_rad: np.ndarray, close: np.ndarray) -> None:
+    """Whether both ends of each arc, columns of coordinates, lie so near the plane of a line. Asked of every arc and every line:
+    without a branch, it is compiled to vector instructions."""
+    ax, ay, az, bx, by, bz = ends[0], ends[1], ends[2], ends[3], ends[4], ends[5]
+    nx, ny, nz = view[0], view[1], view[2]
+    for arc in range(len(close)):
+        first = abs(ax[arc] * nx + ay[arc] * ny + az[arc] * nz)
+        last = abs(bx[arc] * nx + by[arc] * ny + bz[arc] * nz)
+        close[arc] = (first <= most_rad[arc]) & (last <= most_rad[arc])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, out: np.ndarray) -> int:
     """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
 
-    1 where the arc runs against the line, 0 where along it, -1 where it lies farther off than `most_rad` or not beside the line.
+    1 where the arc runs against the line, 0 where along it, -1 where it is not its own and does not lie beside it.
     """
     out[0] = p[0] * view[0] + p[1] * view[1] + p[2] * view[2]
     out[1] = p[3] * view[0] + p[4] * view[1] + p[5] * view[2]
-    if not mine and max(abs(out[0]), abs(out[1])) > most_rad:
-        return -1
     first = math.atan2(p[0] * d[0] + p[1] * d[1] + p[2] * d[2], p[0] * view[3] + p[1] * view[4] + p[2] * view[5])
     last = math.atan2(p[3] * d[0] + p[4] * d[1] + p[5] * d[2], p[3] * view[3] + p[4] * view[4] + p[5] * view[5])
     low, high, begin, end = min(first, last), max(first, last), view[6], view[7]

@@ -86,8 +86,8 @@ def _moments_about(centre: np.ndarray, direction: np.ndarray, moment: np.ndarray
 @njit(cache=True, nogil=True)
 @no_type_check
 def _within(p: np.ndarray, about: np.ndarray, square_sine: float, close: np.ndarray) -> None:
-    """Whether both ends of an arc lie near the great circle of each line. This is asked of every arc and every line: without a
-    branch, it is compiled to vector instructions."""
+    """Whether both ends of an arc lie near the great circle of each line. Asked of every arc and every line: without a branch, it
+    is compiled to vector instructions."""
     mx, my, mz, square = about[0], about[1], about[2], about[3]
     ax, ay, az, bx, by, bz = p[0], p[1], p[2], p[3], p[4], p[5]
     for line in range(len(close)):
