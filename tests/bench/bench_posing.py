@@ -7,7 +7,6 @@ CPU time of everything from photos to poses.
 """
 
 import argparse
-import importlib.util
 import sys
 import tempfile
 import time
@@ -15,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from timing import skip
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -101,8 +99,6 @@ if __name__ == "__main__":
     parser.add_argument("--small", action="store_true", help="few photos of a room, and of the castle and the rig where they are")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    if importlib.util.find_spec("pycolmap") is None:
-        skip("structure from motion needs pycolmap (pip install 'omnilines[sfm]')")
     print(HEADER.format("camera", "photos", "placed", "position, mm", "rotation, deg", "CPU"))
     if options.small:
         rooms(CAMERAS[:1], 6, 500, [3])

@@ -8,13 +8,12 @@ are brought into the true frame by the camera centres (a similarity, since the s
 """
 
 import argparse
-import importlib.util
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from timing import print_table, skip
+from timing import print_table
 
 from omnilines.cli import main as omnilines
 from omnilines.evaluate_scene import aligned_ends, scene_scores
@@ -84,8 +83,6 @@ if __name__ == "__main__":
     options, camera = parser.parse_args(), CAMERA
     if options.small:
         options.views, options.levels, camera = 8, options.levels[:1], SMALL_CAMERA
-    if importlib.util.find_spec("pycolmap") is None:
-        skip("structure from motion needs pycolmap (pip install 'omnilines[sfm]')")
     rows = []
     for level in options.levels:
         with tempfile.TemporaryDirectory() as folder:

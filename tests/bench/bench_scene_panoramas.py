@@ -14,7 +14,6 @@ Their rooms are its own or open to it, yet furniture and door frames may still h
 """
 
 import argparse
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -128,8 +127,6 @@ def reduced(data: Path, folder: Path) -> Path:
 def main(data: Path, work: Path, left_out: str | None, arcs: Path | None, small: bool) -> None:
     if not data.is_dir():
         skip(f"the folder {data} with panoramas is absent")
-    if importlib.util.find_spec("pycolmap") is None:
-        skip("structure from motion needs pycolmap (pip install 'omnilines[sfm]')")
     work.mkdir(parents=True, exist_ok=True)
     camera = Equirectangular.from_mapping({}, SMALL_SIZE if small else SIZE)
     data = reduced(data, work / "reduced") if small else data
