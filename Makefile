@@ -19,7 +19,7 @@ INSTALL = @echo "Installing $(1) into $(VENV); the first time takes a few minute
 
 help:
 	@echo "make demo      install, calibrate a camera from photos it renders, rebuild the lines; ends by naming the report"
-	@echo "make test      install and run the tests          make test-all   with all Monte Carlo seeds"
+	@echo "make test      install and run the tests          make test-all   with all Monte Carlo seeds, and every benchmark once"
 	@echo "make setup     install the omnilines command      make lint       style, types and the import contract"
 	@echo "make bench     speed and accuracy tables          make clean      remove what the targets made"
 

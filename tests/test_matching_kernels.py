@@ -12,7 +12,7 @@ from matching_scenes import VIEWS, every_neighbour, room
 
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
-from omnilines.matching import hypotheses
+from omnilines.matching import hypotheses, voting_kernel
 from omnilines.matching import hypothesis_kernel as kernel
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.epipolar_kernel import arcs_across, arcs_by_angle
@@ -189,20 +189,38 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
         assert count == found.candidates[i] and set(arcs.image[arc[:count]]) <= set(photos.tolist())
         depth, variance = pairs[:count, :2], pairs[:count, 2:] ** 2
         square = ((depth - depth[:, None]) ** 2 / (variance + np.minimum(variance, variance[:, None]))).sum(-1)
-        votes = np.where(square <= kernel.GATE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
+        votes = np.where(square <= voting_kernel.GATE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
         image = arcs.image[arc[:count]]
         scores = sum((votes * (image == photo)).max(1, initial=0.0) for photo in photos)
         best = int(np.argmax(scores)) if count else -1
-        rivals = scores[square[best] > kernel.GATE**2] if count else np.zeros(0)
+        rivals = scores[square[best] > voting_kernel.GATE**2] if count else np.zeros(0)
         assert found.score[i] == pytest.approx(scores[best] if count else 0.0, rel=1e-9)
         assert found.rival[i] == pytest.approx(rivals.max(initial=0.0), rel=1e-9)
-        agreeing = np.flatnonzero(square[best] <= kernel.GATE**2) if count else np.zeros(0, dtype=np.int64)
+        agreeing = np.flatnonzero(square[best] <= voting_kernel.GATE**2) if count else np.zeros(0, dtype=np.int64)
         assert sorted(arc[agreeing].tolist()) == sorted(found.support[i][found.support[i] >= 0].tolist())
         if count:
             share = weight[agreeing, None] / variance[agreeing]
             np.testing.assert_allclose(found.inverse_depth[i], (share * depth[agreeing]).sum(0) / share.sum(0), rtol=1e-9)
             supported += len(agreeing) > 2
     assert supported > 20
+
+
+@pytest.mark.parametrize("count", [1, 2, 17, 700])
+def test_scores_are_those_of_all_pairs(count: int) -> None:
+    """Narrow and wide pairs among each other, near 1 and far off, the weights of a photo's arcs not in order."""
+    rng = np.random.default_rng(count)
+    sigma = 10.0 ** rng.uniform(-4.0, -0.5, (count, 2))
+    found = np.concatenate([np.exp(rng.normal(0.0, 0.3, (count, 1)) + rng.normal(0.0, 0.02, (count, 2))), sigma], 1)
+    weight, photo = rng.uniform(0.05, 1.0, count), np.sort(rng.integers(0, 9, count))
+    order = np.argsort(found[:, 0])
+    scores = voting_kernel.pair_scores(voting_kernel.by_first_depth(found, order), order, weight, photo)
+    variance = sigma**2
+    spread = variance[:, None] + np.minimum(variance[:, None], variance)
+    square = ((found[:, None, :2] - found[:, :2]) ** 2 / spread).sum(-1)
+    votes = np.where(square <= voting_kernel.GATE**2, weight[:, None] * np.exp(-0.25 * square), 0.0)
+    expected = sum(votes[photo == k].max(0, initial=0.0) for k in range(9))
+    np.testing.assert_allclose(scores, expected[order], rtol=1e-9)
+    assert count < 700 or np.median((votes > 0).sum(0)) > 20
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -36,13 +36,20 @@ def shown_and_beside(
     """
     lines, photos = len(direction), len(starts) - 1
     width, beside = np.full((lines, photos), np.nan), np.zeros((lines, photos))
-    low, high, at = np.empty(len(packed)), np.empty(len(packed)), np.empty(4)
-    for line in range(lines):
-        for photo in range(photos):
+    at, view = np.empty(4), np.empty(9)
+    for photo in range(photos):
+        begin, end = starts[photo], starts[photo + 1]
+        ends, most_rad = packed[begin:end, :6].T.copy(), (reach_px + 6.0) * px_rad[begin:end]
+        low, high, close = np.empty(end - begin), np.empty(end - begin), np.empty(end - begin, dtype=np.bool_)
+        for line in range(lines if begin < end else 0):
             count = 0
-            for arc in range(starts[photo], starts[photo + 1]):
+            _view(packed[begin], direction[line], moment[line], span[line], view)
+            _within(ends, view, most_rad, close)
+            for arc in range(begin, end):
                 mine = own[arc] == line
-                flipped = _seen(packed[arc], direction[line], moment[line], span[line], (reach_px + 6.0) * px_rad[arc], mine, at)
+                if not mine and not close[arc - begin]:
+                    continue
+                flipped = _seen(packed[arc], direction[line], view, mine, at)
                 if flipped < 0:
                     continue
                 first, second = at[2] / packed[arc, 12], at[3] / packed[arc, 13]
@@ -65,33 +72,49 @@ def shown_and_beside(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _seen(
-    p: np.ndarray, d: np.ndarray, moment: np.ndarray, span: np.ndarray, most_rad: float, mine: bool, out: np.ndarray
-) -> int:
-    """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
-
-    1 where the arc runs against the line, 0 where along it, -1 where it lies farther off than `most_rad` or not beside the line.
-    """
+def _view(p: np.ndarray, d: np.ndarray, moment: np.ndarray, span: np.ndarray, out: np.ndarray) -> None:
+    """How the photo of an arc sees a line, into `out`: the unit normal of its plane, the unit vector to its nearest point, the
+    angles from there at which it begins and ends, and the middle of them."""
     mx = moment[0] - (p[10] * d[2] - p[11] * d[1])
     my = moment[1] - (p[11] * d[0] - p[9] * d[2])
     mz = moment[2] - (p[9] * d[1] - p[10] * d[0])
     distance = math.sqrt(mx * mx + my * my + mz * mz)
-    out[0] = (p[0] * mx + p[1] * my + p[2] * mz) / distance
-    out[1] = (p[3] * mx + p[4] * my + p[5] * mz) / distance
-    if not mine and max(abs(out[0]), abs(out[1])) > most_rad:
-        return -1
-    # To the point of the line nearest to the centre: d x m.
-    tx, ty, tz = (d[1] * mz - d[2] * my) / distance, (d[2] * mx - d[0] * mz) / distance, (d[0] * my - d[1] * mx) / distance
-    first = math.atan2(p[0] * d[0] + p[1] * d[1] + p[2] * d[2], p[0] * tx + p[1] * ty + p[2] * tz)
-    last = math.atan2(p[3] * d[0] + p[4] * d[1] + p[5] * d[2], p[3] * tx + p[4] * ty + p[5] * tz)
+    out[0], out[1], out[2] = mx / distance, my / distance, mz / distance
+    # d x m.
+    out[3], out[4], out[5] = d[1] * out[2] - d[2] * out[1], d[2] * out[0] - d[0] * out[2], d[0] * out[1] - d[1] * out[0]
     base = p[9] * d[0] + p[10] * d[1] + p[11] * d[2]
-    begin, end = math.atan2(span[0] - base, distance), math.atan2(span[1] - base, distance)
-    low, high = min(first, last), max(first, last)
-    shared = min(end, high) - max(begin, low)
-    if not mine and (high - low > math.pi or shared < LEAST_OVERLAP * min(end - begin, high - low)):
+    out[6], out[7] = math.atan2(span[0] - base, distance), math.atan2(span[1] - base, distance)
+    out[8] = 0.5 * (out[6] + out[7])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _within(ends: np.ndarray, view: np.ndarray, most_rad: np.ndarray, close: np.ndarray) -> None:
+    """Whether both ends of each arc, columns of coordinates, lie so near the plane of a line. Asked of every arc and every line:
+    without a branch, it is compiled to vector instructions."""
+    ax, ay, az, bx, by, bz = ends[0], ends[1], ends[2], ends[3], ends[4], ends[5]
+    nx, ny, nz = view[0], view[1], view[2]
+    for arc in range(len(close)):
+        first = abs(ax[arc] * nx + ay[arc] * ny + az[arc] * nz)
+        last = abs(bx[arc] * nx + by[arc] * ny + bz[arc] * nz)
+        close[arc] = (first <= most_rad[arc]) & (last <= most_rad[arc])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, out: np.ndarray) -> int:
+    """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
+
+    1 where the arc runs against the line, 0 where along it, -1 where it is not its own and does not lie beside it.
+    """
+    out[0] = p[0] * view[0] + p[1] * view[1] + p[2] * view[2]
+    out[1] = p[3] * view[0] + p[4] * view[1] + p[5] * view[2]
+    first = math.atan2(p[0] * d[0] + p[1] * d[1] + p[2] * d[2], p[0] * view[3] + p[1] * view[4] + p[2] * view[5])
+    last = math.atan2(p[3] * d[0] + p[4] * d[1] + p[5] * d[2], p[3] * view[3] + p[4] * view[4] + p[5] * view[5])
+    low, high, begin, end = min(first, last), max(first, last), view[6], view[7]
+    if not mine and (high - low > math.pi or min(end, high) - max(begin, low) < LEAST_OVERLAP * min(end - begin, high - low)):
         return -1
-    middle = 0.5 * (begin + end)
-    out[2], out[3] = math.cos(first - middle), math.cos(last - middle)
+    out[2], out[3] = math.cos(first - view[8]), math.cos(last - view[8])
     return 1 if last < first else 0
 
 

@@ -1,4 +1,4 @@
-"""For every arc the 3D line that the other photos agree on, over all arcs of all photos (`hypothesis_kernel`)."""
+"""For every arc the 3D line that the other photos agree on, over all arcs of all photos (`voting_kernel`)."""
 
 import os
 from collections.abc import Callable
@@ -9,12 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
 
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypothesis_kernel import best_lines
+from omnilines.matching.voting_kernel import best_lines
 
 MOST_SUPPORTERS = 96
 """Arcs that are remembered for each arc."""
 AT_ONCE = 256
 """Arcs that a core works on at a time."""
+PLACES = 64
+"""Parts that each coordinate of a bearing is cut into."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +47,39 @@ def find_hypotheses(
     The same arcs give the same result, whatever the number of cores.
     """
     every = np.arange(len(arcs)) if rows is None else rows
-    parts = [every[at : at + AT_ONCE] for at in range(0, max(len(every), 1), AT_ONCE)]
+    near = _by_place(arcs)
+    place = np.empty_like(near)
+    place[near] = np.arange(len(near))
+    asked = np.sort(place[every])
+    parts = [asked[at : at + AT_ONCE] for at in range(0, max(len(asked), 1), AT_ONCE)]
+    packed, colours = arcs.packed[near], arcs.colours[near]
 
     def work(rows: Int[np.ndarray, " k"]) -> tuple[np.ndarray, ...]:
-        return best_lines(rows, arcs.image, arcs.starts, neighbours, arcs.packed, arcs.colours, MOST_SUPPORTERS)
+        depth, score, support, tried = best_lines(rows, arcs.image, arcs.starts, neighbours, packed, colours, MOST_SUPPORTERS)
+        return depth, score, np.where(support >= 0, near[support], -1).astype(np.int32), tried
 
     found = []
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for done, part in enumerate(pool.map(work, parts), 1):
             found.append(part)
             progress(done, len(parts))
-    depth, score, support, candidates = (np.concatenate(column) for column in zip(*found, strict=True))
+    back = np.searchsorted(asked, place[every])
+    depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
     return Hypotheses(depth, score[:, 0], score[:, 1], support, candidates)
+
+
+def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:
+    """The arcs photo by photo, in each those that look about the same way after each other: they are compared with the same arcs
+    of other photos, which then lie in fast memory, and beside each other.
+
+    Order is that of a cube's cells along a curve of Morton, PLACES cells along each edge.
+    """
+    cell = ((arcs.bearings.mean(1) + 1.0) * (PLACES / 2)).astype(np.int64).clip(0, PLACES - 1)
+    key = np.zeros(len(arcs), dtype=np.int64)
+    for bit in range(PLACES.bit_length() - 1):
+        for axis in range(3):
+            key |= (cell[:, axis] >> bit & 1) << 3 * bit + axis
+    return np.lexsort((key, arcs.image))
 
 
 def neighbouring_photos(

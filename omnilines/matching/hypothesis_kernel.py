@@ -1,8 +1,8 @@
-"""For every arc the 3D line that other photos agree on, compiled.
+"""Which arcs of other photos could show the line of an arc, and at what depths, compiled.
 
 An arc fixes the plane of its line; what is open are the depths at its two ends. Every arc of another photo that could show the
-same line gives a pair of depths: where its plane cuts the rays of both ends. True partners give one pair of depths again and
-again; the others scatter. `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
+same line gives a pair of depths: where its plane cuts the rays of both ends. `no_type_check` keeps the type checker of the tests
+from wrapping what numba compiles.
 """
 
 import math
@@ -11,14 +11,10 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.matching.epipolar_kernel import arcs_across, arcs_by_angle
-
 LEAST_OVERLAP = 0.25
 """Of the shorter of two stretches of the line, seen in two photos."""
 MOST_SIGMA = 0.3
 """Largest standard deviation of an inverse depth, as a share of it: farther lines, and baselines along the plane, say nothing."""
-GATE = 3.0
-"""Standard deviations within which two depths agree."""
 COLOUR_SIGMA, GAIN_SIGMA = 0.12, 0.25
 """Of the logarithm of a colour beside one edge in two photos, and of a gain common to all of them."""
 ONE_SIDE = 3.0
@@ -155,117 +151,6 @@ def partners(
             found[count, k] = out[k]
         count += 1
     return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _square(one: np.ndarray, at: int, other: np.ndarray, k: int) -> float:
-    """Chi-square between two pairs of depths, of the variance of the other and at most as much again; infinite beyond GATE."""
-    total = 0.0
-    for end in range(2):
-        variance = other[k, 2 + end] ** 2
-        variance += min(variance, one[at, 2 + end] ** 2)
-        total += (other[k, end] - one[at, end]) ** 2 / variance
-        if total > GATE**2:
-            return np.inf
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _best(found: np.ndarray, weight: np.ndarray, seen: np.ndarray, images: int) -> tuple[int, float, float]:
-    """Which pair of depths, sorted by the first, the other photos agree on most, its score, and that of its best rival."""
-    count = len(found)
-    first, second = found[:, 0].copy(), found[:, 1].copy()
-    first_variance, second_variance = found[:, 2] ** 2, found[:, 3] ** 2
-    column, photos = np.full(images, -1, dtype=np.int64), 0
-    for photo in seen:
-        if column[photo] < 0:
-            column[photo] = photos
-            photos += 1
-    votes = np.zeros((photos, count))
-    for k in range(count):
-        # A pair votes within its own standard deviation: most of them are small, and so is what they are compared with. This is
-        # `_square`, written out where it is asked most often.
-        reach, own = math.sqrt(2.0) * GATE * found[k, 2], votes[column[seen[k]]]
-        for h in range(np.searchsorted(first, first[k] - reach), count):
-            off = first[h] - first[k]
-            if off > reach:
-                break
-            spread = first_variance[k] + min(first_variance[k], first_variance[h])
-            if off * off > GATE**2 * spread:
-                continue
-            other = second[h] - second[k]
-            wide = second_variance[k] + min(second_variance[k], second_variance[h])
-            square = off * off / spread + other * other / wide
-            if square <= GATE**2:
-                own[h] = max(own[h], weight[k] * math.exp(-0.25 * square))
-    best, score = -1, 0.0
-    scores = votes.sum(0)
-    for h in range(count):
-        if scores[h] > score:
-            score, best = scores[h], h
-    rival = 0.0
-    for h in range(len(found)):
-        if best >= 0 and scores[h] > rival and _square(found, best, found, h) == np.inf:
-            rival = scores[h]
-    return best, score, rival
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def best_lines(
-    rows: np.ndarray,
-    image: np.ndarray,
-    starts: np.ndarray,
-    neighbours: np.ndarray,
-    packed: np.ndarray,
-    colours: np.ndarray,
-    most: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each arc of `rows`: inverse depths at both ends, score and best rival, up to `most` supporters, candidates.
-
-    The score of a pair of depths is the sum over the other photos of the best likeness times exp(-chi-square / 4).
-    """
-    total = len(image)
-    depth, score = np.full((len(rows), 2), np.nan), np.zeros((len(rows), 2))
-    support, tried = np.full((len(rows), most), -1, dtype=np.int32), np.zeros(len(rows), dtype=np.int64)
-    arc, found, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
-    others, seen, photo = np.empty(total, dtype=np.int64), np.full(total, -1, dtype=np.int64), -1
-    for k in range(len(rows)):
-        if image[rows[k]] != photo:
-            photo = image[rows[k]]
-            frames, begin, members = arcs_by_angle(photo, np.flatnonzero(neighbours[photo]), starts, packed)
-        across = others[: arcs_across(packed[rows[k]], frames, begin, members, k, seen, others)]
-        count = partners(rows[k], across, packed, colours, arc, found, weight)
-        tried[k] = count
-        if not count:
-            continue
-        order = np.argsort(found[:count, 0])
-        arcs, pairs, weights = arc[order], found[order], weight[order]
-        best, score[k, 0], score[k, 1] = _best(pairs, weights, image[arcs], len(neighbours))
-        if best >= 0:
-            _gather(best, arcs, pairs, weights, depth[k], support[k])
-    return depth, score, support, tried
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _gather(best: int, arcs: np.ndarray, found: np.ndarray, weight: np.ndarray, depth: np.ndarray, support: np.ndarray) -> None:
-    """The arcs that agree with the best pair of depths, and the weighted mean of their depths."""
-    sums, weights, at = np.zeros(2), np.zeros(2), 0
-    for k in range(len(arcs)):
-        if _square(found, best, found, k) == np.inf:
-            continue
-        if at < len(support):
-            support[at] = arcs[k]
-            at += 1
-        for end in range(2):
-            share = weight[k] / found[k, 2 + end] ** 2
-            sums[end] += share * found[k, end]
-            weights[end] += share
-    for end in range(2):
-        depth[end] = sums[end] / weights[end]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

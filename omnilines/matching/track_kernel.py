@@ -51,34 +51,16 @@ def near_lines(
     """
     capacity = 1024
     arcs, lines = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
-    count = 0
+    count, centre = 0, np.full(3, np.nan)
+    about, close = np.empty((4, len(direction))), np.empty(len(direction), dtype=np.bool_)
     for k in range(len(rows)):
         p = packed[rows[k]]
-        sine = np.sin(gate_rad[k])
+        if p[9] != centre[0] or p[10] != centre[1] or p[11] != centre[2]:
+            centre = p[9:12]
+            _moments_about(centre, direction, moment, about)
+        _within(p, about, np.sin(gate_rad[k]) ** 2, close)
         for line in range(len(direction)):
-            dx, dy, dz = direction[line, 0], direction[line, 1], direction[line, 2]
-            mx = moment[line, 0] - (p[10] * dz - p[11] * dy)
-            my = moment[line, 1] - (p[11] * dx - p[9] * dz)
-            mz = moment[line, 2] - (p[9] * dy - p[10] * dx)
-            square = mx * mx + my * my + mz * mz
-            limit = sine * sine * square
-            h = p[0] * mx + p[1] * my + p[2] * mz
-            if h * h > limit:
-                continue
-            h = p[3] * mx + p[4] * my + p[5] * mz
-            if h * h > limit:
-                continue
-            # To the point of the line nearest to the centre: d x m.
-            tx, ty, tz = dy * mz - dz * my, dz * mx - dx * mz, dx * my - dy * mx
-            first, last = p[0] * tx + p[1] * ty + p[2] * tz, p[3] * tx + p[4] * ty + p[5] * tz
-            if first <= 0.0 or last <= 0.0:
-                continue
-            base = p[9] * dx + p[10] * dy + p[11] * dz
-            low = base + square * (p[0] * dx + p[1] * dy + p[2] * dz) / first
-            high = base + square * (p[3] * dx + p[4] * dy + p[5] * dz) / last
-            if high < low:
-                low, high = high, low
-            if min(high, span[line, 1]) <= max(low, span[line, 0]):
+            if not close[line] or not _overlaps(p, direction[line], about[:, line], span[line]):
                 continue
             if count == capacity:
                 capacity *= 2
@@ -86,6 +68,51 @@ def near_lines(
             arcs[count], lines[count] = rows[k], line
             count += 1
     return arcs[:count], lines[:count]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _moments_about(centre: np.ndarray, direction: np.ndarray, moment: np.ndarray, about: np.ndarray) -> None:
+    """Columns of each line: its moment about a centre, and the square of that, the distance from the centre."""
+    for line in range(len(direction)):
+        dx, dy, dz = direction[line, 0], direction[line, 1], direction[line, 2]
+        mx = moment[line, 0] - (centre[1] * dz - centre[2] * dy)
+        my = moment[line, 1] - (centre[2] * dx - centre[0] * dz)
+        mz = moment[line, 2] - (centre[0] * dy - centre[1] * dx)
+        about[0, line], about[1, line], about[2, line] = mx, my, mz
+        about[3, line] = mx * mx + my * my + mz * mz
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _within(p: np.ndarray, about: np.ndarray, square_sine: float, close: np.ndarray) -> None:
+    """Whether both ends of an arc lie near the great circle of each line. Asked of every arc and every line: without a branch, it
+    is compiled to vector instructions."""
+    mx, my, mz, square = about[0], about[1], about[2], about[3]
+    ax, ay, az, bx, by, bz = p[0], p[1], p[2], p[3], p[4], p[5]
+    for line in range(len(close)):
+        limit = square_sine * square[line]
+        first = ax * mx[line] + ay * my[line] + az * mz[line]
+        last = bx * mx[line] + by * my[line] + bz * mz[line]
+        close[line] = (first * first <= limit) & (last * last <= limit)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _overlaps(p: np.ndarray, d: np.ndarray, about: np.ndarray, span: np.ndarray) -> bool:
+    """Whether a line is known where an arc on it lies, in front of the camera."""
+    mx, my, mz, square = about[0], about[1], about[2], about[3]
+    # To the point of the line nearest to the centre: d x m.
+    tx, ty, tz = d[1] * mz - d[2] * my, d[2] * mx - d[0] * mz, d[0] * my - d[1] * mx
+    first, last = p[0] * tx + p[1] * ty + p[2] * tz, p[3] * tx + p[4] * ty + p[5] * tz
+    if first <= 0.0 or last <= 0.0:
+        return False
+    base = p[9] * d[0] + p[10] * d[1] + p[11] * d[2]
+    low = base + square * (p[0] * d[0] + p[1] * d[1] + p[2] * d[2]) / first
+    high = base + square * (p[3] * d[0] + p[4] * d[1] + p[5] * d[2]) / last
+    if high < low:
+        low, high = high, low
+    return min(high, span[1]) > max(low, span[0])
 
 
 @njit(cache=True, nogil=True)

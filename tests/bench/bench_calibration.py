@@ -5,6 +5,7 @@ Seconds depend on the machine and are only printed; what is asserted are ratios 
 """
 
 import json
+import math
 import pathlib
 import shutil
 import subprocess
@@ -12,10 +13,11 @@ import sys
 
 import cv2
 import numpy as np
+import pytest
 import torch
 from board_views import BOARD, board_corners, board_views
 from ov_plane import IMAGE_SIZE, read_split
-from timing import best_of, print_table
+from timing import SMALL, best_of, print_table
 
 from camera_models import OpenCVFisheye
 from omnilines.calibration.select import all_candidates, fit_boards, select_model
@@ -28,9 +30,12 @@ SIZE = (1280, 960)
 TRUTH = OpenCVFisheye([320.0, 320.0, 639.5, 479.5, 0.01, -0.005, 0.001, 0.0], SIZE)
 GUESS = np.array([[315.0, 0, 645], [0, 315, 475], [0, 0, 1]])
 """Within two percent of the focal length and 7 px of the centre."""
-LIMITS = {20: 1.0, 100: 0.3, 300: 0.15}
+LIMITS = {20: math.inf} if SMALL else {20: 1.0, 100: 0.3, 300: 0.15}
 """Most of the peer's time, by the number of views."""
+MEMORY_VIEWS = (10, 30) if SMALL else (100, 300, 900)
+"""The memory of the second has a limit, and that of the last grows in proportion."""
 MEMORY_LIMIT_MB = 200
+LENSES = ("fisheye1",) if SMALL else ("fisheye1", "gopro", "kaidan")
 CALIBRATIONS = pathlib.Path(__file__).resolve().parents[3] / "shared" / "data" / "calibration"
 
 
@@ -84,17 +89,19 @@ print(peak_mb() - before)
 def bench_memory_of_calibration() -> None:
     """Peak resident memory of a process above that before the calibration."""
     peaks = {}
-    for views in (100, 300, 900):
+    for views in MEMORY_VIEWS:
         script = PEAK.format(path=[p for p in sys.path if p], views=views)
         peaks[views] = float(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
     print_table("Memory of a calibration above the imports", ["views", "MB"], [[str(v), f"{mb:.0f}"] for v, mb in peaks.items()])
-    assert peaks[300] < MEMORY_LIMIT_MB
-    assert peaks[900] < 3.5 * peaks[300] + 10
+    assert peaks[MEMORY_VIEWS[1]] < MEMORY_LIMIT_MB
+    assert peaks[MEMORY_VIEWS[-1]] < 3.5 * peaks[MEMORY_VIEWS[1]] + 10
 
 
 def bench_models_on_real_lenses() -> None:
     """All models and degrees: fitted to all views, and by held-out views; on ov_plane by its own test photos."""
-    for name in ("fisheye1", "gopro", "kaidan"):
+    if not CALIBRATIONS.is_dir():
+        pytest.skip("the folder ../shared/data with published corners is absent")
+    for name in LENSES:
         size = tuple(json.loads((CALIBRATIONS / name / "reference.json").read_text())["image_size"])
         selection = select_model(read_corners(CALIBRATIONS / name / "corners.csv"), size, loss="none")
         rows = [

@@ -1,6 +1,6 @@
 """Arcs in rendered rooms: ours, plain LSD on the photo, LSD on a cube map; time, and memory of a panorama of 50 megapixels.
 
-    python tests/bench/bench_extraction.py [--scene room] [--views 3] [--seeds 0 1] [--panorama]
+    python tests/bench/bench_extraction.py [--scene room] [--views 3] [--seeds 0 1] [--panorama] [--small]
 
 LSD is OpenCV's, on the grey photo, segments of 25 px and more. The figures are those of omnilines.evaluate_arcs. "repeated" is
 the share of the edges that two photos both see (40 px, 10 grey levels) and that either found, that both found; "inside 95" is
@@ -32,7 +32,8 @@ from omnilines.files import read_photo
 from omnilines.records import Segments
 from omnilines.scenes import SCENES
 
-CAMERAS = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
+Cameras = tuple[tuple[str, float | None], ...]
+CAMERAS: Cameras = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
 LEAST_PX = 25.0
 Method = Callable[[np.ndarray, CameraModel], tuple[np.ndarray, np.ndarray | None]]
 
@@ -130,12 +131,12 @@ def repeatability(scene: RenderedScene, scores: ArcScores, table: Segments) -> f
     return both / max(either, 1)
 
 
-def table_of_scenes(name: str, view_count: int, seeds: list[int], size: tuple[int, int]) -> None:
+def table_of_scenes(cameras: Cameras, name: str, view_count: int, seeds: list[int], size: tuple[int, int]) -> None:
     print(
         "camera | method | covered | on an edge | on a line | arcs per stretch | mean px | direction median, 95th (deg) | "
         "inside 95 | repeated | CPU s"
     )
-    for model, fov_deg in CAMERAS:
+    for model, fov_deg in cameras:
         rows: dict[str, list[list[float]]] = {method: [] for method, _ in METHODS}
         for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:
@@ -172,14 +173,14 @@ def figures(scene: RenderedScene, find: Method) -> list[float]:
     ]
 
 
-def panorama() -> None:
-    """Time and largest memory of 10000 x 5000 pixels: a textured image of many turned squares, made in place."""
-    width, height = 10000, 5000
+def panorama(width: int) -> None:
+    """Time and largest memory of a panorama: a textured image of many turned squares, made in place."""
+    height = width // 2
     image = np.full((height, width, 3), 120, dtype=np.uint8)
     rng = np.random.default_rng(0)
     for _ in range(3000):
         corners = cv2.boxPoints(
-            (rng.uniform([0, 500], [width, height - 500]).tolist(), rng.uniform(50, 400, 2).tolist(), rng.uniform(0, 90))
+            (rng.uniform([0, 0.05 * width], [width, 0.45 * width]).tolist(), rng.uniform(50, 400, 2).tolist(), rng.uniform(0, 90))
         )
         cv2.fillPoly(image, [corners.astype(np.int32)], rng.uniform(30, 220, 3).tolist(), cv2.LINE_AA)
     model = Equirectangular([], (width, height))
@@ -187,7 +188,7 @@ def panorama() -> None:
     found = extract_arcs(image, model)
     spent = time.process_time() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    print(f"50 megapixels: {len(found)} arcs, {spent:.1f} s of CPU, at most {peak:.2f} GB in all")
+    print(f"{width * height / 1e6:.0f} megapixels: {len(found)} arcs, {spent:.1f} s of CPU, at most {peak:.2f} GB in all")
 
 
 if __name__ == "__main__":
@@ -197,10 +198,14 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--size", type=int, nargs=2, default=[1280, 960])
     parser.add_argument("--panorama", action="store_true")
+    parser.add_argument("--small", action="store_true", help="everything once, with little data")
     options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    if options.panorama:
-        panorama()
+    if options.small:
+        table_of_scenes(CAMERAS[:1], "plain-room", 2, [0], (480, 360))
+        panorama(1000)
+    elif options.panorama:
+        panorama(10_000)
     else:
-        table_of_scenes(options.scene, options.views, options.seeds, (options.size[0], options.size[1]))
+        table_of_scenes(CAMERAS, options.scene, options.views, options.seeds, (options.size[0], options.size[1]))

@@ -19,7 +19,7 @@ from pylimap_scenes import (
     through,
     why_absent,
 )
-from timing import print_table
+from timing import SMALL, print_table
 
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
@@ -29,8 +29,7 @@ from omnilines.simulate_lines import LineWorld, circle_world
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 
-SEEDS = 20
-REPEATS = 3
+SEEDS, REPEATS = (2, 1) if SMALL else (20, 3)
 SIGMA_PX = 0.5
 PEER_NAMES = {
     "two_view": "triangulate_line, 2 views",

@@ -1,6 +1,6 @@
 """Poses by structure from motion against truth: rendered rooms for every camera; with --real the surveyed castle and a rig.
 
-    python tests/bench/bench_posing.py [--views 20] [--size 1100] [--seeds 3] [--real] [--photos 12]
+    python tests/bench/bench_posing.py [--views 20] [--size 1100] [--seeds 3] [--real] [--photos 12] [--small]
 
 Errors are those after a similarity. Of the rig, whose places nobody knows, the photos placed and the residuals are given. Time is
 CPU time of everything from photos to poses.
@@ -28,7 +28,8 @@ from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import sfm_poses
 from omnilines.records import ImagePoses
 
-CAMERAS = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
+Cameras = tuple[tuple[str, float | None], ...]
+CAMERAS: Cameras = (("opencv-fisheye", 190.0), ("scaramuzza", 220.0), ("equirectangular", None), ("pinhole", None))
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 HEADER = "| {:<24} | {:>6} | {:>6} | {:>16} | {:>16} | {:>7} |"
 
@@ -50,9 +51,9 @@ def timed(*arguments: object, **options: object) -> tuple[PhotoPoses, float]:
     return found, time.process_time() - start
 
 
-def rooms(views: int, side: int, seeds: list[int]) -> None:
+def rooms(cameras: Cameras, views: int, side: int, seeds: list[int]) -> None:
     for seed in seeds:
-        for model, fov in CAMERAS:
+        for model, fov in cameras:
             with tempfile.TemporaryDirectory() as folder:
                 size = (2 * side, side) if model == "equirectangular" else (side, side)
                 scene = write_scene(
@@ -95,11 +96,17 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, nargs="+", default=[3])
     parser.add_argument("--photos", type=int, default=12)
     parser.add_argument("--real", action="store_true")
+    parser.add_argument("--small", action="store_true", help="few photos of a room, and of the castle and the rig where they are")
     options = parser.parse_args()
     torch.set_num_threads(1)
     print(HEADER.format("camera", "photos", "placed", "position, mm", "rotation, deg", "CPU"))
-    if options.real:
+    if options.small:
+        rooms(CAMERAS[:1], 6, 500, [3])
+        if DATA.is_dir():
+            castle(3)
+            hall()
+    elif options.real:
         castle(options.photos)
         hall()
     else:
-        rooms(options.views, options.size, options.seeds)
+        rooms(CAMERAS, options.views, options.size, options.seeds)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import torch
 from rig_views import BOARD, FISHEYE_220, PINHOLE, RigScene, boards_at, looking_along, scene, setups
-from timing import best_of, print_table
+from timing import SMALL, best_of, print_table
 
 from camera_models import CameraModel
 from omnilines.calibration.rig import calibrate_rig
@@ -15,8 +15,8 @@ from omnilines.records import Corners
 
 PEER_LIMIT = 0.3
 """Most of the peer's time for PAIR_FRAMES frames of a pair."""
-PAIR_FRAMES = 100
-FRAMES = (50, 100, 200)
+PAIR_FRAMES = 20 if SMALL else 100
+FRAMES = (10, 20) if SMALL else (50, 100, 200)
 LINEAR = 1.3
 """Time a frame at the most frames over that at the fewest."""
 
@@ -49,7 +49,7 @@ def bench_rig_is_linear_in_frames() -> None:
         each[frames] = seconds / frames
         rows.append([str(frames), str(len(corners)), f"{seconds:.2f}", f"{1e3 * each[frames]:.1f}"])
     print_table("A rig of 4 cameras, one thread", ["frames", "corners", "seconds", "ms a frame"], rows)
-    assert each[FRAMES[-1]] < LINEAR * each[FRAMES[0]]
+    assert SMALL or each[FRAMES[-1]] < LINEAR * each[FRAMES[0]]
 
 
 def bench_rig_against_opencv() -> None:
@@ -64,8 +64,10 @@ def bench_rig_against_opencv() -> None:
         sizes = [PINHOLE.image_size] * 2
         return float(cv2.calibrateMultiview(boards, pixels, sizes, mask, kinds, [None] * 2, [None] * 2, None, None)[0])
 
-    assert abs(calibrate_rig(corners, setups(rig)).rms_px_per_point - with_opencv()) < 2e-3
+    # Of few frames the peer stops a little above the minimum.
+    excess = calibrate_rig(corners, setups(rig)).rms_px_per_point - with_opencv()
+    assert excess < 2e-3 and (SMALL or excess > -2e-3)
     ours, peer = best_of(6, lambda: calibrate_rig(corners, setups(rig))), best_of(4, with_opencv)
     row = [f"{1e3 * ours:.0f}", f"{1e3 * peer:.0f}", f"{ours / peer:.2f}", f"{PEER_LIMIT:.2f}"]
     print_table(f"A pinhole pair, {PAIR_FRAMES} frames, one thread", ["ours ms", "cv2 ms", "ours / cv2", "limit"], [row])
-    assert ours / peer <= PEER_LIMIT
+    assert SMALL or ours / peer <= PEER_LIMIT

@@ -1,6 +1,6 @@
 """Lines of a rendered room from photos with known poses: ours beside pylimap 2.0.0.
 
-    python tests/bench/bench_scene.py [--views 20] [--seed 0] [--work DIR] [--methods ours 90 120 cube best]
+    python tests/bench/bench_scene.py [--views 20] [--seed 0] [--work DIR] [--methods ours 90 120 cube best] [--small]
 
 The room of `omnilines render scene`: 190 degree fisheye, 1100x1100, noise of 2 grey levels, exact calibration and poses. pylimap
 takes pinhole cameras, so it is given views of `omnilines rectify`, with the poses of the views: one of 90 degrees a photo, one
@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from timing import print_table
+from timing import NO_PEERS, PEERS, print_table, skip
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -41,7 +41,6 @@ from omnilines.files.true_edges import Stretches, TrueEdges, read_stretches, rea
 from omnilines.scenes import SCENES
 
 HERE = Path(__file__).resolve().parent
-PEERS = HERE.parents[1] / ".venv-peers" / "bin" / "python"
 SIZE, FOV_DEG, NOISE = (1100, 1100), 190.0, 2.0
 PEER_SECONDS = 3600
 LEAST_VIEWS = 4
@@ -133,11 +132,11 @@ def ours(photos: Path, calibration: Path, poses: Path, out: Path) -> Found:
     return Found(lines.ends_m[known], lines.views[known], row[used], photo, table.endpoints_px[used], seconds)
 
 
-def room(work: Path, scene: str, count: int, seed: int) -> Path:
+def room(work: Path, scene: str, count: int, size: tuple[int, int], seed: int) -> Path:
     """The photos and the truth, drawn unless they are there; the stretches are written last."""
-    folder = work / f"{scene}_{count}_{seed}"
+    folder = work / f"{scene}_{count}_{size[0]}_{seed}"
     if not (folder / "visibility.csv").is_file():
-        render_scene(folder, scene=scene, model="opencv-fisheye", fov_deg=FOV_DEG, views=count, size=SIZE, noise=NOISE, seed=seed)
+        render_scene(folder, scene=scene, model="opencv-fisheye", fov_deg=FOV_DEG, views=count, size=size, noise=NOISE, seed=seed)
     return folder
 
 
@@ -210,9 +209,9 @@ def scored(label: str, ends_m: np.ndarray, edges: TrueEdges, stretches: Stretche
     ]
 
 
-def room_table(work: Path, scene: str, count: int, seed: int, methods: Sequence[str]) -> None:
+def room_table(work: Path, scene: str, count: int, size: tuple[int, int], seed: int, methods: Sequence[str]) -> None:
     """Every method on one room, one row for all its lines and one for those of four photos and more."""
-    folder = room(work, scene, count, seed)
+    folder = room(work, scene, count, size, seed)
     edges = read_true_edges(folder / "truth.csv")
     stretches = read_stretches(folder / "visibility.csv", edges)
     rows = []
@@ -243,8 +242,14 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, default=os.environ.get("OMNILINES_BENCH"))
     parser.add_argument("--methods", nargs="+", default=["ours", *METHODS], choices=["ours", *METHODS])
+    parser.add_argument("--small", action="store_true", help="a few small photos, ours and one view of 90 degrees")
     options = parser.parse_args()
+    size, here = SIZE, [name for name in options.methods if name == "ours" or PEERS.is_file()]
+    if options.small:
+        options.scene, options.views, size, here = "plain-room", 6, (500, 500), here[:2]
     with tempfile.TemporaryDirectory() as folder:
         place = Path(options.work or folder)
         place.mkdir(parents=True, exist_ok=True)
-        room_table(place, options.scene, options.views, options.seed, options.methods)
+        room_table(place, options.scene, options.views, size, options.seed, here)
+    if not PEERS.is_file() and options.methods != ["ours"]:
+        skip(NO_PEERS)

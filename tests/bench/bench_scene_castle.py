@@ -1,6 +1,6 @@
 """Lines of a real courtyard with surveyed poses (castle30): ours beside pylimap 2.0.0, judged by photos that neither was given.
 
-    python tests/bench/bench_scene_castle.py --work DIR [--data ../shared/data/lines/castle30] [--views 4]
+    python tests/bench/bench_scene_castle.py [--work DIR] [--data ../shared/data/lines/castle30] [--views 4] [--small]
 
 Both get the same 27 photos and poses, without every tenth photo. The same code measures both: reprojection is the RMS distance of
 both ends of a segment from the image of its line, over the segments that each tool made its lines from. In the photos left out
@@ -13,6 +13,7 @@ hour; what it found is kept in `--work` as castle_pylimap.npz.
 
 import argparse
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ import cv2
 import numpy as np
 import torch
 from bench_scene import Found, Method, ours, pylimap
-from timing import print_table
+from timing import NO_PEERS, PEERS, print_table, skip
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -38,6 +39,8 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "lines" / "cast
 METHOD = Method("pylimap", "perspective", None, "grey", 20, True)
 HELD_OUT = 10
 """Every tenth photo, from the sixth on, is left out of the estimate."""
+SMALL = 7
+"""Photos in all of a small run."""
 DETECTORS = ("our arcs", "LSD", "EDLines")
 SHARED_M, SHARED_COSINE = 0.05, np.cos(np.radians(5.0))
 
@@ -128,8 +131,12 @@ def peers(folder: Path, kept: list[str], file: Path) -> Found:
         return Found(**arrays, photo=tuple(table["photo"].tolist()), seconds=float(table["seconds"]))
 
 
-def main(data: Path, work: Path, views: int) -> None:
+def main(data: Path, work: Path, views: int, small: bool) -> None:
+    if not data.is_dir():
+        skip(f"the folder {data} with photos of a courtyard is absent")
     poses, camera = read_courtyard(data)
+    if small:
+        poses = ImagePoses(poses.images[:SMALL], poses.cam_from_world[:SMALL], poses.cameras[:SMALL])
     left_out = list(poses.images[HELD_OUT // 2 :: HELD_OUT])
     kept = [name for name in poses.images if name not in left_out]
     folder = work / "castle"
@@ -137,6 +144,8 @@ def main(data: Path, work: Path, views: int) -> None:
     (folder / "colmap").mkdir(exist_ok=True)
     write_colmap_scene(folder / "colmap", {"cam0": camera}, kept_poses)
     own = ours(folder, folder / "calibration.yaml", folder / "poses.csv", work / "castle_ours")
+    if not PEERS.is_file():
+        skip(NO_PEERS)
     other = peers(folder, kept, work / "castle_pylimap.npz")
     own, other = (some(found, np.flatnonzero(found.photos >= views)) for found in (own, other))
     seen_most = some(own, np.argsort(-own.photos, kind="stable")[: len(other.ends_m)])
@@ -157,7 +166,10 @@ def main(data: Path, work: Path, views: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--work", type=Path, help="keeps what was found; a folder that is removed where not given")
     parser.add_argument("--views", type=int, default=4)
+    parser.add_argument("--small", action="store_true", help=f"the first {SMALL} photos")
     options = parser.parse_args()
-    main(options.data.resolve(), options.work.resolve(), options.views)
+    with tempfile.TemporaryDirectory() as scratch:
+        work = (options.work or Path(scratch)).resolve()
+        main(options.data.resolve(), work, options.views, options.small)

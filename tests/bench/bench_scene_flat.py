@@ -1,7 +1,7 @@
 """A rendered flat of five rooms from 13 sparse panoramas, or another scene: lines from exact poses, from rough ones, from none.
 
     python tests/bench/bench_scene_flat.py [--seed 0] [--ways exact rough sfm] [--off-deg 0.5] [--off-m 0.05]
-        [--min-views 3] [--work DIR]
+        [--min-views 3] [--work DIR] [--small]
     python tests/bench/bench_scene_flat.py --scene plain-room --ways rough --off-deg 2 --off-m 0.1
 
 The flat is seen by 13 panoramas of 2048x1024, other scenes by 20 photos of a 190 degree fisheye of 1100x1100; noise of 2 grey
@@ -15,11 +15,12 @@ import argparse
 import math
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from bench_scene_own import CAMERA, LONG_PX, run
+from bench_scene_own import CAMERA, LONG_PX, SMALL_CAMERA, run
 from timing import print_table
 
 from camera_models.pose import Pose
@@ -44,11 +45,10 @@ COLUMNS = (
 )
 
 
-def photos(work: Path, scene: str, views: int, seed: int) -> Path:
+def photos(work: Path, camera: Sequence[str], scene: str, views: int, seed: int) -> Path:
     """The photos and the truth, drawn unless they are there; the stretches are written last."""
     folder = work / f"{scene}_{views}_{seed}"
     if not (folder / "visibility.csv").is_file():
-        camera = PANORAMA if scene == "flat" else CAMERA
         run("render", "scene", "--scene", scene, *camera, "--views", str(views), "--seed", str(seed), "--out", str(folder))
     return folder
 
@@ -107,11 +107,15 @@ if __name__ == "__main__":
     parser.add_argument("--off-deg", type=float, default=0.5)
     parser.add_argument("--off-m", type=float, default=0.05)
     parser.add_argument("--min-views", type=int, help="as of omnilines reconstruct")
+    parser.add_argument("--small", action="store_true", help="a few small photos of a room, poses exact and rough")
     parser.add_argument("--work", type=Path, default=os.environ.get("OMNILINES_BENCH"))
     options = parser.parse_args()
-    views = options.views or (13 if options.scene == "flat" else 20)
+    views, camera = (13, PANORAMA) if options.scene == "flat" else (20, CAMERA)
+    if options.small:
+        options.scene, options.ways, views, camera = "plain-room", ["exact", "rough"], 6, SMALL_CAMERA
+    views = options.views or views
     with tempfile.TemporaryDirectory() as temporary:
-        seen = photos(Path(options.work or temporary), options.scene, views, options.seed)
+        seen = photos(Path(options.work or temporary), camera, options.scene, views, options.seed)
         more = [] if options.min_views is None else ["--min-views", str(options.min_views)]
         rows = [row(seen, way, options.off_deg, options.off_m, options.seed, more, Path(temporary) / way) for way in options.ways]
     print_table(f"{options.scene}, seed {options.seed}, {views} photos", COLUMNS, rows)

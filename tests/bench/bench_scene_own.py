@@ -1,6 +1,6 @@
 """A rendered room from its photos alone: own calibration, poses from structure from motion, and lines, against noise and blur.
 
-    python tests/bench/bench_scene_own.py [--scene plain-room] [--views 20] [--seed 0] [--levels 2,0.5 4,0.8 8,1.2]
+    python tests/bench/bench_scene_own.py [--scene plain-room] [--views 20] [--seed 0] [--levels 2,0.5 4,0.8 8,1.2] [--small]
 
 A level is the noise in grey levels and the blur in pixels. For each: 20 photos of a target and the photos of the room through one
 camera (190 degree fisheye, 1100x1100); `omnilines calibrate`; `omnilines reconstruct --poses sfm --refine lines,poses`; the lines
@@ -10,6 +10,7 @@ are brought into the true frame by the camera centres (a similarity, since the s
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from timing import print_table
@@ -21,6 +22,7 @@ from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.scenes import SCENES
 
 CAMERA = ("--model", "opencv-fisheye", "--fov-deg", "190", "--size", "1100x1100")
+SMALL_CAMERA = (*CAMERA[:-1], "600x600")
 PATTERN = "checkerboard:8x6:30mm"
 COLUMNS = (
     "noise, blur",
@@ -44,11 +46,11 @@ def run(*arguments: str) -> None:
             raise
 
 
-def row(work: Path, scene: str, views: int, seed: int, noise: str, blur: str) -> list[str]:
+def row(work: Path, camera: Sequence[str], scene: str, views: int, seed: int, noise: str, blur: str) -> list[str]:
     """One level."""
     common = ("--noise", noise, "--blur", blur, "--seed", str(seed))
-    run("render", "targets", *CAMERA, *common, "--pattern", PATTERN, "--views", "20", "--out", str(work / "targets"))
-    run("render", "scene", "--scene", scene, *CAMERA, *common, "--views", str(views), "--out", str(work / "room"))
+    run("render", "targets", *camera, *common, "--pattern", PATTERN, "--views", "20", "--out", str(work / "targets"))
+    run("render", "scene", "--scene", scene, *camera, *common, "--views", str(views), "--out", str(work / "room"))
     truth = read_poses(work / "room" / "poses.csv")
     edges = read_true_edges(work / "room" / "truth.csv")
     stretches = read_stretches(work / "room" / "visibility.csv", edges)
@@ -77,9 +79,12 @@ if __name__ == "__main__":
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--levels", nargs="+", default=["2,0.5", "4,0.8", "8,1.2"])
-    options = parser.parse_args()
+    parser.add_argument("--small", action="store_true", help="a few small photos with little noise")
+    options, camera = parser.parse_args(), CAMERA
+    if options.small:
+        options.views, options.levels, camera = 8, options.levels[:1], SMALL_CAMERA
     rows = []
     for level in options.levels:
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(row(Path(folder), options.scene, options.views, options.seed, *level.split(",")))
+            rows.append(row(Path(folder), camera, options.scene, options.views, options.seed, *level.split(",")))
     print_table(f"{options.scene}, seed {options.seed}: own calibration, own poses", COLUMNS, rows)

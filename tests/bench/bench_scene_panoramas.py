@@ -1,6 +1,6 @@
 """Lines of a real flat from panoramas alone (flat_panoramas, 14 MP), judged by a panorama that had no part in them.
 
-    python tests/bench/bench_scene_panoramas.py --work DIR [--data DIR] [--left-out NAME] [--arcs DIR]
+    python tests/bench/bench_scene_panoramas.py [--work DIR] [--data DIR] [--left-out NAME] [--arcs DIR] [--small]
 
 `omnilines reconstruct --poses sfm` on all photos, and on all but one. The lines of the latter are brought into the frame of the
 former by the poses of the photos of both, and drawn into the photo left out with the pose that it has there. Compared are the
@@ -18,12 +18,14 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
-from timing import print_table
+from timing import print_table, skip
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -35,7 +37,9 @@ from omnilines.files import find_photos, read_lines, read_poses, read_segments
 from omnilines.records import ImagePoses, Segments
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "lines" / "flat_panoramas"
-SIZE = (5376, 2688)
+SIZE, SMALL_SIZE = (5376, 2688), (1344, 672)
+SMALL = 5
+"""Photos in all of a small run."""
 NEIGHBOURS = 2
 COMMAND = "import sys; from omnilines.cli import main; main(sys.argv[1:])"
 
@@ -111,9 +115,21 @@ def row(what: str, out: Path, cost: Cost, photos: int) -> list[str]:
     return [what, *own, f"{cost.cpu_s / photos:.1f}", f"{cost.peak_gb:.2f}"]
 
 
-def main(data: Path, work: Path, left_out: str | None, arcs: Path | None) -> None:
+def reduced(data: Path, folder: Path) -> Path:
+    """SMALL of the photos, of SMALL_SIZE."""
+    folder.mkdir()
+    for photo in find_photos([data])[:SMALL]:
+        image = cv2.resize(cv2.imread(str(photo.path)), SMALL_SIZE, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / f"{photo.path.stem}.png"), image)
+    return folder
+
+
+def main(data: Path, work: Path, left_out: str | None, arcs: Path | None, small: bool) -> None:
+    if not data.is_dir():
+        skip(f"the folder {data} with panoramas is absent")
     work.mkdir(parents=True, exist_ok=True)
-    camera = Equirectangular.from_mapping({}, SIZE)
+    camera = Equirectangular.from_mapping({}, SMALL_SIZE if small else SIZE)
+    data = reduced(data, work / "reduced") if small else data
     camera_models.save(work / "calibration.yaml", Calibration({"cam0": camera}))
     photos = [photo.path for photo in find_photos([data])]
     name = left_out or photos[len(photos) // 2].name
@@ -148,8 +164,11 @@ def judge(work: Path, name: str, camera: CameraModel, photos: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--work", type=Path, help="a folder that is removed where not given")
     parser.add_argument("--left-out")
     parser.add_argument("--arcs", type=Path)
+    parser.add_argument("--small", action="store_true", help=f"{SMALL} photos, reduced")
     options = parser.parse_args()
-    main(options.data.resolve(), options.work.resolve(), options.left_out, options.arcs)
+    with tempfile.TemporaryDirectory() as scratch:
+        work = (options.work or Path(scratch)).resolve()
+        main(options.data.resolve(), work, options.left_out, options.arcs, options.small)

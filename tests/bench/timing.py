@@ -1,8 +1,12 @@
-"""What the benchmarks share: wall-clock time, tables, and a line scene of any size."""
+"""What the benchmarks share: wall-clock time, tables, a line scene of any size, and what makes a run small."""
 
 import itertools
+import os
+import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
 
 import cv2
 import torch
@@ -16,10 +20,23 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import solve
 
 IMAGES = 20
+SMALL = bool(os.environ.get("OMNILINES_BENCH_SMALL"))
+"""Whether functions `bench_*` are to run with little data: only to see that they run. Times mean nothing then, and no ratio of
+times is asserted. Scripts have the option --small (tests/test_benches.py)."""
+SKIPPED = 77
+"""Exit status of a script that lacks something, as in Automake."""
+PEERS = Path(__file__).resolve().parents[2] / ".venv-peers" / "bin" / "python"
+NO_PEERS = f"other implementations run in an environment of their own, which is absent: {PEERS}; `make bench` installs it"
 
 # One thread for every implementation: ratios then do not depend on how many cores are idle.
 torch.set_num_threads(1)
 cv2.setNumThreads(1)
+
+
+def skip(reason: str) -> NoReturn:
+    """End a script that lacks something; of a function use pytest.skip."""
+    print(f"skipped: {reason}")
+    sys.exit(SKIPPED)
 
 
 def best_of(repeats: int, work: Callable[[], object]) -> float:
