@@ -110,5 +110,5 @@ def _settled(
 
 def _left_by_other_blurs(blocks: Blocks, blur_px: float) -> Float[np.ndarray, " n"]:
     """The mean square that the known steps leave of the profiles of each arc, with the blur that suits it best."""
-    tried = [blocks.mean(fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px * factor)[3]) for factor in OTHER_BLURS]
+    tried = [blocks.mean(fit_places(blocks, blocks.place, WIDE_TAPER_PX, blur_px * factor, 3)[3]) for factor in OTHER_BLURS]
     return np.min(tried, axis=0)
