@@ -1,4 +1,4 @@
-"""The great circle through the shifts measured along an arc, and how far the arc goes; compiled.
+"""The great circle through the shifts measured along an arc; compiled.
 
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
@@ -14,8 +14,8 @@ from omnilines.extraction.compiled import BORROWED
 LEAST_SCALE_PX = 0.05
 """Of the robust weights: smaller residuals are not told apart."""
 ROUNDS = 4
-CORNER_SAMPLES = 10
-"""An edge turns away at a corner within so many samples."""
+BEGIN = np.array([0.0, 0.0, 1e9])
+"""Of rounds: no change, and a scale at which all residuals count."""
 
 
 @njit(cache=True, nogil=True)
@@ -62,6 +62,71 @@ def _normal_matrix(
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def fit_circle(
+    way: np.ndarray, off: np.ndarray, share: np.ndarray, start: np.ndarray, rounds: int, weight: np.ndarray, left: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """The change (a, b) of the normal of an arc and the scale of the residuals, and the normal matrix (m00, m01, m11), by so many
+    rounds of weighted least squares from the change and scale `start`; false where they are not defined.
+
+    The places of the edge are `off` (n) for the `way` (n, 2) that a point goes with either. Weights are the shares times Tukey's
+    of the residuals; they and the residuals are filled in.
+    """
+    a, b, scale = start[0], start[1], start[2]
+    m00, m01, m11, good = 0.0, 0.0, 0.0, False
+    for _ in range(rounds):
+        m00, m01, m11, r0, r1 = _normal_matrix(way, off, share, a, b, scale, weight)
+        determinant = m00 * m11 - m01 * m01
+        good = determinant > 1e-12 * m00 * m11
+        if not good:
+            break
+        a, b = (m11 * r0 - m01 * r1) / determinant, (m00 * r1 - m01 * r0) / determinant
+        _leftover(way, off, a, b, left)
+        scale = max(1.4826 * np.median(np.abs(left)), LEAST_SCALE_PX)
+    return np.array([a, b, scale]), np.array([m00, m01, m11]), good
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def ways(angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """How far (n, 2) samples of an arc go across with either of the two changes of its normal."""
+    way = np.empty((len(angle), 2))
+    for n in range(len(angle)):
+        way[n, 0], way[n, 1] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
+    return way
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def shares(strength: np.ndarray) -> np.ndarray:
+    """Weights of samples: they rise with the contrast, up to 1."""
+    return strength / (strength + np.median(strength))
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def scatter_of(weight: np.ndarray, left: np.ndarray) -> tuple[float, int]:
+    """Sum of w^2 r^2 over sum of w: the variance that the inverse of sum w x x' is to be multiplied by, for residuals whose
+    variance is not 1 / w; and how many of them have a weight."""
+    total, squares, kept = 1e-300, 0.0, 0
+    for i in range(len(weight)):
+        if weight[i] > 0.0:
+            total += weight[i]
+            squares += (weight[i] * left[i]) ** 2
+            kept += 1
+    return squares / total * kept / max(kept - 2, 1), kept
+
+
+@njit(cache=True, nogil=True, **BORROWED)
+@no_type_check
+def invert(matrix: np.ndarray, inverse: np.ndarray) -> None:
+    """Fill the inverse (2, 2) of a normal matrix (m00, m01, m11)."""
+    determinant = matrix[0] * matrix[2] - matrix[1] * matrix[1]
+    inverse[0, 0], inverse[1, 1] = matrix[2] / determinant, matrix[0] / determinant
+    inverse[0, 1] = inverse[1, 0] = -matrix[1] / determinant
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def fit_circles(
     starts: np.ndarray,
     angle: np.ndarray,
@@ -86,193 +151,14 @@ def fit_circles(
         count = len(chosen)
         if count < 3:
             continue
-        share, off = strength[chosen], shift[chosen]
-        share /= share + np.median(share)
-        way, left, weight = np.empty((count, 2)), np.empty(count), np.empty(count)
-        for i in range(count):
-            n = chosen[i]
-            way[i, 0], way[i, 1] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
-        a, b, scale = 0.0, 0.0, 1e9
-        m00, m01, m11 = 0.0, 0.0, 0.0
-        for _ in range(ROUNDS):
-            m00, m01, m11, r0, r1 = _normal_matrix(way, off, share, a, b, scale, weight)
-            determinant = m00 * m11 - m01 * m01
-            if determinant <= 1e-12 * m00 * m11:
-                break
-            a, b = (m11 * r0 - m01 * r1) / determinant, (m00 * r1 - m01 * r0) / determinant
-            _leftover(way, off, a, b, left)
-            scale = max(1.4826 * np.median(np.abs(left)), LEAST_SCALE_PX)
-        determinant = m00 * m11 - m01 * m01
-        if determinant <= 1e-12 * m00 * m11:
+        weight, left = np.empty(count), np.empty(count)
+        found, matrix, good = fit_circle(
+            ways(angle[chosen], rate[chosen]), shift[chosen], shares(strength[chosen]), BEGIN, ROUNDS, weight, left
+        )
+        if not good:
             continue
-        change[arc, 0], change[arc, 1] = a, b
-        inverse[arc, 0, 0], inverse[arc, 1, 1] = m11 / determinant, m00 / determinant
-        inverse[arc, 0, 1] = inverse[arc, 1, 0] = -m01 / determinant
-        total, squares, kept = 0.0, 0.0, 0
-        for i in range(count):
-            residual[chosen[i]] = left[i]
-            if weight[i] > 0.0:
-                total += weight[i]
-                squares += (weight[i] * left[i]) ** 2
-                kept += 1
-        # Sum of w^2 r^2 over sum of w: the variance that the inverse of sum w x x' is to be multiplied by, for residuals
-        # whose variance is not 1 / w.
-        variance[arc] = squares / total * kept / max(kept - 2, 1)
-        used[arc] = kept
+        change[arc] = found[:2]
+        invert(matrix, inverse[arc])
+        variance[arc], used[arc] = scatter_of(weight, left)
+        residual[chosen] = left
     return change, inverse, variance, used, residual
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def reach(
-    starts: np.ndarray,
-    inside: np.ndarray,
-    support: np.ndarray,
-    difference: np.ndarray,
-    steady: np.ndarray,
-    most_gap: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First and last sample of each arc (n, 2), -1 where nothing is left; where it ends, as fractions of samples (n, 2); and the
-    share of supported samples between.
-
-    `inside` tells the samples of the arc as it was. From its middle supported sample it goes outwards over gaps of at most
-    `most_gap` samples, as long as three of five are supported at its end; then to where the difference between both sides
-    (m, c) falls to half of what it is (`steady`) inside the arc.
-    """
-    arcs = len(starts) - 1
-    found, place, share = np.full((arcs, 2), -1, dtype=np.int64), np.zeros((arcs, 2)), np.zeros(arcs)
-    for arc in range(arcs):
-        begin, end = starts[arc], starts[arc + 1]
-        total = 0
-        for n in range(begin, end):
-            if inside[n] and support[n]:
-                total += 1
-        if total == 0:
-            continue
-        seen, seed = 0, -1
-        for n in range(begin, end):
-            if inside[n] and support[n]:
-                seen += 1
-                if 2 * seen >= total:
-                    seed = n
-                    break
-        for side in range(2):
-            step = 1 if side == 1 else -1
-            last, gap, core = seed, 0, seed
-            n = seed + step
-            while begin <= n < end and gap <= most_gap:
-                if inside[n]:
-                    core = n
-                if support[n] and (inside[n] or _alike(steady, n, core - 4 * step, begin, end)):
-                    near = 0
-                    for m in range(5):
-                        if begin <= n - step * m < end and support[n - step * m]:
-                            near += 1
-                    # Inside the arc as it was, a single supported sample leads on; beyond it a run does.
-                    if near >= 3:
-                        last, gap = n, 0
-                    else:
-                        gap += 1
-                elif inside[n] and _goes_on(support, n, step, begin, end):
-                    gap = 0
-                else:
-                    gap += 1
-                n += step
-            place[arc, side] = _half_way(difference, steady, last, step, begin, end)
-        if place[arc, 1] <= place[arc, 0] + 1.0:
-            continue
-        # Samples whose middle lies in the arc.
-        found[arc, 0], found[arc, 1] = math.ceil(place[arc, 0]), math.floor(place[arc, 1])
-        total = 0
-        for n in range(found[arc, 0], found[arc, 1] + 1):
-            if support[n]:
-                total += 1
-        share[arc] = total / (found[arc, 1] - found[arc, 0] + 1)
-    return found, place, share
-
-
-@njit(cache=True, nogil=True, **BORROWED)
-@no_type_check
-def _goes_on(support: np.ndarray, n: int, step: int, begin: int, end: int) -> bool:
-    """Whether most of the next ten samples are supported."""
-    count = 0
-    for m in range(1, 11):
-        if begin <= n + step * m < end and support[n + step * m]:
-            count += 1
-    return count >= 5
-
-
-@njit(cache=True, nogil=True, **BORROWED)
-@no_type_check
-def _alike(steady: np.ndarray, n: int, inner: int, begin: int, end: int) -> bool:
-    """Whether the sides differ in the same way as inside the arc: beyond it another edge may go on."""
-    inner = min(max(inner, begin), end - 1)
-    product, square = 0.0, 0.0
-    for c in range(steady.shape[1]):
-        product += steady[n, c] * steady[inner, c]
-        square += steady[inner, c] ** 2
-    return product >= 0.4 * square
-
-
-@njit(cache=True, nogil=True, **BORROWED)
-@no_type_check
-def _half_way(difference: np.ndarray, steady: np.ndarray, last: int, step: int, begin: int, end: int) -> float:
-    """Where, from six samples inside `last` to three beyond it, the contrast first falls to half of what it is inside: a place
-    between two samples."""
-    inner = min(max(last - 6 * step, begin), end - 1)
-    square = 1e-9
-    for c in range(difference.shape[1]):
-        square += steady[inner, c] ** 2
-    before = 1.0
-    n = inner + step
-    while begin <= n < end and (n - last) * step <= 3:
-        value = 0.0
-        # The mean of two samples is the contrast half a sample back.
-        for c in range(difference.shape[1]):
-            value += 0.5 * (difference[n, c] + difference[n - step, c]) * steady[inner, c]
-        value /= square
-        if value < 0.5:
-            share = (before - 0.5) / max(before - value, 1e-9)
-            return n - step * (1.5 - min(max(share, 0.0), 1.0))
-        before = value
-        n += step
-    return n - 0.5 * step
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, off: np.ndarray, most_px: float, last_px: float) -> None:
-    """Move the first and last sample (n, 2) of each arc, and where it ends, inwards to where the edge lies on the circle.
-
-    There the mean residual of the next five samples that have one is at most `most_px`; it is more where the end of the arc
-    follows another edge nearby. And the mean of the outermost two places `off`, supported or not, is at most `last_px`, or twice
-    its standard deviation where noise makes that more: at a corner the edge turns away within a few pixels.
-    """
-    for arc in range(len(found)):
-        if found[arc, 0] < 0:
-            continue
-        known = residual[found[arc, 0] : found[arc, 1] + 1]
-        known = np.abs(known[~np.isnan(known)])
-        scatter = 1.4826 * np.median(known) if len(known) else 0.0
-        last = max(last_px, math.sqrt(2.0) * scatter)
-        for side in range(2):
-            step = 1 if side == 0 else -1
-            n, stop = found[arc, side], found[arc, 1 - side]
-            while (stop - n) * step > 5:
-                total, count, m = 0.0, 0, n
-                while count < 5 and (stop - m) * step >= 0:
-                    if not math.isnan(residual[m]):
-                        total += residual[m]
-                        count += 1
-                    m += step
-                if count == 0 or abs(total) <= most_px * count:
-                    break
-                n += step
-            for m in range(n, n + step * CORNER_SAMPLES, step):
-                if (stop - m) * step <= 5:
-                    break
-                if abs(off[m] + off[m + step]) <= 2.0 * last:
-                    n = m
-                    break
-            if n != found[arc, side]:
-                found[arc, side], place[arc, side] = n, n - 0.5 * step

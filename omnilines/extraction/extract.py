@@ -92,12 +92,13 @@ def extract_arcs(
     photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, least_angle_rad)
     arcs = merged(photo, arcs)
     for _ in range(ROUNDS):
-        fitted = refit(photo, arcs, BEYOND_PX)
-        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
+        fitted = refit(photo, arcs, BEYOND_PX, LEAST_PIECE_PX)
+        good = (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
         arcs = joined([fitted.arcs.keep(good), fitted.cut])
         arcs = merged(photo, arcs)
-    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
-    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+    least = min(least_px, LEAST_PIECE_PX)
+    arcs = refit(photo, arcs, LAST_BEYOND_PX, least).straight()
+    return _finished(photo, refit(photo, arcs, 0.0, least), max(noise, LEAST_NOISE), least_px)
 
 
 def _begun(

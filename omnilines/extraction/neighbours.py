@@ -67,9 +67,7 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     return float(np.median(BLURS_PX[left.argmin(0)]))
 
 
-def _circles(
-    blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS
-) -> tuple:
+def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS) -> tuple:
     """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
     place, variance, _, _ = fit_places(blocks, start, taper_px, blur_px, rounds)
     weight = 1.0 / (variance + SCATTER_PX**2)

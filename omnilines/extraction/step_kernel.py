@@ -295,8 +295,8 @@ def fit_steps(
 
     `offsets`, equally far apart, and `weight` are those of the values of a profile from `begin` on. Profile m has `count` steps
     and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the first place about its start and of
-    the others: a faint step stays where its own arc says. There are at most so many rounds; after a single one, places are good to
-    first order, and all else is that of their start.
+    the others: a faint step stays where its own arc says. There are at most so many rounds; after a single one, places are
+    good to first order, and all else is that of their start.
     """
     m, channels, size = len(profile), profile.shape[1], len(offsets)
     known = min(size, profile.shape[2] - begin)

@@ -13,7 +13,14 @@ from numba import njit
 @njit(cache=True, nogil=True)
 @no_type_check
 def median_logs(
-    image: np.ndarray, unit: float, pixel: np.ndarray, step: np.ndarray, valid: np.ndarray, offsets: np.ndarray, closed: bool, dark: float
+    image: np.ndarray,
+    unit: float,
+    pixel: np.ndarray,
+    step: np.ndarray,
+    valid: np.ndarray,
+    offsets: np.ndarray,
+    closed: bool,
+    dark: float,
 ) -> np.ndarray:
     """(n, 2, 3): for the two sides of places (n, p, 2), the first where `step` (n, p, 2) leads, the mean over `offsets` (px) of
     the median over p of ln(grey level of 255 + dark) so far beside the places, of those that are valid and in the image
