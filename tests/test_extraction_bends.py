@@ -21,8 +21,9 @@ def bend(slope: float, place: int, seed: int) -> tuple[int, float, float]:
     along = np.arange(LENGTH, dtype=np.float64)
     shift = slope * np.maximum(along - place, 0.0) + NOISE_PX * np.random.default_rng(seed).standard_normal(LENGTH)
     angle = (along - LENGTH / 2) / RATE
-    way = -RATE * np.stack([np.cos(angle), np.sin(angle)], -1)
-    return bend_of(way, shift, np.full(LENGTH, 0.5), 8)
+    half = np.full(LENGTH, 0.5)
+    room = np.stack([-RATE * np.cos(angle), -RATE * np.sin(angle), shift, half])
+    return bend_of(room, LENGTH, 8, np.empty((LENGTH + 1, 6)))
 
 
 @pytest.mark.parametrize("place", [30, 80])

@@ -143,17 +143,17 @@ def _half_way(difference: np.ndarray, steady: np.ndarray, last: int, step: int, 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def trim(found: np.ndarray, place: np.ndarray, residual: np.ndarray, off: np.ndarray, most_px: float, last_px: float) -> None:
+def trim(
+    found: np.ndarray, place: np.ndarray, residual: np.ndarray, off: np.ndarray, scale: float, most_px: float, last_px: float
+) -> None:
     """Move the first and last sample of an arc, and where it ends, inwards to where the edge lies on the circle.
 
     There the mean residual of the next five samples that have one is at most `most_px`; it is more where the end of the arc
-    follows another edge nearby. And the mean of the outermost two places `off`, supported or not, is at most `last_px`, or twice
-    its standard deviation where noise makes that more: at a corner the edge turns away within a few pixels.
+    follows another edge nearby. And the mean of the outermost two places `off`, supported or not, is at most `last_px`, or
+    twice its standard deviation (`scale` is that of one place) where noise makes that more: at a corner the edge turns away
+    within a few pixels.
     """
-    known = residual[found[0] : found[1] + 1]
-    known = np.abs(known[~np.isnan(known)])
-    scatter = 1.4826 * np.median(known) if len(known) else 0.0
-    last = max(last_px, math.sqrt(2.0) * scatter)
+    last = max(last_px, math.sqrt(2.0) * scale)
     for side in range(2):
         step = 1 if side == 0 else -1
         n, stop = found[side], found[1 - side]

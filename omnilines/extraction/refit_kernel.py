@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.bend_kernel import bend_of
-from omnilines.extraction.circle_kernel import BEGIN, ROUNDS, fit_circle, own_samples, scatter_of, shares, ways
+from omnilines.extraction.circle_kernel import EVERY, LEFT, ROUNDS, fit_circle, own_places, scatter_of
 from omnilines.extraction.profile_kernel import (
     BLURS_PX,
     OFFSETS_PX,
@@ -93,7 +93,8 @@ def refit_arcs(
     """
     longest = np.max(np.diff(starts))
     grey = np.empty((longest, image.shape[2], len(OFFSETS_PX)), dtype=np.float32)
-    imaged = np.empty(longest, dtype=np.bool_)
+    imaged, chosen = np.empty(longest, dtype=np.bool_), np.empty(longest, dtype=np.int64)
+    room, sums = np.empty((6, longest)), np.empty((longest + 1, 6))
     for arc in range(len(low)):
         begin, end = starts[arc], starts[arc + 1]
         edge = supported(number, points, pixel[begin:end], across[begin:end], WITHIN_PX, LEAST_COSINE, closed) & valid[begin:end]
@@ -111,7 +112,18 @@ def refit_arcs(
         read_profiles(image, unit, pixel[one], across[one], OFFSETS_PX, closed, grey[:size], imaged[:size])
         support = edge[first:last] & imaged[:size]
         found = _refit_arc(
-            grey[:size], support, inside[first:last], angle[one], rate[one], least_px, filters, table[arc : arc + 1], products
+            grey[:size],
+            support,
+            inside[first:last],
+            angle[one],
+            rate[one],
+            least_px,
+            filters,
+            room,
+            chosen,
+            sums,
+            table[arc : arc + 1],
+            products,
         )
         if found[0] >= 0:
             _cut(edge & inside, angle[begin:end], found + first, table[arc : arc + 1])
@@ -127,10 +139,14 @@ def _refit_arc(
     rate: np.ndarray,
     least_px: float,
     filters: np.ndarray,
+    room: np.ndarray,
+    chosen: np.ndarray,
+    sums: np.ndarray,
     row: np.ndarray,
     products: np.ndarray,
 ) -> np.ndarray:
-    """Fill a row of the figures but for what is cut off; the first and last sample, -1 where nothing is left."""
+    """Fill a row of the figures but for what is cut off; the first and last sample, -1 where nothing is left. `room`, `chosen`
+    and `sums` are room for its samples."""
     difference = side_differences(grey, _SIDES)
     found, place = np.empty(2, dtype=np.int64), np.empty(2)
     share = reach(inside, support, difference, smoothed(difference, support, _ALONG), MOST_GAP_PX, found, place)
@@ -141,39 +157,37 @@ def _refit_arc(
     usable = support[here]
     step, strength = projected(grey[here], smoothed(difference[here], usable, _ALONG))
     shift, blur = shifts(step, strength, usable, filters[0])
-    way = ways(angle[here], rate[here])
-    chosen = own_samples(0, count, shift, usable, MOST_SHIFT_PX)
-    if len(chosen) < LEAST_SAMPLES:
+    places = own_places(0, count, angle[here], rate[here], shift, strength, usable, MOST_SHIFT_PX, room, chosen)
+    if places < LEAST_SAMPLES:
         return found
-    own, off, weights = way[chosen], shift[chosen], shares(strength[chosen])
-    weight, left = np.empty(len(chosen)), np.empty(len(chosen))
-    circle, matrix, good = fit_circle(own, off, weights, BEGIN, ROUNDS, weight, left)
-    variance, used = scatter_of(weight, left)
-    if not good or used < LEAST_SAMPLES:
+    a, b, scale, m00, m01, m11 = fit_circle(room, places, 0.0, 0.0, EVERY, ROUNDS)
+    variance, used = scatter_of(room, places)
+    if scale == 0.0 or used < LEAST_SAMPLES:
         return found
-    residual = np.full(count, np.nan)
-    residual[chosen] = left
+    residual, off = np.full(count, np.nan), np.empty(count)
+    for i in range(places):
+        residual[chosen[i]] = room[LEFT, i]
+    for n in range(count):
+        off[n] = shift[n] + rate[begin + n] * (a * math.cos(angle[begin + n]) + b * math.sin(angle[begin + n]))
     kept, at = np.array([0, count - 1]), place - begin
-    trim(kept, at, residual, shift - circle[0] * way[:, 0] - circle[1] * way[:, 1], MOST_OFF_PX, LAST_OFF_PX)
+    trim(kept, at, residual, off, scale, MOST_OFF_PX, LAST_OFF_PX)
     found[0], found[1] = kept[0] + begin, kept[1] + begin
     if kept[1] - kept[0] + 1 < least_px:
         return found
-    wide, _ = shifts(step, strength, usable, filters[1])
-    same = own_samples(0, count, wide, usable, MOST_SHIFT_PX)
-    again = circle
-    if len(same) >= LEAST_SAMPLES:
-        weight, left = np.empty(len(same)), np.empty(len(same))
-        again, _, _ = fit_circle(way[same], wide[same], shares(strength[same]), circle, _AGAIN, weight, left)
     figures = row[0]
+    part, ratio, apart_px = bend_of(room, places, LEAST_PART, sums)
+    if apart_px > BEND_PX:
+        figures.bend, figures.bend_ratio = angle[begin + chosen[part]], ratio
     figures.used, figures.length_px, figures.support, figures.variance = used, kept[1] - kept[0] + 1, share, variance
     figures.contrast, figures.blur_px = math.sqrt(np.sum(strength * usable) / used), BLURS_PX[blur]
     figures.rate = np.mean(rate)
     figures.low, figures.high = _angle_at(angle[here], at[0]), _angle_at(angle[here], at[1])
-    figures.a, figures.b, figures.wide_a, figures.wide_b = circle[0], circle[1], again[0], again[1]
-    figures.m00, figures.m01, figures.m11 = matrix[0], matrix[1], matrix[2]
-    part, ratio, apart_px = bend_of(own, off, weights, LEAST_PART)
-    if apart_px > BEND_PX:
-        figures.bend, figures.bend_ratio = angle[begin + chosen[part]], ratio
+    figures.a, figures.b, figures.m00, figures.m01, figures.m11 = a, b, m00, m01, m11
+    wide, _ = shifts(step, strength, usable, filters[1])
+    places = own_places(0, count, angle[here], rate[here], wide, strength, usable, MOST_SHIFT_PX, room, chosen)
+    if places >= LEAST_SAMPLES:
+        a, b = fit_circle(room, places, a, b, scale, _AGAIN)[:2]
+    figures.wide_a, figures.wide_b = a, b
     _add_products(residual, products)
     return found
 
