@@ -97,8 +97,11 @@ def extract_arcs(
         arcs = joined([fitted.arcs.keep(good), fitted.cut])
         arcs = merged(photo, arcs)
     least = min(least_px, LEAST_PIECE_PX)
-    arcs = refit(photo, arcs, LAST_BEYOND_PX, least).straight()
-    return _finished(photo, refit(photo, arcs, 0.0, least), max(noise, LEAST_NOISE), least_px)
+    fitted = refit(photo, arcs, LAST_BEYOND_PX, least)
+    # Arcs that bend, what was cut off others, and what still moves.
+    done = fitted.settled & np.isnan(fitted.bend)
+    fitted = fitted.keep(done).with_more(refit(photo, fitted.keep(~done).straight(), 0.0, least))
+    return _finished(photo, fitted, max(noise, LEAST_NOISE), least_px)
 
 
 def _begun(

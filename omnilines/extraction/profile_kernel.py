@@ -15,6 +15,7 @@ REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
 """Of a profile, across the arc."""
+SIZE = len(OFFSETS_PX)
 TAPER_PX, WIDE_TAPER_PX = 1.0, 1.8
 """Standard deviations of the weights of a profile."""
 BLURS_PX = np.array([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 1.9, 2.4])
@@ -139,7 +140,7 @@ def side_differences(grey: np.ndarray, weight: np.ndarray) -> np.ndarray:
     for n in range(count):
         for c in range(channels):
             total = np.float32(0.0)
-            for k in range(len(weight)):
+            for k in range(SIZE):
                 total += weight[k] * grey[n, c, k]
             result[n, c] = total
     return result
@@ -191,14 +192,14 @@ def smoothed(difference: np.ndarray, usable: np.ndarray, weight: np.ndarray) -> 
 def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Profiles (m, c, k) times the difference (m, c) between their sides, summed over channels (m, k), and the squares of the
     differences (m): the former over the latter are unit steps."""
-    count, channels, size = grey.shape
-    step, strength = np.zeros((count, size), dtype=np.float32), np.empty(count)
+    count, channels = grey.shape[:2]
+    step, strength = np.zeros((count, SIZE), dtype=np.float32), np.empty(count)
     for n in range(count):
         square = 1e-6
         for c in range(channels):
             share = difference[n, c]
             square += share * share
-            for k in range(size):
+            for k in range(SIZE):
                 step[n, k] += share * grey[n, c, k]
         strength[n] = square
     return step, strength
@@ -206,33 +207,38 @@ def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def shifts(step: np.ndarray, strength: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> tuple[np.ndarray, int]:
-    """Where the edge lies on each profile of an arc (m, px along `across`), of what `projected` says; and which of the
-    `step_filters` explains their mean best, and so decides how a shift is read from one."""
-    count, size = step.shape
-    mean, value = np.zeros(size, dtype=np.float32), np.empty(size, dtype=np.float32)
-    for n in range(count):
+def best_blur(step: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> int:
+    """Which of the `step_filters` explains the mean of what `projected` says of an arc best."""
+    mean, value = np.zeros(SIZE, dtype=np.float32), np.empty(SIZE, dtype=np.float32)
+    for n in range(len(step)):
         if usable[n]:
-            for k in range(size):
+            for k in range(SIZE):
                 mean[k] += step[n, k]
     best, least = 0, np.inf
     for b in range(len(filters)):
         value[:] = 0.0
-        for m in range(size):
-            for k in range(size):
+        for m in range(SIZE):
+            for k in range(SIZE):
                 value[k] += filters[b, 1 + m, k] * mean[m]
         misfit = np.float32(0.0)
-        for k in range(size):
+        for k in range(SIZE):
             misfit += value[k] * value[k]
         if misfit < least:
             best, least = b, misfit
-    shift = np.empty(count)
-    for n in range(count):
+    return best
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Where the edge lies on each profile of an arc (m, px along `across`), of what `projected` says and a filter's row (k)."""
+    shift = np.empty(len(step))
+    for n in range(len(step)):
         total = np.float32(0.0)
-        for k in range(size):
-            total += filters[best, 0, k] * step[n, k]
+        for k in range(SIZE):
+            total += row[k] * step[n, k]
         shift[n] = total / strength[n]
-    return shift, best
+    return shift
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)

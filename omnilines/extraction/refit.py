@@ -1,10 +1,10 @@
 """Arcs fitted to the photo itself: profiles of colour across them, the circle through the places of the edge, and their ends."""
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Shaped
+from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, inverse_2x2
@@ -15,6 +15,7 @@ from omnilines.extraction.refit_kernel import FIGURES, LAGS, LEAST_COSINE, WITHI
 
 FLOOR_PX = 0.01
 """Standard deviation across the arc that no number of pixels lowers: interpolation, and what the blur's shape hides."""
+SETTLED = 0.25
 BIAS = 2.0
 """Standard deviation by what lies beside the edge, over the difference between a wide and a narrow window."""
 BEND_RATIO = 20.0
@@ -49,8 +50,21 @@ class Refitted:
     """Standard deviation of the blurred step that explains the mean profile best."""
     bend: Float[np.ndarray, " n"]
     """Angle on the arc where it bends; NaN where it does not."""
+    settled: Bool[np.ndarray, " n"]
+    """Whether the arc moved by less than SETTLED of its standard deviation across it."""
     cut: Arcs
     """What was cut off the arcs as they were: beyond a gap, or on another edge."""
+
+    def keep(self, rows: Bool[np.ndarray, " n"]) -> "Refitted":
+        """Some of the arcs; what was cut off is that of all."""
+        columns = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name not in ("arcs", "cut")}
+        return Refitted(arcs=self.arcs.keep(rows), cut=self.cut, **columns)
+
+    def with_more(self, more: "Refitted") -> "Refitted":
+        """These arcs, and others after them; what was cut off the others."""
+        names = (field.name for field in fields(self) if field.name not in ("arcs", "cut"))
+        columns = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in names}
+        return Refitted(arcs=joined([self.arcs, more.arcs]), cut=more.cut, **columns)
 
     def straight(self) -> Arcs:
         """The arcs, those that bend in two parts, and what was cut off."""
@@ -123,12 +137,25 @@ def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float) -
     low, high = own["low"], own["high"]
     # Angles are counted from the middle of the arc, which has moved.
     bend = np.where(own["bend_ratio"] > BEND_RATIO * correlation, own["bend"] - 0.5 * (low + high), np.nan)
-    cut = []
+    cut, settled = [], np.ones(len(rows), dtype=bool)
+    for angle in (low, high):
+        way = np.stack([np.cos(angle), np.sin(angle)], -1)
+        variance = np.einsum("ni,nij,nj->n", way, covariance, way)
+        settled &= (way * change).sum(-1) ** 2 < SETTLED**2 * variance
     for side in ("before", "after"):
         ends = found[side + "_low"], found[side + "_high"]
         cut.append(replace(arcs, low=ends[0], high=ends[1]).keep(ends[0] < ends[1]))
     refitted = replace(moved(kept, change, covariance), low=low, high=high).centred()
-    return Refitted(refitted, own["support"], own["length_px"], own["contrast"], own["blur_px"], bend, joined(cut).centred())
+    return Refitted(
+        refitted,
+        own["support"],
+        own["length_px"],
+        own["contrast"],
+        own["blur_px"],
+        bend,
+        settled,
+        joined(cut).centred(),
+    )
 
 
 def moved(arcs: Arcs, change: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"]) -> Arcs:

@@ -17,6 +17,7 @@ from omnilines.extraction.profile_kernel import (
     BLURS_PX,
     OFFSETS_PX,
     along_weights,
+    best_blur,
     projected,
     read_profiles,
     shifts,
@@ -156,7 +157,8 @@ def _refit_arc(
     here = slice(begin, begin + count)
     usable = support[here]
     step, strength = projected(grey[here], smoothed(difference[here], usable, _ALONG))
-    shift, blur = shifts(step, strength, usable, filters[0])
+    blur = best_blur(step, usable, filters[0])
+    shift = shifts(step, strength, filters[0, blur, 0])
     places = own_places(0, count, angle[here], rate[here], shift, strength, usable, MOST_SHIFT_PX, room, chosen)
     if places < LEAST_SAMPLES:
         return found
@@ -183,7 +185,7 @@ def _refit_arc(
     figures.rate = np.mean(rate)
     figures.low, figures.high = _angle_at(angle[here], at[0]), _angle_at(angle[here], at[1])
     figures.a, figures.b, figures.m00, figures.m01, figures.m11 = a, b, m00, m01, m11
-    wide, _ = shifts(step, strength, usable, filters[1])
+    wide = shifts(step, strength, filters[1, blur, 0])
     places = own_places(0, count, angle[here], rate[here], wide, strength, usable, MOST_SHIFT_PX, room, chosen)
     if places >= LEAST_SAMPLES:
         a, b = fit_circle(room, places, a, b, scale, _AGAIN)[:2]
