@@ -8,7 +8,7 @@ import pytest
 
 from camera_models import Pinhole
 from omnilines.extraction import extract_arcs
-from omnilines.extraction.bend_kernel import bends
+from omnilines.extraction.bend_kernel import bend_of
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
 RATE, LENGTH, NOISE_PX = 260.0, 120, 0.05
@@ -21,10 +21,9 @@ def bend(slope: float, place: int, seed: int) -> tuple[int, float, float]:
     along = np.arange(LENGTH, dtype=np.float64)
     shift = slope * np.maximum(along - place, 0.0) + NOISE_PX * np.random.default_rng(seed).standard_normal(LENGTH)
     angle = (along - LENGTH / 2) / RATE
-    starts, found = np.array([0, LENGTH]), np.array([[0, LENGTH - 1]])
-    ones = np.ones(LENGTH)
-    where, ratio, off = bends(starts, found, angle, RATE * ones, shift, ones, ones > 0, 1.5, 8)
-    return int(where[0]), float(ratio[0]), float(off[0])
+    half = np.full(LENGTH, 0.5)
+    room = np.stack([-RATE * np.cos(angle), -RATE * np.sin(angle), shift, half])
+    return bend_of(room, LENGTH, 8, np.empty((LENGTH + 1, 6)))
 
 
 @pytest.mark.parametrize("place", [30, 80])

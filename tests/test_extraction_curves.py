@@ -14,7 +14,7 @@ from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
 from omnilines.extraction.pair_kernel import near_pairs
 from omnilines.extraction.profile_kernel import mean_profiles, piece_means, profiles
-from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
+from omnilines.extraction.step_kernel import MOST_STEPS, ROUNDS, fit_steps
 
 EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]
 
@@ -152,7 +152,9 @@ def test_steps_are_found_where_they_are() -> None:
     start = np.zeros((300, MOST_STEPS))
     start[:, :3] = place + rng.uniform(-0.2, 0.2, (300, 3))
     sigma = np.full(300, 0.01)
-    found, variance, heights, left = fit_steps(profile, 0, offsets, weight, start, count, np.array([1.0, 0.3]), sigma, 0.7)
+    found, variance, heights, left = fit_steps(
+        profile, 0, offsets, weight, start, count, np.array([1.0, 0.3]), sigma, 0.7, ROUNDS
+    )
     assert np.abs(found[:, :3] - place)[present].max() < 4e-3
     assert np.abs(heights[:, :3] / height - 1.0)[present].max() < 2e-2
     # What a last move of 0.01 px leaves of steps of 60 in three channels.

@@ -14,7 +14,7 @@ from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import grey_unit
 from omnilines.extraction.profile_kernel import mean_profiles
 from omnilines.extraction.refit import Photo, joined
-from omnilines.extraction.step_kernel import MOST_STEPS, fit_steps
+from omnilines.extraction.step_kernel import MOST_STEPS, ROUNDS, fit_steps
 
 _BETWEEN_PX = 0.5
 OFFSETS_PX = np.arange(-12, 13) * _BETWEEN_PX
@@ -74,6 +74,13 @@ class Blocks:
     def keep(self, rows: Int[np.ndarray, " k"]) -> "Blocks":
         """Those of some arcs, in order, numbered anew."""
         return _kept(self, rows)
+
+    def thinned(self, most: int) -> "Blocks":
+        """Of each arc with more blocks than `most` every second one, or third, ..., so that no more are left."""
+        count = np.diff(self.starts)
+        stride = np.maximum(-(-count // most), 1)[self.owner]
+        rows = np.flatnonzero((np.arange(len(self.owner)) - self.starts[self.owner]) % stride == 0)
+        return Blocks(self.arcs, *(getattr(self, field.name)[rows] for field in fields(self)[1:]))
 
     def mean(self, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
         """Of each arc's blocks."""
@@ -185,7 +192,7 @@ def _path(model: CameraModel, arcs: Arcs, at: Samples) -> Path:
 
 
 def fit_places(
-    blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float
+    blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """`fit_steps` of the profiles of blocks in a window of `taper_px`, the standard deviation of its weights."""
     weight = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
@@ -193,4 +200,4 @@ def fit_places(
     # Rounded up to whole lanes by values of no weight.
     offsets, weight = OFFSETS_PX[near[0]] + _BETWEEN_PX * np.arange(len(near) + -len(near) % _LANES), weight[near]
     weight = np.pad(weight, (0, len(offsets) - len(weight)))
-    return fit_steps(blocks.profile, near[0], offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px)
+    return fit_steps(blocks.profile, near[0], offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px, rounds)

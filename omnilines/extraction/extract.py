@@ -92,12 +92,16 @@ def extract_arcs(
     photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, least_angle_rad)
     arcs = merged(photo, arcs)
     for _ in range(ROUNDS):
-        fitted = refit(photo, arcs, BEYOND_PX)
-        good = (fitted.length_px >= LEAST_PIECE_PX) & (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
+        fitted = refit(photo, arcs, BEYOND_PX, LEAST_PIECE_PX)
+        good = (fitted.support >= LEAST_PIECE_SUPPORT) & (fitted.contrast >= LEAST_GREY)
         arcs = joined([fitted.arcs.keep(good), fitted.cut])
         arcs = merged(photo, arcs)
-    arcs = refit(photo, arcs, LAST_BEYOND_PX).straight()
-    return _finished(photo, refit(photo, arcs, 0.0), max(noise, LEAST_NOISE), least_px)
+    least = min(least_px, LEAST_PIECE_PX)
+    fitted = refit(photo, arcs, LAST_BEYOND_PX, least)
+    # Arcs that bend, what was cut off others, and what still moves.
+    done = fitted.settled & np.isnan(fitted.bend)
+    fitted = fitted.keep(done).with_more(refit(photo, fitted.keep(~done).straight(), 0.0, least))
+    return _finished(photo, fitted, max(noise, LEAST_NOISE), least_px)
 
 
 def _begun(

@@ -16,6 +16,7 @@ from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import LEAST_BLOCKS, Blocks, Profiled, fit_places
 from omnilines.extraction.circle_kernel import fit_circles
 from omnilines.extraction.refit import floor_covariance, moved
+from omnilines.extraction.step_kernel import ROUNDS
 
 TAPER_PX, WIDE_TAPER_PX = 1.0, 2.0
 """Standard deviations of the weights of a profile: to fit an arc, and to see how much that depends on what lies beside it."""
@@ -38,7 +39,7 @@ MOST_OFF_PX = 0.4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 TYPICAL_BLUR_PX = 0.7
 """Where no arc tells the blur of the photo."""
-BLUR_ARCS, BLUR_STRIDE = 40, 3
+BLUR_ARCS, BLUR_BLOCKS, BLUR_STRIDE = 40, 16, 3
 SHARP_CONTRAST = 20.0
 
 
@@ -51,7 +52,7 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     lone = np.sort(lone[np.argsort(-np.diff(blocks.starts)[lone], kind="stable")[:BLUR_ARCS]])
     if not len(lone):
         return TYPICAL_BLUR_PX
-    blocks = known.blocks.keep(strong[lone])
+    blocks = known.blocks.keep(strong[lone]).thinned(BLUR_BLOCKS)
     left = np.full((len(BLURS_PX), len(lone)), np.inf)
     # Some blurs first; then those around the median of the best, on which alone it depends.
     tried = np.arange(0, len(BLURS_PX), BLUR_STRIDE)
@@ -66,9 +67,9 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     return float(np.median(BLURS_PX[left.argmin(0)]))
 
 
-def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float) -> tuple:
+def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS) -> tuple:
     """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
-    place, variance, _, _ = fit_places(blocks, start, taper_px, blur_px)
+    place, variance, _, _ = fit_places(blocks, start, taper_px, blur_px, rounds)
     weight = 1.0 / (variance + SCATTER_PX**2)
     fit = fit_circles(blocks.starts, blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole, MOST_SHIFT_PX)
     return (*fit, place, variance)
@@ -94,7 +95,8 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
     covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, FLOOR_PX)
     for taper_px, blur, share in ((WIDE_TAPER_PX, blur_px, WIDE_SHARE), (TAPER_PX, BLUR_FACTOR * blur_px, BLUR_SHARE)):
-        bias = _circles(blocks, place, taper_px, blur)[0] - change
+        # To first order: it is a standard deviation.
+        bias = _circles(blocks, place, taper_px, blur, 1)[0] - change
         covariance += share**2 * bias[:, :, None] * bias[:, None]
     low, high = _trimmed(crowded, blocks, residual, variance)
     fitted = replace(moved(crowded, change, covariance), low=low, high=high)

@@ -15,6 +15,7 @@ REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
 """Of a profile, across the arc."""
+SIZE = len(OFFSETS_PX)
 TAPER_PX, WIDE_TAPER_PX = 1.0, 1.8
 """Standard deviations of the weights of a profile."""
 BLURS_PX = np.array([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 1.9, 2.4])
@@ -23,19 +24,18 @@ ALONG_PX = 3.0
 """Standard deviation of the average along an arc of the difference between its sides."""
 
 
-def step_filters(taper_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """For each blur: the row (b, k) that turns a profile of a unit step into its shift (px) and the matrix (b, k, k) to what a
-    level, a step and a shift cannot explain, weighted."""
-    weight = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
-    rows, left = [], []
+def step_filters(taper_px: float) -> np.ndarray:
+    """For each blur (b, k + 1, k): the row that turns a profile of a unit step into its shift (px), and the matrix, transposed,
+    to what a level, a step and a shift cannot explain, weighted."""
+    weight, filters = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2), []
     for blur in BLURS_PX:
         step = np.array([0.5 * math.erf(x / (blur * math.sqrt(2.0))) for x in OFFSETS_PX])
         slope = np.exp(-0.5 * (OFFSETS_PX / blur) ** 2) / (blur * math.sqrt(2.0 * math.pi))
         design = np.stack([np.ones_like(step), step, -slope], -1) * weight[:, None]
         inverse = np.linalg.pinv(design)
-        rows.append(inverse[2] * weight)
-        left.append((np.eye(len(weight)) - design @ inverse) * weight)
-    return np.stack(rows), np.stack(left)
+        left = (np.eye(len(weight)) - design @ inverse) * weight
+        filters.append(np.concatenate([(inverse[2] * weight)[None], left.T]))
+    return np.stack(filters).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
@@ -44,15 +44,34 @@ def profiles(
     image: np.ndarray, unit: float, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, closed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of 255 (m, c, k) at offsets across samples, bilinear, and whether all of them lie in the image (m)."""
+    count = len(pixel)
+    grey, inside = np.empty((count, image.shape[2], len(offsets)), dtype=np.float32), np.ones(count, dtype=np.bool_)
+    read_profiles(image, unit, pixel, across, offsets, closed, grey, inside)
+    return grey, inside
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def read_profiles(
+    image: np.ndarray,
+    unit: float,
+    pixel: np.ndarray,
+    across: np.ndarray,
+    offsets: np.ndarray,
+    closed: bool,
+    grey: np.ndarray,
+    inside: np.ndarray,
+) -> None:
+    """As `profiles`, into `grey` and `inside`."""
     height, width, channels = image.shape
     count, size = len(pixel), len(offsets)
-    grey, inside = np.zeros((count, channels, size), dtype=np.float32), np.ones(count, dtype=np.bool_)
     flat = image.reshape(-1)
     # The pixels above, their right neighbours, and the shares of these four and of those below: all 0 outside.
     first, right = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
     share = np.zeros((4, size), dtype=np.float32)
     down, over = np.uintp(width * channels), 1.0 / unit
     for n in range(count):
+        inside[n] = True
         for k in range(size):
             u, v = pixel[n, 0] + offsets[k] * across[n, 0], pixel[n, 1] + offsets[k] * across[n, 1]
             if not (v >= 0.0 and v < height - 1 and (closed or (u >= 0.0 and u < width - 1))):
@@ -75,7 +94,6 @@ def profiles(
                 a, b = np.uintp(first[k] + c), np.uintp(right[k] + c)
                 grey[n, c, k] = share[0, k] * flat[a] + share[1, k] * flat[b]
                 grey[n, c, k] += share[2, k] * flat[a + down] + share[3, k] * flat[b + down]
-    return grey, inside
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
@@ -115,112 +133,112 @@ def supported(
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def side_differences(grey: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Colour of the side of positive offsets minus that of the other (m, c), from 0.75 to 2.5 px."""
-    count, channels, size = grey.shape
-    beside = (np.abs(offsets) >= 0.75) & (np.abs(offsets) <= 2.5)
-    weight = (np.sign(offsets) * beside / np.sum(beside & (offsets > 0))).astype(np.float32)
-    result = np.zeros((count, channels), dtype=np.float32)
+def side_differences(grey: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Colour of the side of positive offsets minus that of the other (m, c), of profiles (m, c, k), with `side_weights` (k)."""
+    count, channels = grey.shape[:2]
+    result = np.empty((count, channels), dtype=np.float32)
     for n in range(count):
         for c in range(channels):
             total = np.float32(0.0)
-            for k in range(size):
+            for k in range(SIZE):
                 total += weight[k] * grey[n, c, k]
             result[n, c] = total
     return result
 
 
+def side_weights() -> np.ndarray:
+    """Of the values at OFFSETS_PX: from 0.75 to 2.5 px on either side."""
+    beside = (np.abs(OFFSETS_PX) >= 0.75) & (np.abs(OFFSETS_PX) <= 2.5)
+    return (np.sign(OFFSETS_PX) * beside / np.sum(beside & (OFFSETS_PX > 0))).astype(np.float32)
+
+
+def along_weights() -> np.ndarray:
+    """Of the average along an arc (Gaussian of ALONG_PX)."""
+    reach = int(2.5 * ALONG_PX)
+    return np.exp(-0.5 * (np.arange(-reach, reach + 1) / ALONG_PX) ** 2).astype(np.float32)
+
+
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def smoothed(difference: np.ndarray, usable: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """The differences averaged along each arc over usable samples (Gaussian of ALONG_PX)."""
-    reach = int(2.5 * ALONG_PX)
-    weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / ALONG_PX) ** 2).astype(np.float32)
-    channels = difference.shape[1]
+def smoothed(difference: np.ndarray, usable: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The differences (m, c) averaged along an arc over usable samples, with `along_weights`."""
+    length, channels = difference.shape
+    reach = len(weight) // 2
     result = np.empty_like(difference)
-    longest = 0
-    for arc in range(len(starts) - 1):
-        longest = max(longest, starts[arc + 1] - starts[arc])
     # What is usable and its weight, one row each, with `reach` zeros to either side; and the sums.
-    padded, sums = np.zeros((channels + 1, longest + 2 * reach), dtype=np.float32), np.empty(longest, dtype=np.float32)
-    total = np.empty(longest, dtype=np.float32)
-    for arc in range(len(starts) - 1):
-        begin, length = starts[arc], starts[arc + 1] - starts[arc]
-        for n in range(length):
-            padded[channels, reach + n] = usable[begin + n]
+    padded = np.zeros((channels + 1, length + 2 * reach), dtype=np.float32)
+    sums, total = np.empty(length, dtype=np.float32), np.empty(length, dtype=np.float32)
+    for n in range(length):
+        if usable[n]:
+            padded[channels, reach + n] = 1.0
             for c in range(channels):
-                padded[c, reach + n] = difference[begin + n, c] if usable[begin + n] else 0.0
-        padded[:, reach + length : 2 * reach + length] = 0.0
-        for row in range(channels, -1, -1):
-            sums[:length] = 0.0
-            for m in range(2 * reach + 1):
-                for n in range(length):
-                    sums[n] += weight[m] * padded[row, n + m]
-            if row == channels:
-                for n in range(length):
-                    total[n] = np.float32(1.0) / (sums[n] + np.float32(1e-9))
-            else:
-                for n in range(length):
-                    result[begin + n, row] = sums[n] * total[n]
+                padded[c, reach + n] = difference[n, c]
+    for row in range(channels, -1, -1):
+        sums[:] = 0.0
+        for m in range(len(weight)):
+            for n in range(length):
+                sums[n] += weight[m] * padded[row, n + m]
+        if row == channels:
+            for n in range(length):
+                total[n] = np.float32(1.0) / (sums[n] + np.float32(1e-9))
+        else:
+            for n in range(length):
+                result[n, row] = sums[n] * total[n]
     return result
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def unit_steps(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Profiles (m, k) projected on the difference (m, c) between their sides and divided by it, so that they are unit steps, and
-    the squares of the differences (m)."""
-    count, channels, size = grey.shape
-    step, strength = np.zeros((count, size)), np.empty(count)
+def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Profiles (m, c, k) times the difference (m, c) between their sides, summed over channels (m, k), and the squares of the
+    differences (m): the former over the latter are unit steps."""
+    count, channels = grey.shape[:2]
+    step, strength = np.zeros((count, SIZE), dtype=np.float32), np.empty(count)
     for n in range(count):
         square = 1e-6
         for c in range(channels):
-            square += difference[n, c] * difference[n, c]
-        strength[n] = square
-        for c in range(channels):
-            share = difference[n, c] / square
-            for k in range(size):
+            share = difference[n, c]
+            square += share * share
+            for k in range(SIZE):
                 step[n, k] += share * grey[n, c, k]
+        strength[n] = square
     return step, strength
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def shifts(
-    step: np.ndarray, strength: np.ndarray, usable: np.ndarray, starts: np.ndarray, rows: np.ndarray, left: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where the edge lies on each profile (m, px along `across`), and the blur of each arc: which of the filters explains its
-    mean profile best, and so decides how a shift is read from one."""
-    count, size = step.shape
-    shift, blur = np.zeros(count), np.zeros(len(starts) - 1)
-    mean = np.empty(size)
-    for arc in range(len(starts) - 1):
-        mean[:] = 0.0
-        some = False
-        for n in range(starts[arc], starts[arc + 1]):
-            if usable[n]:
-                some = True
-                for k in range(size):
-                    mean[k] += strength[n] * step[n, k]
-        if not some:
-            continue
-        best, least = 0, np.inf
-        for b in range(len(rows)):
-            misfit = 0.0
-            for k in range(size):
-                value = 0.0
-                for m in range(size):
-                    value += left[b, k, m] * mean[m]
-                misfit += value * value
-            if misfit < least:
-                best, least = b, misfit
-        blur[arc] = best
-        for n in range(starts[arc], starts[arc + 1]):
-            total = 0.0
-            for k in range(size):
-                total += rows[best, k] * step[n, k]
-            shift[n] = total
-    return shift, blur
+def best_blur(step: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> int:
+    """Which of the `step_filters` explains the mean of what `projected` says of an arc best."""
+    mean, value = np.zeros(SIZE, dtype=np.float32), np.empty(SIZE, dtype=np.float32)
+    for n in range(len(step)):
+        if usable[n]:
+            for k in range(SIZE):
+                mean[k] += step[n, k]
+    best, least = 0, np.inf
+    for b in range(len(filters)):
+        value[:] = 0.0
+        for m in range(SIZE):
+            for k in range(SIZE):
+                value[k] += filters[b, 1 + m, k] * mean[m]
+        misfit = np.float32(0.0)
+        for k in range(SIZE):
+            misfit += value[k] * value[k]
+        if misfit < least:
+            best, least = b, misfit
+    return best
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED)
+@no_type_check
+def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Where the edge lies on each profile of an arc (m, px along `across`), of what `projected` says and a filter's row (k)."""
+    shift = np.empty(len(step))
+    for n in range(len(step)):
+        total = np.float32(0.0)
+        for k in range(SIZE):
+            total += row[k] * step[n, k]
+        shift[n] = total / strength[n]
+    return shift
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)

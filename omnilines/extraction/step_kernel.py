@@ -218,6 +218,7 @@ def _places(
     start: np.ndarray,
     stiff: np.ndarray,
     square: float,
+    rounds: int,
     half: np.ndarray,
     bell: np.ndarray,
     scaled: np.ndarray,
@@ -234,12 +235,12 @@ def _places(
     back: np.ndarray,
 ) -> float:
     """Gauss and Newton from `start` (s), damped, to the places `kept`; the sum of squares that they leave. Design, heights and
-    what follows are then as `_heights` and `_newton` leave them."""
+    what follows are then as `_heights` and `_newton` leave them. Of a single round the step is taken unseen."""
     steps = len(start)
     for j in range(steps):
         here[j], kept[j] = start[j], start[j]
     least, left, refused = np.inf, 0.0, False
-    for _ in range(ROUNDS):
+    for number in range(rounds):
         squares = _heights(offsets, weight, here, steps, half, bell, scaled, design, slope, factor, ridge, height)
         cost = squares
         for j in range(steps):
@@ -252,6 +253,8 @@ def _places(
         least, left = cost, squares
         for j in range(steps):
             kept[j] = here[j]
+        if number > 0 and number == rounds - 1:
+            break
         _newton(steps, scaled, design, slope, factor, ridge, height, hessian, pull, column, back)
         for j in range(steps):
             hold = square / stiff[min(j, 1)] ** 2
@@ -263,7 +266,7 @@ def _places(
         for j in range(steps):
             here[j] += min(max(pull[0, j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
             farthest = max(farthest, abs(pull[0, j]))
-        if farthest < SETTLED_PX:
+        if farthest < SETTLED_PX or rounds == 1:
             # What is left of the steps and heights after so small a move is of second order.
             for j in range(steps):
                 kept[j] = here[j]
@@ -285,13 +288,15 @@ def fit_steps(
     stiff: np.ndarray,
     sigma: np.ndarray,
     blur: float,
+    rounds: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
     (m, s, c) and the sum of squares that is left of the weighted profiles (m).
 
     `offsets`, equally far apart, and `weight` are those of the values of a profile from `begin` on. Profile m has `count` steps
     and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the first place about its start and of
-    the others: a faint step stays where its own arc says.
+    the others: a faint step stays where its own arc says. There are at most so many rounds; after a single one, places are
+    good to first order, and all else is that of their start.
     """
     m, channels, size = len(profile), profile.shape[1], len(offsets)
     known = min(size, profile.shape[2] - begin)
@@ -317,6 +322,7 @@ def fit_steps(
             first,
             stiff,
             square,
+            rounds,
             half,
             bell,
             scaled,

@@ -1,6 +1,6 @@
 """What arcs look like: the colours on either side of each, read in a band around it through the camera model.
 
-No view is rectified: points beside the arc are bearings turned off its great circle, and the model says which pixels they are.
+No view is rectified: the model says which pixels the arc passes, and which way in the photo its great circle is turned off it.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ OFFSETS_PX = (2.0, 3.0, 4.0, 5.5)
 """Distances from the arc."""
 DARK_GREY = 12.0
 """Added to grey levels of 255 before the logarithm: what noise and stray light make of black."""
-ARCS_AT_A_TIME = 64
+ARCS_AT_A_TIME = 256
 """So that torch needs no threads of its own, which burn more time than they save where every core looks at a photo already."""
 _STEP_RAD = 1e-4
 
@@ -48,16 +48,10 @@ def _sides(
     with torch.no_grad():
         places = points_on_arc(ends[:, 0], ends[:, 1], share)
         normal = arc_normal(ends[:, 0], ends[:, 1])[:, None]
-        on, _ = model.project(places)
-        off, _ = model.project(places + _STEP_RAD * normal)
-        step = off - on
-        if model.PERIODIC:
-            step[..., 0] -= model.image_size[0] * torch.round(step[..., 0] / model.image_size[0])
-        rate_px = step.norm(dim=-1, keepdim=True) / _STEP_RAD
-        sides = torch.tensor([1.0, -1.0], dtype=torch.float64)[:, None] * torch.tensor(OFFSETS_PX, dtype=torch.float64)
-        # (arc, side, offset, place, xyz)
-        turned = places[:, None, None] + (sides[..., None, None] / rate_px[:, None, None]) * normal[:, None, None]
-        pixels, valid = model.project(turned)
-    unit, count = 1.0 if image.dtype == np.uint8 else 257.0, (2 * len(bearings), len(OFFSETS_PX), ALONG)
-    places_px, seen = pixels.numpy().reshape(*count, 2), valid.numpy().reshape(count)
-    return median_logs(image, unit, places_px, seen, model.PERIODIC, DARK_GREY).reshape(-1, 2, 3)
+        pixels, valid = model.project(torch.stack([places, places + _STEP_RAD * normal]))
+    on, step = pixels[0].numpy(), (pixels[1] - pixels[0]).numpy()
+    if model.PERIODIC:
+        step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
+    unit = 1.0 if image.dtype == np.uint8 else 257.0
+    seen = (valid[0] & valid[1]).numpy()
+    return median_logs(image, unit, on, step, seen, np.array(OFFSETS_PX), model.PERIODIC, DARK_GREY)
