@@ -25,8 +25,8 @@ FURTHEST_SLOPE = 1e8
 """Radius that stands for an infinite one."""
 POLE_MARGINS = (0.0, *(10.0**k for k in range(-8, -1)))
 POLE_CLEARANCE = 1e-9
-"""The domain ends before a pole where the denominator is at least this share of the sum of its terms: its sign is then certain, and
-the image is farther out than any."""
+"""The domain ends before a pole where the denominator is at least this share of the sum of its terms: its sign is then certain,
+and the image is farther out than any."""
 FOLD_GRID = np.concatenate([np.linspace(0.01, 1, 100), np.geomspace(1.05, FURTHEST_SLOPE, 200)])
 """Radii between which the first fold is sought."""
 TABLE_SIZE = 2048
