@@ -134,7 +134,8 @@ def calibrate_camera(
     )
     start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
     basis = start.model.calibration_basis()
-    minima = _refine_with_rivals(final.points, start, final.weight, callback)
+    problem = BoardProblem(final.points, basis, final.weight, shape)
+    minima = _refine_with_rivals(problem, start, callback)
     solution = minima[0]
     refuse_parallel_boards(solution.state.cam_from_board)
     notes: tuple[str, ...] = ()
@@ -147,7 +148,7 @@ def calibrate_camera(
         notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
-    return _result(final, solution, basis, minima, settled.limit_px if loss != "none" else None, notes)
+    return _result(final, solution, basis, (problem, minima), settled.limit_px if loss != "none" else None, notes)
 
 
 def robust_camera(
@@ -172,14 +173,11 @@ def robust_camera(
 
 
 def _refine_with_rivals(
-    points: BoardPoints,
-    start: CameraAndBoards,
-    weight: Float[Tensor, " n"] | None,
-    callback: Callable[[Progress], None] | None,
+    problem: BoardProblem, start: CameraAndBoards, callback: Callable[[Progress], None] | None
 ) -> list[Solution[CameraAndBoards]]:
     """Plain least squares from `start`, and from every other minimum that the model names: first the best of them, and of those
     that the data do not tell apart (chi-square up to TIED) the one with the smallest shape parameters."""
-    problem = BoardProblem(points, start.model.calibration_basis(), weight, start.shape)
+    points = problem.points
     solution = problem.solve(start, max_iterations=300, callback=callback)
     found = [solution]
     poses = solution.state.cam_from_board
@@ -214,11 +212,11 @@ def _result(
     final: _Final,
     solution: Solution[CameraAndBoards],
     basis: Float[Tensor, "p q"],
-    minima: Sequence[Solution[CameraAndBoards]],
+    floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
     limit_px: float | None,
     notes: tuple[str, ...],
 ) -> CameraCalibration:
-    """`minima` are what was found along all columns, first the one that `solution` refines."""
+    """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
     state, model, corners = solution.state, solution.state.model, final.corners
     unit = _unit_covariance(final, solution, basis)
     stated = stated_variance_px2(corners, final.rows)
@@ -230,7 +228,7 @@ def _result(
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
-    problem = BoardProblem(final.points, model.calibration_basis(), final.weight, state.shape)
+    problem, minima = floor
     curved = camera_intervals(problem, minima[0], minima[1:], factor)
     intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
     notes += noise_notes(factor, stated) + (() if curved is None else (CURVED,))

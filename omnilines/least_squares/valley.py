@@ -261,4 +261,4 @@ class _Floor(Generic[S]):
 def _turns_back(values: Float[Tensor, "n p"], across: Float[Tensor, "n p"]) -> Bool[Tensor, " p"]:
     """Quantities that go a way back along the floor that shows beside their spread across it."""
     extent, net = values.amax(0) - values.amin(0), (values[-1] - values[0]).abs()
-    return extent - net > BENT * torch.maximum(extent, across.median(0).values)
+    return extent - net > BENT * across.median(0).values
