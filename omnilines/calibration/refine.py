@@ -107,8 +107,8 @@ def whitened(residual_px: Float[Tensor, "n 2"], weight: Float[Tensor, " n"] | No
 def robust_scale_px(residual_px: Float[Tensor, "n 2"], unknowns: int = 0) -> float:
     """Standard deviation per axis of the undisturbed part of the residuals, from their median absolute value.
 
-    A robust fit of many `unknowns` brings as many residuals near zero, which say nothing of the noise: where that is a good part of
-    all, the median is that of the others (R. A. Maronna et al., Robust Statistics, 2006, section 4.4.2).
+    A robust fit of many `unknowns` brings as many residuals near zero, which say nothing of the noise: where that is a good part
+    of all, the median is that of the others (R. A. Maronna et al., Robust Statistics, 2006, section 4.4.2).
     """
     size = residual_px.abs().flatten()
     if unknowns > FEW_RESIDUALS * len(size):

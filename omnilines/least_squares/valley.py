@@ -29,6 +29,7 @@ from omnilines.least_squares.levenberg_marquardt import (
     Problem,
     Solution,
     constrained_inverse,
+    constrained_solve,
     minimise,
 )
 from omnilines.least_squares.losses import Loss
@@ -42,7 +43,7 @@ PACE = 0.5
 """By so much the root of the cost, in standard deviations, is to rise from stop to stop."""
 STRIDE = 0.1
 """A quantity moves by at most this share of itself (of 1, where it is less) from stop to stop."""
-MOST_STOPS = 40
+MOST_STOPS = 60
 MOST_ITERATIONS = 20
 TOLERANCE = 1e-4
 
@@ -105,12 +106,25 @@ class _Stop(Generic[S]):
         covariance = constrained_inverse(self.reduced.matrix, self.held[:, None])
         return torch.einsum("pi,ij,pj->p", rows, covariance, rows).clamp_min(0).sqrt()
 
-    def moved(self, problem: Problem[S], length: float, iterations: int) -> "_Stop[S] | None":
+    def expected(self, problem: Problem[S], length: float) -> tuple[S, float] | None:
+        """The lowest place across the floor and its cost as one Gauss-Newton step promises them; None where there is no step."""
+        step = length * self.direction
+        start = problem.retract(self.state, step, back_substitute(self.reduced, step))
+        engine = DenseEngine(_Across(problem, self.held), start, Loss())
+        equations = engine.equations(start)
+        reduced = reduce(equations, 0.0)
+        kept = constrained_solve(reduced.matrix, self.held[:, None], reduced.right_side) if reduced.sound else None
+        if kept is None:
+            return None
+        eliminated = back_substitute(reduced, kept)
+        return problem.retract(start, kept, eliminated), engine.cost(start) - equations.promised_decrease(kept, eliminated, 0.0)
+
+    def moved(self, problem: Problem[S], length: float) -> "_Stop[S] | None":
         """Along the floor, then to the lowest place across it; None where the problem has no sound equations there."""
         step = length * self.direction
         start = problem.retract(self.state, step, back_substitute(self.reduced, step))
         engine = DenseEngine(_Across(problem, self.held), start, Loss())
-        found = minimise(engine, start, iterations, TOLERANCE, damping=1e-8)
+        found = minimise(engine, start, MOST_ITERATIONS, TOLERANCE, damping=1e-8)
         reduced = reduce(engine.equations(found.state), 0.0)
         if not (reduced.sound and math.isfinite(found.cost) and bool(torch.isfinite(reduced.matrix).all())):
             return None
@@ -158,11 +172,11 @@ def _is_curved(problem: Problem[S], solution: Solution[S], quantities: Quantitie
     along = length * quantities.by_kept @ stop.direction
     half = torch.hypot(along, math.sqrt(limit) * stop.across(quantities.by_kept))
     for side in (1.0, -1.0):
-        end = stop.moved(problem, side * length, 1)
+        end = stop.expected(problem, side * length)
         if end is None:
             return True
-        rise = math.sqrt(max(end.cost - solution.cost, 0.0) / limit)
-        off = quantities.of(end.state) - quantities.of(solution.state) - side * along
+        rise = math.sqrt(max(end[1] - solution.cost, 0.0) / limit)
+        off = quantities.of(end[0]) - quantities.of(solution.state) - side * along
         if not abs(rise - 1) <= BENT or bool((off.abs() > BENT * half).any()):
             return True
     return False
@@ -203,7 +217,7 @@ def _walk(
         value, way = quantities.of(stop.state), quantities.by_kept @ stop.direction
         most = float((STRIDE * value.abs().clamp_min(1.0) / way.abs().clamp_min(1e-300)).min())
         length = min(stop.length(((height + pace) ** 2 - height**2) * unit**2), most * pace / PACE)
-        onwards = stop.moved(problem, length, MOST_ITERATIONS)
+        onwards = stop.moved(problem, length)
         now = math.inf if onwards is None else math.sqrt(max(onwards.cost - least, 0.0)) / unit
         if onwards is None or now > max(height, sigmas) + 2 * PACE:
             # Too far, or off the floor.

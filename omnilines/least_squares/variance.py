@@ -2,19 +2,13 @@
 
 Where the noise of the observations is stated and the residuals do not contradict it, the factor is the stated one and intervals
 are those of the normal distribution. Where it is not stated, or the chi-square test of the residuals fails, the factor is that of
-the residuals, s^2 = squares / freedom, and intervals are those of Student's t. A robust loss has a factor of its own (P. J.
-Huber, Robust Statistics, 1981, section 7.6).
+the residuals, s^2 = squares / freedom, and intervals are those of Student's t.
 """
 
 import math
 from dataclasses import dataclass
 
-import torch
-from jaxtyping import Float
 from scipy import stats
-from torch import Tensor
-
-from omnilines.least_squares.losses import Loss
 
 DOUBT = 0.01
 """Residuals as large as those found have a smaller chance than this where the noise is as stated: then it is not."""
@@ -58,23 +52,3 @@ def variance_factor(squares: float, freedom: int, stated: float | None = None) -
     if stats.chi2.sf(squares / stated, freedom) < DOUBT:
         return VarianceFactor(found, float(freedom), ratio)
     return VarianceFactor(stated, math.inf, ratio)
-
-
-def robust_variance(squared: Float[Tensor, " n"], loss: Loss, components: int, unknowns: int) -> float:
-    """The factor for the inverse of J' W J, W the weights of a robust loss at the solution, from the squared norms of n residuals
-    of some `components` each and the number of unknowns:
-
-        k^2  sum w^2 s / (n m - p)  mean(w) / b^2,   b = mean(w + 2 s w' / m),   k = 1 + p / (n m)  var(w + 2 s w' / m) / b^2
-
-    With the loss "none" it is the sum of squares over the degrees of freedom. Needs more residuals than unknowns.
-    """
-    s = squared.detach().clone().requires_grad_()
-    with torch.enable_grad():
-        weight = loss(s)[1]
-        bend = torch.autograd.grad(weight.sum(), s)[0] if weight.requires_grad else torch.zeros_like(s)
-    weight, s = weight.detach(), s.detach()
-    slope = weight + 2 / components * s * bend
-    total, mean = components * len(s), float(slope.mean())
-    correction = 1 + unknowns / total * float(slope.var(correction=0)) / mean**2
-    spread = float((weight**2 * s).sum()) / (total - unknowns)
-    return correction**2 * spread * float(weight.mean()) / mean**2
