@@ -267,7 +267,9 @@ class _Floor(Generic[S]):
         low, high = torch.cat(found).amin(0), torch.cat(found).amax(0)
         for end, is_open in ((0, self.open_back), (-1, self.open_forth)):
             if is_open and bool(inside[end]):
-                onwards = quantities.by_kept @ self.stops[end].direction
+                # Only what the floor carries along goes on with it.
+                carried = values.amax(0) - values.amin(0) > limit * across.amax(0)
+                onwards = torch.where(carried, quantities.by_kept @ self.stops[end].direction, 0.0)
                 low, high = torch.where(onwards < 0, -torch.inf, low), torch.where(onwards > 0, torch.inf, high)
         return low, high
 
