@@ -23,6 +23,10 @@ from camera_models._radial import CHUNK, first_sign_change, interpolate
 
 FURTHEST_SLOPE = 1e8
 """Radius that stands for an infinite one."""
+POLE_MARGINS = (0.0, *(10.0**k for k in range(-8, -1)))
+POLE_CLEARANCE = 1e-9
+"""The domain ends before a pole where the denominator is at least this share of the sum of its terms: its sign is then certain,
+and the image is farther out than any."""
 FOLD_GRID = np.concatenate([np.linspace(0.01, 1, 100), np.geomspace(1.05, FURTHEST_SLOPE, 200)])
 """Radii between which the first fold is sought."""
 TABLE_SIZE = 2048
@@ -103,6 +107,8 @@ def first_fold(coefficients: Sequence[float]) -> float:
     # Where r q grows from zero on, q is positive: N needs no look of its own.
     curves = (growth, denominator) if rational else (growth,)
     radius = min(math.sqrt(min(first_sign_change(curve, 1.0) for curve in curves)), FURTHEST_SLOPE)
+    if rational:
+        radius = _short_of_pole(denominator.tolist(), radius)
     size = math.hypot(p1, p2)
     if size == 0 or radius == 0:
         return radius
@@ -110,6 +116,16 @@ def first_fold(coefficients: Sequence[float]) -> float:
         return 0.0
     polynomials = (growth, numerator, np.convolve(denominator, denominator), denominator)
     return _tangential_fold([np.trim_zeros(polynomial, "b").tolist() for polynomial in polynomials], size, radius)
+
+
+def _short_of_pole(denominator: list[float], radius: float) -> float:
+    """The radius, or a little less where D vanishes there: at a pole the quotient is infinite, or by rounding of either sign."""
+    for margin in POLE_MARGINS:
+        short = radius * (1 - margin)
+        terms = [c * short ** (2 * k) for k, c in enumerate(denominator)]
+        if not math.isfinite(sum(terms)) or sum(terms) > POLE_CLEARANCE * sum(map(abs, terms)):
+            return short
+    return 0.0
 
 
 def _tangential_fold(polynomials: list[list[float]], size: float, radius: float) -> float:

@@ -35,10 +35,33 @@ def first_sign_change(coefficients: Float[np.ndarray, " k"], scale: float) -> fl
     roots = _roots(np.trim_zeros(scaled, "b"))
     # A double root that touches zero splits into a near-real pair; it counts only if the sign really changes behind it.
     real = np.sort(roots.real[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 0)])
-    for low, high in zip(real, [*real[1:], *(2 * real[-1:])], strict=True):
-        if np.polynomial.polynomial.polyval(0.5 * (low + high), scaled) < 0:
-            return float(low) * scale
+    descending, low = scaled[::-1].tolist(), 0.0
+    for root, following in zip(real, [*real[1:], *(2 * real[-1:])], strict=True):
+        high = 0.5 * (float(root) + float(following))
+        if _value(descending, high) < 0:
+            return _last_positive(descending, low, high, float(root)) * scale
+        low = high
     return math.inf
+
+
+def _value(descending: Sequence[float], x: float) -> float:
+    """Horner's rule, the highest coefficient first."""
+    total = 0.0
+    for c in descending:
+        total = total * x + c
+    return total
+
+
+def _last_positive(descending: Sequence[float], low: float, high: float, near: float) -> float:
+    """By bisection the last x before the sign change `near` between `low` and `high` at which the value is not negative:
+    eigenvalues are good to rounding of the largest, not of themselves."""
+    for closer in (near * (1 - 1e-9), near * (1 + 1e-9)):
+        if low < closer < high:
+            low, high = (closer, high) if _value(descending, closer) >= 0 else (low, closer)
+    while high - low > 4e-16 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _value(descending, middle) >= 0 else (low, middle)
+    return low
 
 
 def _roots(coefficients: Float[np.ndarray, " k"]) -> np.ndarray:

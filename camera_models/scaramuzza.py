@@ -185,9 +185,13 @@ class Scaramuzza(CameraModel):
         zero = rho2 == 0
         rho = torch.where(zero, torch.ones_like(rho2), rho2).sqrt()
         rho = torch.where(zero, torch.zeros_like(rho), rho)
-        f = self._height(rho)
-        ray = torch.cat([plane, f[..., None]], -1)
-        return ray / ray.norm(dim=-1, keepdim=True), rho <= self.max_radius_px
+        valid = rho <= self.max_radius_px
+        if not bool(valid.all()):
+            # Drawn back to the edge of the domain: far outside the polynomial overflows.
+            back = torch.where(valid, 1.0, self.max_radius_px / rho)
+            plane, rho = plane * back[..., None], rho.clamp(max=self.max_radius_px)
+        ray = torch.cat([plane, self._height(rho)[..., None]], -1)
+        return ray / ray.norm(dim=-1, keepdim=True), valid
 
     def project_with_jacobians(
         self, points: Float[Tensor, "*batch 3"]

@@ -90,6 +90,9 @@ def test_first_sign_change_of_known_polynomials() -> None:
     assert first_sign_change(np.array([1.0, 0.0, 0.3]), 1.0) == math.inf
     # (x - 1)^2 touches zero and turns back; (x - 1)^2 (2 - x) turns at 2.
     touching = np.polynomial.Polynomial([1.0, -2.0, 1.0])
+    # A root of size 1 beside one of size 1e9, and the last value that is not negative.
+    wide = first_sign_change((np.polynomial.Polynomial([1.0, -1.0]) * np.polynomial.Polynomial([1.0, 1e-9])).coef, 1.0)
+    assert 1 - 1e-14 < wide <= 1.0
     assert first_sign_change(touching.coef, 1.0) == math.inf
     assert first_sign_change((touching * np.polynomial.Polynomial([2.0, -1.0])).coef, 1.0) == pytest.approx(2.0)
 
@@ -102,3 +105,46 @@ def test_monotone_functions_are_inverted_to_rounding_and_clamped() -> None:
     torch.testing.assert_close(found[:, :3], expected[:, :3], rtol=1e-11, atol=1e-16)
     # The sine is level at the end: an error of rounding there is one of its root.
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-8)
+
+
+def test_every_lens_that_is_monotone_near_its_centre_is_seen_there() -> None:
+    """Mild rational lenses at random, with and without poles, against a dense scan of r q(r): pixels inside the reach of the scan
+    are seen and go there and back, those beyond it are not; in NumPy and in torch."""
+    rng = np.random.default_rng(0)
+    radii = np.linspace(0.0, 3.0, 30001)
+    poles = folds = 0
+    for _ in range(150):
+        k1, k2, k3, k4, k5, k6 = rng.uniform(-1, 1, 6) * [0.3, 0.15, 0.08, 0.3, 0.15, 0.08] * rng.choice([0, 1], 6, p=[0.3, 0.7])
+        model = Pinhole([900.0, 890.0, 640.0, 480.0, 0.0, k1, k2, 0.0, 0.0, k3, k4, k5, k6], (1280, 960), 8)
+        x = radii**2
+        denominator = 1 + x * (k4 + x * (k5 + x * k6))
+        with np.errstate(divide="ignore"):
+            distorted = radii * (1 + x * (k1 + x * (k2 + x * k3))) / denominator
+        sound = np.append(True, np.diff(distorted) > 0) & (denominator > 0)
+        last = len(radii) - 1 if sound.all() else int(np.argmin(sound)) - 1
+        pole = denominator.min() <= 0 and denominator[last + 1] <= 0
+        poles, folds = poles + pole, folds + (last < len(radii) - 1 and not pole)
+        shown = np.flatnonzero(distorted[:last] < 0.9)[::40]
+        angle = rng.uniform(-np.pi, np.pi, len(shown))
+        around = np.stack([np.cos(angle), np.sin(angle)], -1)
+        pixels = np.array([640.0, 480.0]) + distorted[shown, None] * around * [900.0, 890.0]
+        for kind in (pixels, torch.as_tensor(pixels)):
+            bearings, seen = (np.asarray(part) for part in model.unproject(kind))
+            assert seen.all(), (k1, k2, k3, k4, k5, k6)
+            np.testing.assert_allclose(bearings[:, :2] / bearings[:, 2:], radii[shown, None] * around, atol=1e-7)
+        if last < len(radii) - 1:
+            edge = np.array([[radii[last - 1], 0.0, 1.0], [radii[last + 1], 0.0, 1.0]])
+            assert model.project(edge)[1].tolist() == [True, False] == model.project(torch.as_tensor(edge))[1].tolist()
+            assert np.isfinite(model.project(edge)[0]).all()
+        if last < len(radii) - 1 and not pole:
+            assert not model.unproject(np.array([640.0 + 900.0 * (distorted[last] + 1e-3), 480.0]))[1]
+    assert poles > 10 and folds > 10
+
+
+def test_a_domain_that_ends_at_a_pole() -> None:
+    """1 - 0.05 r^4 vanishes at 20^(1/4); so does (1 - r^2 / 4)^2 at 2, without a change of sign."""
+    for terms, pole in (([0.0, -0.05, 0.0], 20**0.25), ([-0.5, 1 / 16, 0.0], 2.0)):
+        fold = first_fold([0.0, 0.1, 0.0, 0.0, 0.0, *terms])
+        assert pole * (1 - 1e-3) < fold <= pole
+        model = Pinhole([900.0, 900.0, 640.0, 480.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, *terms], (1280, 960), 8)
+        assert model.unproject(np.array([[640.0, 480.0], [-0.5, -0.5], [1279.5, 959.5]]))[1].all()

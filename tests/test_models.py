@@ -142,6 +142,21 @@ def test_pixels_beyond_the_edge_are_not_seen(model):
 
 
 @EACH
+def test_what_is_not_seen_is_finite_all_the_same(model):
+    """Points and pixels of any size, on either side of everything: where `valid` is false the value is finite."""
+    rng = np.random.default_rng(4)
+    points = rng.standard_normal((600, 3)) * 10.0 ** rng.uniform(-9, 9, (600, 1))
+    points = np.concatenate([points, [[0, 0, 0], [0, 0, 1], [0, 0, -1], [1e-9, 0, -1], [1, 0, 0], [1, 0, 1e-12], [1, 0, -1e-12]]])
+    pixels, valid = model.project(points)
+    again, seen, by_point, by_parameter = model.project_with_jacobians(torch.as_tensor(points))
+    assert np.array_equal(valid, seen.numpy()) and not valid.all()
+    assert all(np.isfinite(part).all() for part in (pixels, again.numpy(), by_point.numpy(), by_parameter.numpy()))
+    far = rng.uniform(-1, 1, (300, 2)) * 10.0 ** rng.uniform(0, 100, (300, 1))
+    assert np.isfinite(model.unproject(far)[0]).all()
+    assert torch.isfinite(model.unproject(torch.as_tensor(far))[0]).all()
+
+
+@EACH
 def test_jacobians_agree(model):
     """Analytic = automatic (forward and reverse through `project`) = finite differences."""
     points = torch.as_tensor(bearings_of(model, 60, seed=5, share=0.9, least=0.001)) * 2.5
@@ -247,7 +262,7 @@ def test_calibration_basis_spans_estimable_directions(model):
     assert int(torch.linalg.matrix_rank(basis)) == basis.shape[1]
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(5))
 def test_pinhole_against_opencv(index):
     model = camera_models.Pinhole.examples()[index]
     points = bearings_of(model, 500, share=0.95)

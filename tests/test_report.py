@@ -334,6 +334,11 @@ def test_tables_say_what_holds_and_escape() -> None:
     assert "✓ yes 40 8 28.7 % 0.500" in text and "✗ no : too few corners. 0 0 – –" in text
     parameters = report.parameters_section("pinhole", ["fx"], np.array([500.0]), None)
     assert "Standard deviations are not known" in markup(parameters)
+    bounds = np.array([[480.0, 531.0], [-np.inf, 2.0]])
+    text = text_of(
+        markup(report.parameters_section("unified", ["fx", "xi"], np.array([500.0, 1.0]), np.ones(2), intervals=bounds))
+    )
+    assert "curved valley" in text and "480 to 531" in text and "-inf to 2" in text
 
 
 def test_photos_name_what_is_left_out(photo_folder: pathlib.Path, photo_curves: list[Polyline]) -> None:

@@ -16,6 +16,8 @@ from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, So
 
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+FEW_RESIDUALS = 0.25
+"""Unknowns over residuals from which the median is taken without as many of the smallest."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,13 @@ def whitened(residual_px: Float[Tensor, "n 2"], weight: Float[Tensor, " n"] | No
     return residual_px if weight is None else residual_px * weight[:, None]
 
 
-def robust_scale_px(residual_px: Float[Tensor, "n 2"]) -> float:
-    """Standard deviation per axis of the undisturbed part of the residuals, from their median absolute value."""
-    return NORMAL_MAD * float(residual_px.abs().median())
+def robust_scale_px(residual_px: Float[Tensor, "n 2"], unknowns: int = 0) -> float:
+    """Standard deviation per axis of the undisturbed part of the residuals, from their median absolute value.
+
+    A robust fit of many `unknowns` brings as many residuals near zero, which say nothing of the noise: where that is a good part
+    of all, the median is that of the others (R. A. Maronna et al., Robust Statistics, 2006, section 4.4.2).
+    """
+    size = residual_px.abs().flatten()
+    if unknowns > FEW_RESIDUALS * len(size):
+        size = size.sort().values[min(unknowns, len(size) - 1) :]
+    return NORMAL_MAD * float(size.median())

@@ -14,14 +14,16 @@ from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.initialise import BoardPoints, resect_boards
+from omnilines.calibration.intervals import stated_variance_px2
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
 from omnilines.calibration.robust import Settled, settle
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.select import select_model
-from omnilines.calibration.single import DETECTOR_FLOOR_PX, calibrate_camera, robust_camera
+from omnilines.calibration.single import calibrate_camera, robust_camera
 from omnilines.calibration.start import CameraKind
 from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, views_lost
 from omnilines.least_squares import Progress
+from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
 
 AUTO = "auto"
@@ -110,7 +112,12 @@ def alone_camera(
         basis,
         numbers[[usable[v] for v in good]],
         poses,
-        _sigma_px(whitened(residual, None if weight is None else weight[kept]), len(good), basis.shape[1], corners),
+        _sigma_px(
+            whitened(residual, None if weight is None else weight[kept]),
+            len(good),
+            basis.shape[1],
+            stated_variance_px2(corners, np.ones(len(corners), dtype=bool)),
+        ),
         float(residual.square().sum(-1).mean().sqrt()),
         {int(numbers[v]): reason for v, reason in refusals.items()},
     )
@@ -159,11 +166,8 @@ def _begun(points: BoardPoints, weight: Float[Tensor, " n"] | None, model: Camer
     return settle(points, clean, start, "cauchy" if loss == "none" else loss, weight, basis=basis[:, :0] if hold else basis)
 
 
-def _sigma_px(residual: Float[Tensor, "n 2"], views: int, estimated: int, corners: Corners) -> float:
+def _sigma_px(residual: Float[Tensor, "n 2"], views: int, estimated: int, stated_px2: float | None) -> float:
     """Corners are never taken to be better than they are stated to be: what a detector leaves unmodelled is alike in neighbours,
     so that residuals do not show all of it, and many corners do not average it out."""
     freedom = max(1, residual.numel() - 6 * views - estimated)
-    floor = LEAST_SIGMA_PX
-    if corners.sigma_px is not None:
-        floor = max(DETECTOR_FLOOR_PX, float(np.sqrt(np.mean(corners.sigma_px**2))))
-    return max(math.sqrt(float(residual.square().sum()) / freedom), floor)
+    return max(math.sqrt(variance_factor(float(residual.square().sum()), freedom, stated_px2).value), LEAST_SIGMA_PX)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
 from omnilines.calibration.diagnose import coverage_notes, supported_angles_deg
+from omnilines.calibration.intervals import SHARE, few_notes, linear_intervals, stated_variance_px2
 from omnilines.calibration.rig_alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig_joint import RigData, RigFit
 from omnilines.calibration.rig_links import Link, links, weakest_link
@@ -21,6 +23,7 @@ from omnilines.calibration.robust import REJECT_SIGMA
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.views import MANY_REJECTED
 from omnilines.least_squares import Outcome, Solution
+from omnilines.least_squares.variance import VarianceFactor, variance_factor
 from omnilines.records import ViewResult
 
 WORSE_THAN_ALONE = 1.08
@@ -55,11 +58,11 @@ class RigOutcome:
         frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
         return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
 
-    @property
-    def variance(self) -> float:
+    @cached_property
+    def factor(self) -> VarianceFactor:
         """Of the whitened residuals; corners with a stated accuracy are never taken to be better than that."""
-        found = self.solution.cost / self.freedom
-        return found if self.data.views.corners.sigma_px is None else max(found, 1.0)
+        stated = None if self.data.views.corners.sigma_px is None else 1.0
+        return variance_factor(self.solution.cost, self.freedom, stated)
 
 
 def rig_result(outcome: RigOutcome) -> RigCalibration:
@@ -140,8 +143,8 @@ def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tens
     """Covariance of the kept columns of the problem and of the poses of all frames: the noise of the corners as the residuals
     show it and, of corners found in photos, what they have in common."""
     solution = outcome.solution
-    kept = solution.kept_covariance() * outcome.variance
-    frames = solution.eliminated_covariance() * outcome.variance
+    kept = solution.kept_covariance() * outcome.factor.value
+    frames = solution.eliminated_covariance() * outcome.factor.value
     if outcome.data.views.corners.sigma_px is not None:
         problem = outcome.data.problem(outcome.fit.points.chosen(outcome.fit.kept))
         by_kept, by_frames = moved_by_radial_shifts(problem, solution)
@@ -214,6 +217,7 @@ def _members(
                 *angles,
                 outcome.sign_sources.get(c),
                 setup.start is not None and setup.hold,
+                linear_intervals(model.parameters, covariance[low:high, low:high], outcome.factor.sigmas(SHARE)).numpy(),
             )
         )
         low = high
@@ -300,6 +304,7 @@ def _notes(
         own = outcome.fit.points.camera[outcome.fit.points.view] == k
         pixels = outcome.fit.points.pixels[own]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
+    notes += _noise_notes(outcome, members)
     lost = ~outcome.fit.kept
     if outcome.rejects and bool(lost.any()):
         notes.append(
@@ -309,3 +314,19 @@ def _notes(
     if outcome.solution.outcome is not Outcome.CONVERGED:
         notes.append(outcome.solution.outcome.value)
     return tuple(notes)
+
+
+def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:
+    """Cameras whose corners are worse than stated, and that there are few."""
+    views, corners = outcome.data.views, outcome.data.views.corners
+    if corners.sigma_px is None:
+        return few_notes(outcome.factor)
+    found = []
+    for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
+        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c) or 1.0)
+        if sigma > stated:
+            found.append(
+                f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "
+                f"{stated:.3g} px that are stated of them (chi-square test): the standard deviations follow the residuals."
+            )
+    return tuple(found)

@@ -36,6 +36,8 @@ class RigMember:
     max_angle_deg: float
     sign_source: str | None
     held: bool
+    interval_95: Float[np.ndarray, "p 2"]
+    """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -51,14 +51,15 @@ def settle(
     the camera is held. Two passes are enough where another fit of all corners follows.
     """
     problem = BoardProblem(points, state.model.calibration_basis() if basis is None else basis, weight)
-    settled = _judge(points, state, weight)
+    unknowns = 6 * points.views + problem.basis.shape[1]
+    settled = _judge(points, state, weight, unknowns)
     for done in range(PASSES):
         bent = Loss(loss, 2 * settled.scale_px)
         # The first passes only have to bring the scale down.
         solution = problem.solve(settled.state, bent, tolerance=1e-2 if done < 2 else 1e-4, callback=callback)
-        before, settled = settled, _judge(points, solution.state, weight)
+        before, settled = settled, _judge(points, solution.state, weight, unknowns)
         if done < 2:
-            settled = _turned_over(points, clean, settled, weight)
+            settled = _turned_over(points, clean, settled, weight, unknowns)
         if (
             done >= least_passes - 1
             and bool((settled.kept == before.kept).all())
@@ -68,13 +69,15 @@ def settle(
     return settled
 
 
-def _judge(points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " n"] | None) -> Settled:
+def _judge(points: BoardPoints, state: CameraAndBoards, weight: Float[Tensor, " n"] | None, unknowns: int) -> Settled:
     residual = whitened(state.residual_px(points), weight)
-    scale = max(robust_scale_px(residual), LEAST_SCALE_PX)
+    scale = max(robust_scale_px(residual, unknowns), LEAST_SCALE_PX)
     return Settled(state, residual.norm(dim=-1) <= REJECT_SIGMA * scale, scale)
 
 
-def _turned_over(points: BoardPoints, clean: BoardPoints, settled: Settled, weight: Float[Tensor, " n"] | None) -> Settled:
+def _turned_over(
+    points: BoardPoints, clean: BoardPoints, settled: Settled, weight: Float[Tensor, " n"] | None, unknowns: int
+) -> Settled:
     """Views that do not fit are resected afresh with the camera as it is now: they may have started on the wrong side of their
     tilt. Where that brings their corners nearer it is kept."""
     residual = whitened(settled.state.residual_px(points), weight).norm(dim=-1)
@@ -92,4 +95,5 @@ def _turned_over(points: BoardPoints, clean: BoardPoints, settled: Settled, weig
     old = settled.state.cam_from_board
     rotation = torch.where(better[:, None, None], fresh.rotation, old.rotation)
     translation = torch.where(better[:, None], fresh.translation, old.translation)
-    return _judge(points, CameraAndBoards(settled.state.model, Pose(rotation, translation), settled.state.shape), weight)
+    state = CameraAndBoards(settled.state.model, Pose(rotation, translation), settled.state.shape)
+    return _judge(points, state, weight, unknowns)

@@ -1,7 +1,7 @@
 """One camera from views of a plane board: start from rays, settle robustly, refine by plain least squares, say how certain."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from omnilines.calibration.diagnose import (
     tilt_notes,
 )
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
@@ -31,14 +32,15 @@ from omnilines.calibration.start import CameraKind, ranked_starts
 from omnilines.calibration.uncertainty import view_leverage
 from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
+from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners, ViewResult
 
 TIED = 9.0
 """Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
-DETECTOR_FLOOR_PX = 0.01
-"""Corners found in photos are never taken to be better than this when uncertainty is stated. On rendered boards without noise the
-detector is still off by some 0.004 px, neighbours alike, which residuals do not show: over 28 rendered sets the squared errors
-of the parameters were 1.5 times what residuals of 0.006 px promise."""
+CURVED = (
+    "Parameters make up for one another along a curved valley, where standard deviations of single ones do not hold: their 95 "
+    "percent intervals are those of the profile likelihood. The projection uncertainty holds all the same."
+)
 GOOD_FIT = 0.001
 """A robust fit with a scale below this share of the image's longer side needs no other start."""
 MOST_STARTS = 4
@@ -52,7 +54,8 @@ class CameraCalibration:
 
     model: CameraModel
     covariance: Float[np.ndarray, "p p"]
-    """Of the parameters in their order, scaled by the residuals."""
+    """Of the parameters in their order, scaled by the stated noise of the corners where the residuals bear it out, else by the
+    residuals."""
     rms_px_per_axis: float
     rms_px_per_point: float
     residual_px: Float[np.ndarray, "n 2"]
@@ -68,6 +71,15 @@ class CameraCalibration:
     board: BoardShape
     board_sigma: Mapping[str, float]
     """One standard deviation of each board term that was estimated."""
+    interval_95: Float[np.ndarray, "p 2"]
+    """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
+    curved: bool = False
+    """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """`interval_95` by name."""
+        return {name: (low, high) for name, (low, high) in zip(self.sigma, self.interval_95.tolist(), strict=True)}
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -121,7 +133,10 @@ def calibrate_camera(
         corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
     )
     start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
-    solution, basis = _refine_with_rivals(final.points, start, final.weight, callback), start.model.calibration_basis()
+    basis = start.model.calibration_basis()
+    problem = BoardProblem(final.points, basis, final.weight, shape)
+    minima = _refine_with_rivals(problem, start, callback)
+    solution = minima[0]
     refuse_parallel_boards(solution.state.cam_from_board)
     notes: tuple[str, ...] = ()
     held = None
@@ -133,7 +148,7 @@ def calibrate_camera(
         notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
-    return _result(final, solution, basis, settled.limit_px if loss != "none" else None, notes)
+    return _result(final, solution, basis, (problem, minima), settled.limit_px if loss != "none" else None, notes)
 
 
 def robust_camera(
@@ -158,14 +173,11 @@ def robust_camera(
 
 
 def _refine_with_rivals(
-    points: BoardPoints,
-    start: CameraAndBoards,
-    weight: Float[Tensor, " n"] | None,
-    callback: Callable[[Progress], None] | None,
-) -> Solution[CameraAndBoards]:
-    """Plain least squares from `start`, and from every other minimum that the model names; the best of them, and of those that
-    the data do not tell apart (chi-square up to TIED) the one with the smallest shape parameters."""
-    problem = BoardProblem(points, start.model.calibration_basis(), weight, start.shape)
+    problem: BoardProblem, start: CameraAndBoards, callback: Callable[[Progress], None] | None
+) -> list[Solution[CameraAndBoards]]:
+    """Plain least squares from `start`, and from every other minimum that the model names: first the best of them, and of those
+    that the data do not tell apart (chi-square up to TIED) the one with the smallest shape parameters."""
+    points = problem.points
     solution = problem.solve(start, max_iterations=300, callback=callback)
     found = [solution]
     poses = solution.state.cam_from_board
@@ -175,7 +187,8 @@ def _refine_with_rivals(
     best = min(candidate.cost for candidate in found)
     variance = best / max(1, 2 * len(points.view) - 6 * points.views - problem.structure.kept_size)
     tied = [candidate for candidate in found if candidate.cost <= best + TIED * variance]
-    return min(tied, key=lambda candidate: _shape(candidate.state.model))
+    taken = min(tied, key=lambda candidate: _shape(candidate.state.model))
+    return [taken, *(candidate for candidate in found if candidate is not taken)]
 
 
 def _shape(model: CameraModel) -> float:
@@ -199,21 +212,26 @@ def _result(
     final: _Final,
     solution: Solution[CameraAndBoards],
     basis: Float[Tensor, "p q"],
+    floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
     limit_px: float | None,
     notes: tuple[str, ...],
 ) -> CameraCalibration:
+    """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
     state, model, corners = solution.state, solution.state.model, final.corners
     unit = _unit_covariance(final, solution, basis)
-    variance = solution.cost / _freedom(final, solution)
-    if corners.sigma_px is not None:
-        variance = max(variance, DETECTOR_FLOOR_PX**2)
-    q = basis.shape[1]
+    stated = stated_variance_px2(corners, final.rows)
+    factor = variance_factor(solution.cost, _freedom(final, solution), stated)
+    variance, q = factor.value, basis.shape[1]
     covariance = basis @ unit[:q, :q] @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
     refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board)
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
+    problem, minima = floor
+    curved = camera_intervals(problem, minima[0], minima[1:], factor)
+    intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
+    notes += noise_notes(factor, stated) + (() if curved is None else (CURVED,))
     squared = np.sum(residual[final.rows] ** 2)
     count = int(final.rows.sum())
     low, high = supported_angles_deg(model, final.points.pixels)
@@ -245,6 +263,8 @@ def _result(
         notes,
         state.shape,
         dict(zip(freed, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+        intervals.numpy(),
+        curved is not None,
     )
 
 

@@ -70,11 +70,7 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
         ("projection uncertainty in it", f"{median:.3g} px (median), {largest:.3g} px (worst)"),
     )
     notes = result.notes if selection is None else (selection.reason, *result.notes)
-    sigma = result.sigma
-    parameters = tuple(
-        (name, f"{value:.8g} ± {sigma[name]:.2g}" if sigma[name] > 0 else f"{value:.8g} (held)")
-        for name, value in result.model.named_parameters().items()
-    )
+    parameters = tuple((name, _parameter_text(result, name, value)) for name, value in result.model.named_parameters().items())
     summaries = [Summary("Calibration", rows, notes), Summary("Parameters ± one standard deviation", parameters)]
     if result.board_terms:
         terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
@@ -82,6 +78,12 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
     return tuple(summaries)
+
+
+def _parameter_text(result: CameraCalibration, name: str, value: float) -> str:
+    sigma, (low, high) = result.sigma[name], result.intervals[name]
+    text = f"{value:.8g} ± {sigma:.2g}" if sigma > 0 else f"{value:.8g} (held)"
+    return text + (f", 95 %: {low:.6g} to {high:.6g}" if result.curved and low < high else "")
 
 
 def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
@@ -104,6 +106,8 @@ def calibration_data(result: CameraCalibration, selection: Selection | None) -> 
         "image_size": list(result.model.image_size),
         "parameters": result.model.named_parameters(),
         "sigma": result.sigma,
+        "interval_95": {name: [_or_none(end) for end in ends] for name, ends in result.intervals.items()},
+        "curved": result.curved,
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "min_angle_deg": result.min_angle_deg,
@@ -164,7 +168,9 @@ def calibration_sections(
     uncertainty = UncertaintyMap.of(result)
     sections = [
         report.summary_section(summaries[0], *summaries[2:]),
-        report.parameters_section(model.NAME, model.PARAMETER_NAMES, values, sigmas),
+        report.parameters_section(
+            model.NAME, model.PARAMETER_NAMES, values, sigmas, intervals=result.interval_95 if result.curved else None
+        ),
         report.residual_section(pixels, residual, model.image_size, corners.view[kept], list(corners.images), theta_deg=theta),
         report.coverage_section(pixels, model.image_size, circle, supported_angle_deg=result.max_angle_deg),
         report.uncertainty_section(

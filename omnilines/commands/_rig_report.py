@@ -159,6 +159,7 @@ def _camera_data(member: RigMember) -> dict[str, Any]:
         "image_size": list(member.model.image_size),
         "parameters": member.model.named_parameters(),
         "sigma": member.sigma,
+        "interval_95": dict(zip(member.sigma, member.interval_95.tolist(), strict=True)),
         "held": member.held,
         "sign_source": member.sign_source,
         "rms_px_per_axis": member.rms_px_per_axis,
@@ -217,6 +218,7 @@ def one_camera(result: RigCalibration, member: RigMember) -> tuple[CameraCalibra
         (),
         AS_DRAWN,
         {},
+        member.interval_95,
     )
     return single, views_of(result.corners, views, rows)
 

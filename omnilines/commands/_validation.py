@@ -11,9 +11,9 @@ from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
+from omnilines.calibration.intervals import DETECTOR_FLOOR_PX
 from omnilines.calibration.refine import NORMAL_MAD
 from omnilines.calibration.robust import REJECT_SIGMA
-from omnilines.calibration.single import DETECTOR_FLOOR_PX
 from omnilines.commands.render import RenderedTargets
 from omnilines.evaluate import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
 from omnilines.records import Check, Corners, ImagePoses

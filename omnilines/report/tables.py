@@ -30,14 +30,20 @@ def parameters_section(
     values: Float[np.ndarray, " p"],
     sigmas: Float[np.ndarray, " p"] | None,
     title: str = "Camera parameters",
+    intervals: Float[np.ndarray, "p 2"] | None = None,
 ) -> Section:
-    """The parameters of a camera model with one standard deviation each (zero or NaN: held, not estimated)."""
+    """The parameters of a camera model with one standard deviation each (zero or NaN: held, not estimated), and their 95 percent
+    intervals where standard deviations do not give them."""
     spreads = np.full(len(values), np.nan) if sigmas is None else sigmas
     rows = [
         {"name": name, "value": _with_sigma(float(value), float(sigma)), "relative": _relative(float(value), float(sigma))}
         for name, value, sigma in zip(names, values, spreads, strict=True)
     ]
-    return Section(title, fragment("parameters", model=model_name, rows=rows, has_sigma=sigmas is not None))
+    if intervals is not None:
+        for row, (low, high) in zip(rows, intervals.tolist(), strict=True):
+            row["interval"] = f"{low:.6g} to {high:.6g}" if low < high else ""
+    shown = {"has_sigma": sigmas is not None, "has_interval": intervals is not None}
+    return Section(title, fragment("parameters", model=model_name, rows=rows, **shown))
 
 
 def views_section(views: Sequence[ViewResult], title: str = "Views") -> Section:
