@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError
+from camera_models import CameraModel, GeometryError, Scaramuzza
 from omnilines.calibration.board_shape import TERM_NAMES, BoardShape
+from omnilines.calibration.degree import settle_degree
 from omnilines.calibration.diagnose import (
     NEARLY_PARALLEL_DEG,
     angles_off_axis,
@@ -29,7 +30,7 @@ from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
 from omnilines.calibration.uncertainty import view_leverage
-from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, view_results, views_lost
+from omnilines.calibration.views import UsableCorners, board_points, corner_weights, require_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.records import Corners, ViewResult
 
@@ -96,32 +97,42 @@ def calibrate_camera(
 
     With `loss` "none" every corner counts and plain least squares is minimised. With "huber" or "cauchy" the loss is bent at the
     scale of the data, corners beyond REJECT_SIGMA and views with fewer than half of their corners left are rejected, and the
-    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`), `refine_board`
-    names what is estimated of the board (`board_shape.REFINABLE`).
+    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`); without a `degree`
+    that of a polynomial is chosen by held-out views (`calibration.degree`). `refine_board` names what is estimated of the board
+    (`board_shape.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """
-    refusals = unusable_views(corners)
-    usable = [v for v in range(len(corners.view_names)) if v not in refusals]
-    require_views(len(usable), len(corners.view_names), refusals)
-    rows = np.isin(corners.view, usable)
-    points = board_points(corners, rows, usable)
-    shape = BoardShape.to_refine(refine_board, points.board)
-    settled = robust_camera(points, CameraKind(image_size, model, mirror, options), loss, corner_weights(corners, rows), callback)
+    usable = UsableCorners.of(corners)
+    settled = robust_camera(usable.points, CameraKind(image_size, model, mirror, options), loss, usable.weight, callback)
+    return calibrate_settled(usable, settled, loss=loss, refine_board=refine_board, callback=callback)
+
+
+def calibrate_settled(
+    usable: UsableCorners,
+    settled: Settled,
+    *,
+    loss: str = "cauchy",
+    refine_board: tuple[str, ...] = (),
+    callback: Callable[[Progress], None] | None = None,
+) -> CameraCalibration:
+    """The rest of `calibrate_camera`: from the robust fit of all usable corners to plain least squares of those that it keeps."""
+    corners, rows, refusals = usable.corners, usable.rows, dict(usable.refusals)
+    shape = BoardShape.to_refine(refine_board, usable.points.board)
     refuse_parallel_boards(settled.state.cam_from_board)
     kept = settled.kept if loss != "none" else torch.ones_like(settled.kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
     refusals |= views_lost(corners, rows, fitting)
-    good = [k for k, v in enumerate(usable) if v not in refusals]
+    good = [k for k, v in enumerate(usable.views) if v not in refusals]
     require_views(len(good), len(corners.view_names), refusals)
-    views = [usable[k] for k in good]
+    views = [usable.views[k] for k in good]
     final_rows = fitting & np.isin(corners.view, views)
     final = _Final(
         corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
     )
     start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
-    solution, basis = _refine_with_rivals(final.points, start, final.weight, callback), start.model.calibration_basis()
+    solution, basis = refine_with_rivals(final.points, start, final.weight, callback), start.model.calibration_basis()
     refuse_parallel_boards(solution.state.cam_from_board)
     notes: tuple[str, ...] = ()
     held = None
@@ -154,10 +165,13 @@ def robust_camera(
         found.append(settle(points, clean, start.state, bent, weight, callback, least_passes=least_passes))
         if found[-1].scale_px <= GOOD_FIT * max(kind.image_size):
             break
-    return min(found, key=lambda settled: settled.scale_px)
+    best = min(found, key=lambda settled: settled.scale_px)
+    if isinstance(best.state.model, Scaramuzza) and "degree" not in (kind.options or {}):
+        return settle_degree(points, clean, best, bent, weight, callback, least_passes)
+    return best
 
 
-def _refine_with_rivals(
+def refine_with_rivals(
     points: BoardPoints,
     start: CameraAndBoards,
     weight: Float[Tensor, " n"] | None,
