@@ -138,7 +138,7 @@ def test_held_out_error_is_that_of_refitting():
 @pytest.mark.parametrize("fov_deg", [190, 220])
 @pytest.mark.parametrize("sigma_px", [0.01, 0.03])
 def test_degree_follows_an_equidistant_lens_to_the_rim(fov_deg, sigma_px):
-    """By default: degree 4 is off by 0.05 and 0.3 degrees there, and rejects up to 40 percent of the corners of the outer third."""
+    """By default: degree 4 is off by 0.05 and 0.3 degrees, and rejects up to 40 percent of the outer third."""
     f = 470 / np.radians(fov_deg / 2)
     lens = OpenCVFisheye([f, f, 642.0, 478.0, 0.0, 0.0, 0.0, 0.0], SIZE)
     corners = board_corners(lens, board_views(lens, fov_deg / 2 - 2, 24, 2), sigma_px, 2)
@@ -159,6 +159,38 @@ def test_degree_is_no_higher_than_the_lens_needs():
         assert isinstance(result.model, Scaramuzza)
         degrees.append(result.model.degree)
     assert min(degrees) == 4 and degrees.count(4) >= 4
+
+
+def test_distortion_that_views_do_not_support_is_held_and_named():
+    """A narrow lens with k1 = -0.1 and few views: all five coefficients come out as k2 = -2, k3 = 19 and say nothing."""
+    lens = Pinhole([2600.0, 2600.0, 650.0, 470.0, 0, -0.1, 0, 0, 0, 0, 0, 0, 0], SIZE)
+    half_deg = np.degrees(np.arctan(np.hypot(650, 490) / 2600))
+    held_deg, free_deg = [], []
+    for seed in (0, 1, 7, 11):
+        corners = board_corners(lens, board_views(lens, half_deg, 4, seed, distance_m=(0.9, 2.0)), 0.3, seed)
+        result = calibrate_camera(corners, SIZE, "pinhole")
+        note = next(note for note in result.notes if "held at 0" in note)
+        values = result.model.named_parameters()
+        assert "k3" in note and values["k3"] == 0 and abs(values["k1"] + 0.1) < 0.1
+        # What the data do not say is not known any better by leaving it out.
+        free = calibrate_camera(corners, SIZE, "pinhole", options={"coefficients": 5})
+        assert not any("held" in note for note in free.notes) and free.model.named_parameters()["k3"] != 0
+        assert result.sigma["k3"] > 1 and result.sigma["k3"] > 0.5 * free.sigma["k3"]
+        reach = np.radians(result.max_angle_deg)
+        held_deg.append(bearing_errors(result.model, lens, reach).rms_deg)
+        free_deg.append(bearing_errors(free.model, lens, reach).rms_deg)
+    assert np.mean(held_deg) < np.mean(free_deg)
+
+
+def test_distortion_that_the_lens_has_is_not_held():
+    for name, lens, reach in (
+        ("pinhole", Pinhole([700.0, 702.0, 655.0, 466.0, 0, -0.28, 0.09, 1e-3, -1e-3, -0.03, 0, 0, 0], SIZE), 40),
+        ("opencv-fisheye", OpenCVFisheye([320.0, 320.0, 645.0, 470.0, -0.05, 0.03, -0.02, 0.004], SIZE), 85),
+    ):
+        result = calibrate_camera(board_corners(lens, board_views(lens, reach, 20, 4), 0.02, 1), SIZE, name)
+        assert not any("held at 0" in note for note in result.notes)
+        terms = [name for group in lens.OPTIONAL_TERMS[:4] for name in group]
+        assert all(result.model.named_parameters()[term] != 0 for term in terms)
 
 
 def test_polynomial_of_another_degree():

@@ -1,7 +1,7 @@
 """How many coefficients the polynomial of a camera needs: as many as views that the fit has not seen support.
 
-A polynomial that is too stiff for its lens leaves misfit that grows towards the rim, and would reject the corners there as if they
-were wrong. So the highest degree is fitted too; of both fits the one that all corners are nearest to says which corners are
+A polynomial that is too stiff for its lens leaves misfit that grows towards the rim, and would reject the corners there as if
+they were wrong. So the highest degree is fitted too; of both fits the one that all corners are nearest to says which corners are
 good, and on these the degrees are compared by their held-out error.
 """
 

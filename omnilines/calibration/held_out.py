@@ -48,21 +48,48 @@ class HeldOut:
         return self.rms_px <= max(best.rms_px, EXACT_PX) or (within and self.rms_px <= NO_WORSE * best.rms_px)
 
 
+@dataclass(frozen=True)
+class ViewTerms:
+    """What each view says of the kept parameters near an optimum, its pose eliminated: |e_v + A_v d|^2 as a quadratic in d."""
+
+    matrix: Float[Tensor, "v k k"]
+    """S_v = A_v' A_v."""
+    gradient: Float[Tensor, "v k"]
+    """g_v = A_v' e_v."""
+    squares_px2: Float[Tensor, " v"]
+    counts: Float[Tensor, " v"]
+
+    @staticmethod
+    def of(problem: BoardProblem, optimum: CameraAndBoards) -> "ViewTerms":
+        """Of (weighted) residuals by plain least squares."""
+        at = problem.linearise(optimum)
+        gram = problem.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
+        own, coupling = gram[:, :6, :6], gram[:, :6, 6:]
+        reduced = gram[:, 6:, 6:] - coupling.mT @ torch.linalg.solve(own, coupling)
+        counts = problem.points.counts.to(reduced.dtype)
+        return ViewTerms(reduced[:, :-1, :-1], reduced[:, :-1, -1], reduced[:, -1, -1], counts)
+
+    def moved(self, step: Float[Tensor, " k"], kept: list[int]) -> "ViewTerms":
+        """Seen from a neighbour, of some of the parameters; the others are held there."""
+        turned = self.matrix @ step
+        squares = self.squares_px2 + 2 * self.gradient @ step + turned @ step
+        return ViewTerms(self.matrix[:, kept][:, :, kept], (self.gradient + turned)[:, kept], squares, self.counts)
+
+    def held_out(self) -> HeldOut:
+        """What remains of every view by the camera of all others."""
+        # In coordinates in which S is the identity; what S leaves open moves nothing.
+        total = self.matrix.sum(0)
+        unit = total.diagonal().clamp_min(1e-300).rsqrt()
+        values, vectors = torch.linalg.eigh(total * unit[:, None] * unit)
+        sound = values > LEAST_EIGENVALUE
+        basis = unit[:, None] * vectors[:, sound] * values[sound].rsqrt()
+        matrix, gradient = basis.mT @ self.matrix @ basis, self.gradient @ basis
+        factor, info = torch.linalg.cholesky_ex(matrix.sum(0) - matrix)
+        step = -torch.cholesky_solve((gradient.sum(0) - gradient)[..., None], factor)[..., 0]
+        change = 2 * (gradient * step).sum(-1) + (step[:, None] @ matrix @ step[..., None])[:, 0, 0]
+        return HeldOut(len(total), torch.where(info == 0, self.squares_px2 + change, torch.inf), self.counts)
+
+
 def held_out(problem: BoardProblem, optimum: CameraAndBoards) -> HeldOut:
     """Of the camera and boards that minimise a problem by plain least squares; squares of weighted residuals."""
-    at = problem.linearise(optimum)
-    gram = problem.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
-    own, coupling = gram[:, :6, :6], gram[:, :6, 6:]
-    reduced = gram[:, 6:, 6:] - coupling.mT @ torch.linalg.solve(own, coupling)
-    matrix, gradient, squares = reduced[:, :-1, :-1], reduced[:, :-1, -1:], reduced[:, -1, -1]
-    # In coordinates in which S is the identity; what S leaves open moves nothing.
-    unit = matrix.sum(0).diagonal().clamp_min(1e-300).rsqrt()
-    values, vectors = torch.linalg.eigh(matrix.sum(0) * unit[:, None] * unit)
-    sound = values > LEAST_EIGENVALUE
-    basis = unit[:, None] * vectors[:, sound] * values[sound].rsqrt()
-    matrix, gradient = basis.mT @ matrix @ basis, basis.mT @ gradient
-    factor, info = torch.linalg.cholesky_ex(matrix.sum(0) - matrix)
-    moved = -torch.cholesky_solve(gradient.sum(0) - gradient, factor)
-    change = (2 * gradient.mT @ moved + moved.mT @ matrix @ moved)[:, 0, 0]
-    counts = problem.points.counts.to(squares.dtype)
-    return HeldOut(int(problem.structure.kept_size), torch.where(info == 0, squares + change, torch.inf), counts)
+    return ViewTerms.of(problem, optimum).held_out()

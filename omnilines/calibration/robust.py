@@ -98,8 +98,8 @@ def _turned_over(points: BoardPoints, clean: BoardPoints, settled: Settled, weig
 def nearest_fit(fits: Sequence[Settled], points: BoardPoints, weight: Float[Tensor, " n"] | None) -> Settled:
     """The fit that all corners are nearest to by one loss at one scale, the least of theirs.
 
-    Neither the scale of a fit nor the corners it keeps can tell: a camera that is too stiff keeps corners that are wrong, since its
-    scale is large, or fits well where it keeps only the middle of the image.
+    Neither the scale of a fit nor the corners it keeps can tell: a camera that is too stiff keeps corners that are wrong, since
+    its scale is large, or fits well where it keeps only the middle of the image.
     """
     scale = min(fit.scale_px for fit in fits)
 

@@ -2,8 +2,8 @@
 
 Every model is fitted robustly to all corners. The one that all corners are nearest to, by one loss at one scale, says which
 corners and views are good: what it rejects most models cannot fit, and what only stiffer models reject is their own fault. On
-these common corners every model is fitted again by plain least squares, and judged by its held-out error: what remains of a view by
-the camera of all other views (`held_out`). Of the models that are as good as the best (within one standard error and half a
+these common corners every model is fitted again by plain least squares, and judged by its held-out error: what remains of a view
+by the camera of all other views (`held_out`). Of the models that are as good as the best (within one standard error and half a
 percent) the one with the fewest parameters is taken. A model whose curve folds back before it has passed the data by a tenth is
 not taken.
 """
@@ -45,7 +45,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trial:
-    """How a candidate did; errors are RMS (of weighted residuals) per point over the corners that all candidates are judged by."""
+    """How a candidate did; errors are RMS per point, of weighted residuals, over the corners that all are judged by."""
 
     candidate: Candidate
     failure: str | None
@@ -155,10 +155,9 @@ def _trial(candidate: Candidate, fit: Settled, judge: Settled, usable: UsableCor
     solution = refine_with_rivals(common.points, start, common.weight, None)
     model = solution.state.model
     problem = BoardProblem(common.points, model.calibration_basis(), common.weight)
-    every = torch.arange(len(poses))
-    every[common.views] = len(poses) + torch.arange(len(common.views))
-    both = solution.state.cam_from_board
-    rotation, translation = (torch.cat(part)[every] for part in ((poses.rotation, both.rotation), (poses.translation, both.translation)))
+    rotation, translation = poses.rotation.clone(), poses.translation.clone()
+    rotation[common.views] = solution.state.cam_from_board.rotation
+    translation[common.views] = solution.state.cam_from_board.translation
     state = CameraAndBoards(model, Pose(rotation, translation))
     return Trial(
         candidate,

@@ -29,6 +29,7 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
+from omnilines.calibration.terms import without_unsupported_terms
 from omnilines.calibration.uncertainty import view_leverage
 from omnilines.calibration.views import UsableCorners, board_points, corner_weights, require_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
@@ -97,15 +98,16 @@ def calibrate_camera(
 
     With `loss` "none" every corner counts and plain least squares is minimised. With "huber" or "cauchy" the loss is bent at the
     scale of the data, corners beyond REJECT_SIGMA and views with fewer than half of their corners left are rejected, and the
-    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`); without a `degree`
-    that of a polynomial is chosen by held-out views (`calibration.degree`). `refine_board` names what is estimated of the board
-    (`board_shape.REFINABLE`).
+    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a `degree`
+    that of a polynomial is chosen by held-out views (`calibration.degree`); without `coefficients`, distortion that they do not
+    support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board (`board_shape.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """
     usable = UsableCorners.of(corners)
     settled = robust_camera(usable.points, CameraKind(image_size, model, mirror, options), loss, usable.weight, callback)
-    return calibrate_settled(usable, settled, loss=loss, refine_board=refine_board, callback=callback)
+    choose = "coefficients" not in (options or {})
+    return calibrate_settled(usable, settled, loss=loss, refine_board=refine_board, hold_unsupported=choose, callback=callback)
 
 
 def calibrate_settled(
@@ -114,6 +116,7 @@ def calibrate_settled(
     *,
     loss: str = "cauchy",
     refine_board: tuple[str, ...] = (),
+    hold_unsupported: bool = True,
     callback: Callable[[Progress], None] | None = None,
 ) -> CameraCalibration:
     """The rest of `calibrate_camera`: from the robust fit of all usable corners to plain least squares of those that it keeps."""
@@ -144,6 +147,8 @@ def calibrate_settled(
         notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
+    elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
+        solution, notes = without_unsupported_terms(BoardProblem(final.points, basis, final.weight, shape), solution)
     return _result(final, solution, basis, settled.limit_px if loss != "none" else None, notes)
 
 
