@@ -37,6 +37,9 @@ class CameraModel(ABC):
     VARIANTS: ClassVar[tuple[Mapping[str, int], ...]] = ({},)
     """Options of `from_radial_curve` among which a model is chosen for a lens, from the fewest parameters to the most."""
 
+    OPTIONAL_TERMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Parameters that a lens may do without (zero), from those that it needs first to those that it needs last."""
+
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)
         self.image_size = (int(image_size[0]), int(image_size[1]))

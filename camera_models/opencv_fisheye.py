@@ -26,6 +26,7 @@ class OpenCVFisheye(CameraModel):
     """u = fx r(theta) cos(phi) + cx, v = fy r(theta) sin(phi) + cy with r an odd polynomial of degree 9."""
 
     NAME = "opencv-fisheye"
+    OPTIONAL_TERMS = (("k1",), ("k2",), ("k3",), ("k4",))
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 
     @classmethod

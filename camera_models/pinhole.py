@@ -35,6 +35,7 @@ class Pinhole(CameraModel):
 
     NAME = "pinhole"
     VARIANTS = ({"coefficients": 5}, {"coefficients": 8})
+    OPTIONAL_TERMS = (("k1",), ("k2",), ("p1", "p2"), ("k3",), ("k4", "k5", "k6"))
     LARGEST_ANGLE = math.pi / 2
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 

@@ -32,7 +32,7 @@ class Scaramuzza(CameraModel):
     """Polynomial of any degree >= 2 with centre and affine matrix; parameters cx cy c d e a0 a2 a3 ... a_degree."""
 
     NAME = "scaramuzza"
-    VARIANTS = ({"degree": 3}, {"degree": 4}, {"degree": 5}, {"degree": 6})
+    VARIANTS = tuple({"degree": degree} for degree in range(3, 9))
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters = as_tensor(parameters)
@@ -103,6 +103,14 @@ class Scaramuzza(CameraModel):
         basis = torch.eye(p, dtype=torch.float64)
         basis[4, 3] = 1.0
         return basis[:, [i for i in range(p) if i != 4]]
+
+    def of_degree(self, degree: int, rho_px: Float[Tensor, " n"]) -> "Scaramuzza":
+        """The polynomial of another degree that is nearest to this one at some radii."""
+        if degree >= self.degree:
+            return Scaramuzza([*self.parameters.tolist(), *([0.0] * (degree - self.degree))], self.image_size)
+        theta = torch.atan2(rho_px, self.sign * self._height(rho_px))
+        near = self.from_radial_curve(rho_px, theta, self.centre_px, self.image_size, mirror=self.sign < 0, degree=degree)
+        return near.with_parameters(torch.cat([self.parameters[:5], near.parameters[5:]]))
 
     @property
     def centre_px(self) -> Float[Tensor, "2"]:

@@ -109,7 +109,7 @@ def test_no_worse_than_the_best_published_fit(shared_data, name, published):
 def test_agrees_with_the_published_parameters(shared_data):
     """The published polynomial of the fit to the same corners lies within our uncertainty (its affine terms rotated away)."""
     corners = read_corners(shared_data / "calibration/fisheye1/corners.csv")
-    result = calibrate_camera(corners, (1032, 778), "scaramuzza", loss="none")
+    result = calibrate_camera(corners, (1032, 778), "scaramuzza", loss="none", options={"degree": 4})
     published = json.loads((shared_data / "calibration/fisheye1/reference.json").read_text())["published"]["urban_subpix"]
     sigma = result.sigma
     named = result.model.named_parameters()
@@ -164,7 +164,9 @@ def test_predicted_covariance_covers_the_truth(name):
     squared, scores, freedom = 0.0, [], 0
     for seed in range(10):
         corners, _ = simulated(model, poses, 0.2, seed)
-        result = calibrate_camera(corners, model.image_size, name, loss="none")
+        # Of one degree: a choice made anew from every noise is not part of the covariance.
+        options = {"degree": 4} if name == "scaramuzza" else None
+        result = calibrate_camera(corners, model.image_size, name, loss="none", options=options)
         free = np.linalg.pinv(basis)
         error = free @ (result.model.parameters - model.parameters).numpy()
         covariance = free @ result.covariance @ free.T

@@ -76,7 +76,9 @@ def test_at_the_bound_and_honest_about_it(name, views, seeds):
     rays, _ = truth.unproject(probe)
     squares, parameters, mapped = [], [], []
     for seed in range(seeds):
-        result = calibrate_camera(board_corners(truth, poses, NOISE_PX, 1000 + seed), SIZE, name)
+        # Of one degree: a choice made anew from every noise is not part of the covariance.
+        options = {"degree": 4} if name == "scaramuzza" else None
+        result = calibrate_camera(board_corners(truth, poses, NOISE_PX, 1000 + seed), SIZE, name, options=options)
         errors = bearing_errors(result.model, truth, math.radians(REACH_DEG))
         squares.append(errors.rms_deg**2)
         sigma = np.sqrt(np.diag(result.covariance))

@@ -50,7 +50,7 @@ def synthetic_corners(noise_px: float, seed: int, views: int = 12, nx: int = 8, 
 
 def run(corners: Corners, size: tuple[int, int], model: str, loss: str = "none", seed: int = 0, **options) -> BoardExperiment:
     found = PhotoCorners(corners, size, (), Path("nowhere"))
-    calibration = calibrate_camera(corners, size, model, loss=loss)
+    calibration = calibrate_camera(corners, size, model, loss=loss, options={"degree": 4} if model == "scaramuzza" else None)
     return run_experiment(found, calibration, **{"perturb_deg": 1.0, "perturb_m": 0.01, **options}, seed=seed)
 
 

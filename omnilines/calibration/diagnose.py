@@ -19,6 +19,9 @@ RIM_SHARE = 0.05
 RIM_FACTOR = 4.0
 """Where more than this share of the outer corners is rejected, and this many times the share of the inner ones, the model is at
 fault."""
+BEYOND = 1.1
+"""The curve must grow up to this many times the radius of the outermost corner."""
+AZIMUTHS = 72
 OPEN_SHARE = 0.1
 """A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
 
@@ -118,3 +121,13 @@ def rejection_notes(
         f"{100 * lost[0]:.0f} percent of the corners in the outer third were rejected and {100 * lost[1]:.1f} percent of the "
         f"others: the {model.NAME} model does not follow this lens to the rim; try --model auto.",
     )
+
+
+def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], share: float = BEYOND) -> bool:
+    """Whether the model is one-to-one over the part of the image up to `share` times the radius of the outermost pixel."""
+    radius = share * float((pixels - model.centre_px).norm(dim=-1).max())
+    azimuth = 2 * torch.pi * torch.arange(AZIMUTHS, dtype=torch.float64) / AZIMUTHS
+    ring = model.centre_px + radius * torch.stack([torch.cos(azimuth), torch.sin(azimuth)], -1)
+    limit = torch.tensor(model.image_size, dtype=torch.float64)
+    ring = torch.minimum(ring.clamp_min(-0.5), limit - 0.5)
+    return bool(model.unproject(ring)[1].all())

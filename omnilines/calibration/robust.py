@@ -1,6 +1,6 @@
 """From a rough start to the corners that can be trusted: a loss bent at the scale of the data, tightened as the fit improves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -97,3 +97,18 @@ def _turned_over(
     translation = torch.where(better[:, None], fresh.translation, old.translation)
     state = CameraAndBoards(settled.state.model, Pose(rotation, translation), settled.state.shape)
     return _judge(points, state, weight, unknowns)
+
+
+def nearest_fit(fits: Sequence[Settled], points: BoardPoints, weight: Float[Tensor, " n"] | None) -> Settled:
+    """The fit that all corners are nearest to by one loss at one scale, the least of theirs.
+
+    Neither the scale of a fit nor the corners it keeps can tell: a camera that is too stiff keeps corners that are wrong, since
+    its scale is large, or fits well where it keeps only the middle of the image.
+    """
+    scale = min(fit.scale_px for fit in fits)
+
+    def cost(fit: Settled) -> float:
+        residual = whitened(fit.state.residual_px(points), weight)
+        return float(torch.log1p(residual.square().sum(-1) / (2 * scale) ** 2).sum())
+
+    return min(fits, key=cost)

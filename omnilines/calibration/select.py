@@ -1,34 +1,33 @@
 """Which camera model suits a lens: every model that applies is fitted, and judged by views that its fit has not seen.
 
-The corners are split by views into folds. Of each fold a camera is fitted to the other views by plain least squares, held, and
-only the board poses of the fold are fitted; what then remains of the fold's corners is the held-out error. Of the models whose
-held-out error is within one standard error of the best (paired over the views; L. Breiman et al. 1984) the one with the fewest
-parameters is taken. All models are judged by the same corners. A model whose curve folds back before it has passed the data
-by a tenth is not taken.
+Every model is fitted robustly to all corners. The one that all corners are nearest to, by one loss at one scale, says which
+corners and views are good: what it rejects most models cannot fit, and what only stiffer models reject is their own fault. On
+these common corners every model is fitted again by plain least squares, and judged by its held-out error: what remains of a view
+by the camera of all other views (`held_out`). Of the models that are as good as the best (within one standard error and half a
+percent) the one with the fewest parameters is taken. A model whose curve folds back before it has passed the data by a tenth is
+not taken.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import MODELS, CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
+from omnilines.calibration.degree import LEAST_VIEWS, CommonCorners
+from omnilines.calibration.diagnose import grows_beyond
+from omnilines.calibration.held_out import HeldOut, held_out
 from omnilines.calibration.initialise import BoardPoints, resect_boards
-from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.calibration.views import board_points, corner_weights
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
+from omnilines.calibration.robust import Settled, nearest_fit
+from omnilines.calibration.single import CameraCalibration, calibrate_settled, refine_with_rivals, robust_camera
+from omnilines.calibration.start import CameraKind
+from omnilines.calibration.views import UsableCorners
 from omnilines.records import Corners
-
-FOLDS = 5
-LEAST_VIEWS = 5
-BEYOND = 1.1
-"""The curve must grow up to this many times the radius of the outermost corner."""
-AZIMUTHS = 72
 
 
 @dataclass(frozen=True)
@@ -46,33 +45,36 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trial:
-    """How a candidate did; errors are RMS per point over the corners that all candidates are judged by."""
+    """How a candidate did; errors are RMS per point, of weighted residuals, over the corners that all are judged by."""
 
     candidate: Candidate
-    result: CameraCalibration | None
     failure: str | None
     """Why it could not be fitted."""
-    parameters: int = 0
+    fit: Settled | None = None
+    """Fitted to the common corners; the poses are of all usable views."""
     monotone: bool = True
     in_sample_px: float = float("nan")
-    held_out_px: float = float("nan")
-    squares_by_view: Float[np.ndarray, " v"] | None = None
-    """Mean squared held-out distance of each view."""
+    error: HeldOut | None = None
+
+    @property
+    def held_out_px(self) -> float:
+        """NaN where there is none."""
+        return float("nan") if self.error is None else self.error.rms_px
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters that are estimated."""
+        return 0 if self.error is None else self.error.parameters
 
 
 @dataclass(frozen=True)
 class Selection:
-    """All trials in the order of the registry, the one taken and why, in one sentence."""
+    """All trials in the order of the registry, the one taken and why, in one sentence, and the calibration with its model."""
 
     trials: tuple[Trial, ...]
     chosen: Trial
     reason: str
-
-    @property
-    def result(self) -> CameraCalibration:
-        """The calibration with the model that was taken, from all views."""
-        assert self.chosen.result is not None
-        return self.chosen.result
+    result: CameraCalibration
 
 
 def all_candidates() -> tuple[Candidate, ...]:
@@ -88,7 +90,6 @@ def select_model(
     loss: str = "cauchy",
     mirror: bool = False,
     candidates: Sequence[Candidate] | None = None,
-    folds: int = FOLDS,
     callback: Callable[[str, int, int], None] | None = None,
 ) -> Selection:
     """Fit all candidates and take one, as the module's header says.
@@ -97,27 +98,44 @@ def select_model(
     candidate can be fitted.
     """
     candidates = all_candidates() if candidates is None else tuple(candidates)
-    fitted: list[CameraCalibration | GeometryError | InputError] = []
+    usable = UsableCorners.of(corners)
+    fits: list[Settled | GeometryError | InputError] = []
     for done, candidate in enumerate(candidates):
         if callback is not None:
             callback(candidate.label, done, len(candidates))
         try:
-            fitted.append(
-                calibrate_camera(corners, image_size, candidate.model, loss=loss, mirror=mirror, options=candidate.options)
-            )
+            kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
+            fits.append(robust_camera(usable.points, kind, loss, usable.weight, None))
         except (GeometryError, InputError) as error:
-            fitted.append(error)
-    results = [fit for fit in fitted if isinstance(fit, CameraCalibration)]
-    if not results:
-        failure = fitted[0]
-        assert not isinstance(failure, CameraCalibration)
-        raise failure
-    # A model that does not fit rejects the corners that say so: the judges are those of the model that keeps the most.
-    judge = max(results, key=lambda result: (int(result.kept.sum()), -result.rms_px_per_point))
-    judged = _Judged.of(corners, judge, folds)
-    trials = tuple(judged.trial(candidate, fit) for candidate, fit in zip(candidates, fitted, strict=True))
-    chosen, reason = _choose(trials, judged)
-    return Selection(trials, chosen, reason)
+            fits.append(error)
+    found = [fit for fit in fits if isinstance(fit, Settled)]
+    if not found:
+        assert not isinstance(fits[0], Settled)
+        raise fits[0]
+    judge = nearest_fit(found, usable.points, usable.weight)
+    if loss == "none":
+        judge = replace(judge, kept=torch.ones_like(judge.kept))
+    common = CommonCorners.of(usable.points, usable.weight, judge.kept)
+    if len(common.views) < LEAST_VIEWS:
+        raise InputError(
+            f"At least {LEAST_VIEWS} usable views were expected to choose a camera model by held-out views, found "
+            f"{len(common.views)}; add photos or name a model with --model."
+        )
+    trials = [
+        _trial(candidate, fit, judge, usable, common) if isinstance(fit, Settled) else Trial(candidate, str(fit))
+        for candidate, fit in zip(candidates, fits, strict=True)
+    ]
+    while True:
+        chosen, reason = _choose(trials, len(common.views))
+        assert chosen.fit is not None
+        try:
+            result = calibrate_settled(usable, chosen.fit, loss=loss)
+        except (GeometryError, InputError) as error:
+            trials[trials.index(chosen)] = Trial(chosen.candidate, str(error))
+            if all(trial.error is None for trial in trials):
+                raise
+        else:
+            return Selection(tuple(trials), chosen, reason, result)
 
 
 def fit_boards(
@@ -130,98 +148,57 @@ def fit_boards(
     return state.cam_from_board, state.residual_px(points)
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """The corners that all candidates are judged by, split by views."""
-
-    points: BoardPoints
-    weight: Float[Tensor, " n"] | None
-    rows: Bool[np.ndarray, " m"]
-    names: tuple[str, ...]
-    folds: int
-
-    @staticmethod
-    def of(corners: Corners, judge: CameraCalibration, folds: int) -> "_Judged":
-        """The corners that one calibration kept. Raises InputError for fewer than LEAST_VIEWS views."""
-        views = [v for v, view in enumerate(judge.views) if view.used]
-        if len(views) < LEAST_VIEWS:
-            raise InputError(
-                f"At least {LEAST_VIEWS} usable views were expected to choose a camera model by held-out views, found "
-                f"{len(views)}; add photos or name a model with --model."
-            )
-        names = tuple(corners.view_names[v] for v in views)
-        points = board_points(corners, judge.kept, views)
-        return _Judged(points, corner_weights(corners, judge.kept), judge.kept, names, min(folds, len(views)))
-
-    def trial(self, candidate: Candidate, fit: CameraCalibration | GeometryError | InputError) -> Trial:
-        """In-sample and held-out error of one candidate over the common corners."""
-        if not isinstance(fit, CameraCalibration):
-            return Trial(candidate, None, str(fit))
-        basis = fit.model.calibration_basis()
-        poses = {view.name: view.cam_from_board for view in fit.views}
-        missing = [name for name in self.names if poses.get(name) is None]
-        if missing:
-            return Trial(candidate, fit, f"it does not fit view {missing[0]}, which other models fit", basis.shape[1])
-        # Views that have a pose; the common corners are fitted anew without a loss.
-        start = CameraAndBoards(fit.model, Pose.stack([pose for name in self.names if (pose := poses[name]) is not None]))
-        whole = BoardProblem(self.points, basis, self.weight).solve(start).state
-        squares = torch.zeros(len(self.points.view), dtype=torch.float64)
-        for fold in range(self.folds):
-            held = torch.arange(self.points.views) % self.folds == fold
-            rows = held[self.points.view]
-            train, test = torch.nonzero(~held).flatten().tolist(), torch.nonzero(held).flatten().tolist()
-            own = None if self.weight is None else self.weight[~rows]
-            problem = BoardProblem(self.points.of_views(train), basis, own)
-            model = problem.solve(CameraAndBoards(whole.model, whole.cam_from_board[train])).state.model
-            other = None if self.weight is None else self.weight[rows]
-            squares[rows] = (fit_boards(model, self.points.of_views(test), other)[1] ** 2).sum(-1)
-        inside = (whole.residual_px(self.points) ** 2).sum(-1)
-        by_view = self.points.mean_by_view(squares[:, None])[:, 0].numpy()
-        return Trial(
-            candidate,
-            fit,
-            None,
-            basis.shape[1],
-            grows_beyond(fit.model, self.points.pixels),
-            float(inside.mean().sqrt()),
-            float(squares.mean().sqrt()),
-            by_view,
-        )
+def _trial(candidate: Candidate, fit: Settled, judge: Settled, usable: UsableCorners, common: CommonCorners) -> Trial:
+    """One candidate fitted to the common corners, without a loss."""
+    poses = _nearer_poses(fit, judge, usable)
+    start = CameraAndBoards(fit.state.model, poses[common.views])
+    whole = BoardProblem(common.points, start.model.calibration_basis(), common.weight, start.shape)
+    solution = refine_with_rivals(whole, start, None)[0]
+    model = solution.state.model
+    problem = BoardProblem(common.points, model.calibration_basis(), common.weight)
+    rotation, translation = poses.rotation.clone(), poses.translation.clone()
+    rotation[common.views] = solution.state.cam_from_board.rotation
+    translation[common.views] = solution.state.cam_from_board.translation
+    state = CameraAndBoards(model, Pose(rotation, translation))
+    return Trial(
+        candidate,
+        None,
+        Settled(state, common.rows, judge.scale_px),
+        grows_beyond(model, common.points.pixels),
+        (solution.cost / len(common.points.view)) ** 0.5,
+        held_out(problem, solution.state),
+    )
 
 
-def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], share: float = BEYOND) -> bool:
-    """Whether the model is one-to-one over the part of the image up to `share` times the radius of the outermost pixel."""
-    radius = share * float((pixels - model.centre_px).norm(dim=-1).max())
-    azimuth = 2 * torch.pi * torch.arange(AZIMUTHS, dtype=torch.float64) / AZIMUTHS
-    ring = model.centre_px + radius * torch.stack([torch.cos(azimuth), torch.sin(azimuth)], -1)
-    limit = torch.tensor(model.image_size, dtype=torch.float64)
-    ring = torch.minimum(ring.clamp_min(-0.5), limit - 0.5)
-    return bool(model.unproject(ring)[1].all())
+def _nearer_poses(fit: Settled, judge: Settled, usable: UsableCorners) -> Pose:
+    """The pose of every view by a fit or, where that does not fit the view, by the judge."""
+    own, other = (
+        whitened(CameraAndBoards(fit.state.model, source.state.cam_from_board).residual_px(usable.points), usable.weight)
+        for source in (fit, judge)
+    )
+    cost = [usable.points.mean_by_view(torch.log1p(residual.square().sum(-1) / judge.scale_px**2)) for residual in (own, other)]
+    nearer = cost[0] <= cost[1]
+    mine, theirs = fit.state.cam_from_board, judge.state.cam_from_board
+    rotation = torch.where(nearer[:, None, None], mine.rotation, theirs.rotation)
+    return Pose(rotation, torch.where(nearer[:, None], mine.translation, theirs.translation))
 
 
-def _choose(trials: Sequence[Trial], judged: _Judged) -> tuple[Trial, str]:
-    sound = [trial for trial in trials if trial.squares_by_view is not None]
-    growing = [trial for trial in sound if trial.monotone] or sound
-    best = min(growing, key=lambda trial: trial.held_out_px)
-    tied = [trial for trial in growing if _within_one_error(trial, best)]
+def _choose(trials: Sequence[Trial], views: int) -> tuple[Trial, str]:
+    sound = [(trial, trial.error) for trial in trials if trial.error is not None]
+    growing = [(trial, error) for trial, error in sound if trial.monotone] or sound
+    best, least = min(growing, key=lambda pair: pair[1].rms_px)
+    tied = [trial for trial, error in growing if error.as_good_as(least)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
-    figures = f"{chosen.held_out_px:.3f} px per point held out ({len(judged.names)} views in {judged.folds} folds)"
+    figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"
     if chosen is best:
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out views, {figures}"
     else:
         reason = (
-            f"{chosen.candidate.label} was taken: with {figures} it is within one standard error of the best "
+            f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
             f"({best.candidate.label}, {best.held_out_px:.3f} px) and has {chosen.parameters} parameters instead of "
             f"{best.parameters}"
         )
-    folding = [trial.candidate.label for trial in sound if not trial.monotone]
+    folding = [trial.candidate.label for trial, _ in sound if not trial.monotone]
     if folding:
         reason += f"; {', '.join(folding)} would fold back just beyond the data"
     return chosen, reason + "."
-
-
-def _within_one_error(trial: Trial, best: Trial) -> bool:
-    """Whether the mean difference from the best over the views is at most its standard error."""
-    assert trial.squares_by_view is not None and best.squares_by_view is not None
-    difference = trial.squares_by_view - best.squares_by_view
-    return bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))

@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError
+from camera_models import CameraModel, GeometryError, Scaramuzza
 from omnilines.calibration.board_shape import TERM_NAMES, BoardShape
+from omnilines.calibration.degree import settle_degree
 from omnilines.calibration.diagnose import (
     NEARLY_PARALLEL_DEG,
     angles_off_axis,
@@ -29,8 +30,9 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
+from omnilines.calibration.terms import without_unsupported_terms
 from omnilines.calibration.uncertainty import view_leverage
-from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, view_results, views_lost
+from omnilines.calibration.views import UsableCorners, board_points, corner_weights, require_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners, ViewResult
@@ -108,26 +110,38 @@ def calibrate_camera(
 
     With `loss` "none" every corner counts and plain least squares is minimised. With "huber" or "cauchy" the loss is bent at the
     scale of the data, corners beyond REJECT_SIGMA and views with fewer than half of their corners left are rejected, and the
-    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`), `refine_board`
-    names what is estimated of the board (`board_shape.REFINABLE`).
+    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a `degree`
+    that of a polynomial is chosen by held-out views (`calibration.degree`); without `coefficients`, distortion that they do not
+    support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board (`board_shape.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """
-    refusals = unusable_views(corners)
-    usable = [v for v in range(len(corners.view_names)) if v not in refusals]
-    require_views(len(usable), len(corners.view_names), refusals)
-    rows = np.isin(corners.view, usable)
-    points = board_points(corners, rows, usable)
-    shape = BoardShape.to_refine(refine_board, points.board)
-    settled = robust_camera(points, CameraKind(image_size, model, mirror, options), loss, corner_weights(corners, rows), callback)
+    usable = UsableCorners.of(corners)
+    settled = robust_camera(usable.points, CameraKind(image_size, model, mirror, options), loss, usable.weight, callback)
+    choose = "coefficients" not in (options or {})
+    return calibrate_settled(usable, settled, loss=loss, refine_board=refine_board, hold_unsupported=choose, callback=callback)
+
+
+def calibrate_settled(
+    usable: UsableCorners,
+    settled: Settled,
+    *,
+    loss: str = "cauchy",
+    refine_board: tuple[str, ...] = (),
+    hold_unsupported: bool = True,
+    callback: Callable[[Progress], None] | None = None,
+) -> CameraCalibration:
+    """The rest of `calibrate_camera`: from the robust fit of all usable corners to plain least squares of those that it keeps."""
+    corners, rows, refusals = usable.corners, usable.rows, dict(usable.refusals)
+    shape = BoardShape.to_refine(refine_board, usable.points.board)
     refuse_parallel_boards(settled.state.cam_from_board)
     kept = settled.kept if loss != "none" else torch.ones_like(settled.kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
     refusals |= views_lost(corners, rows, fitting)
-    good = [k for k, v in enumerate(usable) if v not in refusals]
+    good = [k for k, v in enumerate(usable.views) if v not in refusals]
     require_views(len(good), len(corners.view_names), refusals)
-    views = [usable[k] for k in good]
+    views = [usable.views[k] for k in good]
     final_rows = fitting & np.isin(corners.view, views)
     final = _Final(
         corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
@@ -135,7 +149,7 @@ def calibrate_camera(
     start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
     basis = start.model.calibration_basis()
     problem = BoardProblem(final.points, basis, final.weight, shape)
-    minima = _refine_with_rivals(problem, start, callback)
+    minima = refine_with_rivals(problem, start, callback)
     solution = minima[0]
     refuse_parallel_boards(solution.state.cam_from_board)
     notes: tuple[str, ...] = ()
@@ -148,6 +162,8 @@ def calibrate_camera(
         notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
+    elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
+        solution, notes = without_unsupported_terms(problem, solution)
     return _result(final, solution, basis, (problem, minima), settled.limit_px if loss != "none" else None, notes)
 
 
@@ -169,10 +185,13 @@ def robust_camera(
         found.append(settle(points, clean, start.state, bent, weight, callback, least_passes=least_passes))
         if found[-1].scale_px <= GOOD_FIT * max(kind.image_size):
             break
-    return min(found, key=lambda settled: settled.scale_px)
+    best = min(found, key=lambda settled: settled.scale_px)
+    if isinstance(best.state.model, Scaramuzza) and "degree" not in (kind.options or {}):
+        return settle_degree(points, clean, best, bent, weight, callback, least_passes)
+    return best
 
 
-def _refine_with_rivals(
+def refine_with_rivals(
     problem: BoardProblem, start: CameraAndBoards, callback: Callable[[Progress], None] | None
 ) -> list[Solution[CameraAndBoards]]:
     """Plain least squares from `start`, and from every other minimum that the model names: first the best of them, and of those

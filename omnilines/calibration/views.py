@@ -1,7 +1,7 @@
 """The views of a calibration: which can be used, what became of each, and the corners as tensors."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -39,6 +39,28 @@ def corner_weights(corners: Corners, rows: Bool[np.ndarray, " n"]) -> Float[Tens
         return None
     sigma = torch.as_tensor(corners.sigma_px[rows])
     return (sigma**2).mean().sqrt() / sigma
+
+
+@dataclass(frozen=True)
+class UsableCorners:
+    """The corners of the views that can be used whatever the camera is."""
+
+    corners: Corners
+    refusals: Mapping[int, str]
+    """Why the other views cannot."""
+    views: list[int]
+    rows: Bool[np.ndarray, " n"]
+    points: BoardPoints
+    weight: Float[Tensor, " m"] | None
+
+    @staticmethod
+    def of(corners: Corners) -> "UsableCorners":
+        """Raises InputError for too few views."""
+        refusals = unusable_views(corners)
+        views = [v for v in range(len(corners.view_names)) if v not in refusals]
+        require_views(len(views), len(corners.view_names), refusals)
+        rows = np.isin(corners.view, views)
+        return UsableCorners(corners, refusals, views, rows, board_points(corners, rows, views), corner_weights(corners, rows))
 
 
 def unusable_views(corners: Corners, rows: Bool[np.ndarray, " n"] | None = None) -> dict[int, str]:

@@ -38,7 +38,7 @@ def calibrate(
     pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[str, typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.")] = "scaramuzza",
-    degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (4).")] = None,
+    degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
     loss: LossName = "cauchy",

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from camera_models import Scaramuzza
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
@@ -60,8 +61,9 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
     """The figures, the parameters, what was estimated of the board, and how the models compare."""
     used = [view for view in result.views if view.used]
     median, largest = UncertaintyMap.of(result).figures
+    model = result.model
     rows = (
-        ("model", result.model.NAME),
+        ("model", f"{model.NAME} of degree {model.degree}" if isinstance(model, Scaramuzza) else model.NAME),
         ("views used", f"{len(used)} of {len(result.views)}"),
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
         ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
@@ -70,7 +72,7 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
         ("projection uncertainty in it", f"{median:.3g} px (median), {largest:.3g} px (worst)"),
     )
     notes = result.notes if selection is None else (selection.reason, *result.notes)
-    parameters = tuple((name, _parameter_text(result, name, value)) for name, value in result.model.named_parameters().items())
+    parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
     summaries = [Summary("Calibration", rows, notes), Summary("Parameters ± one standard deviation", parameters)]
     if result.board_terms:
         terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())

@@ -56,7 +56,7 @@ class CalibrationOptions:
         Loss(self.loss)
         BoardShape.to_refine(self.refine_board, torch.zeros(1, 3, dtype=torch.float64))
         if self.degree is not None and self.degree < 2:
-            raise InputError(f"--degree was expected to be at least 2, found {self.degree}; 4 suits most lenses.")
+            raise InputError(f"--degree was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
 
     @property
     def of_model(self) -> dict[str, int]:

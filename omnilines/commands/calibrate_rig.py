@@ -49,7 +49,7 @@ class RigOptions:
         if self.hold and self.calibration is None:
             raise InputError("--hold holds the cameras of --calibration, found no --calibration; give the file.")
         if self.degree is not None and self.degree < 2:
-            raise InputError(f"--degree was expected to be at least 2, found {self.degree}; 4 suits most lenses.")
+            raise InputError(f"--degree was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
 
     def model_of(self, camera: str) -> str:
         """The camera model that is to be fitted."""

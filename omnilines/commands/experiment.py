@@ -42,6 +42,9 @@ from omnilines.report import write_report
 from omnilines.triangulation import triangulate
 from omnilines.triangulation.observations import PlaneObservations
 
+DEGREE = 4
+"""Of the polynomial, as in the dissertation."""
+
 
 def experiment_board(
     data: str | Path,
@@ -72,7 +75,8 @@ def experiment_board(
     def tell(step: Progress) -> None:
         progress("refining the camera", step.iteration, 0)
 
-    calibration = calibrate_camera(found.corners, found.image_size, model, callback=tell)
+    options = {"degree": DEGREE} if model == "scaramuzza" else {}
+    calibration = calibrate_camera(found.corners, found.image_size, model, options=options, callback=tell)
     calibration = replace(calibration, views=calibration.views + found.skipped)
     experiment = run_experiment(
         found,

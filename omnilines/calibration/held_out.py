@@ -1,0 +1,95 @@
+"""How well a camera predicts views that its fit has not seen, from one linearisation of the fit of all views.
+
+With the pose of view v eliminated, its residuals are e_v + A_v d for a change d of the camera. Without view v the camera moves by
+
+    d_v = -(S - S_v)^-1 (g - g_v),    S_v = A_v' A_v,  g_v = A_v' e_v,  S and g their sums (g = 0 at the optimum)
+
+and what then remains of the view, its pose fitted anew, is |e_v + A_v d_v|^2 (PRESS, D. Allen 1974, with views left out in the
+place of single observations). It is exact where the problem is linear, which it nearly is so near to the optimum.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
+
+NO_WORSE = 1.005
+"""A held-out error (RMS) that is greater by less than this factor is no reason for another parameter."""
+
+EXACT_PX = 1e-6
+"""Errors below are those of rounding."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Held-out error of one camera over views."""
+
+    parameters: int
+    squares_px2: Float[Tensor, " v"]
+    """Sum of the squared distances of each view by the camera of all others; infinite where those leave the camera open."""
+    counts: Float[Tensor, " v"]
+    """Corners of each view."""
+
+    @property
+    def rms_px(self) -> float:
+        """Per point."""
+        return math.sqrt(float(self.squares_px2.sum() / self.counts.sum()))
+
+    def as_good_as(self, best: "HeldOut") -> bool:
+        """Whether what is lost against the best is within its standard error (paired over the views; L. Breiman et al. 1984),
+        and hardly anything."""
+        difference = (self.squares_px2 - best.squares_px2) / self.counts.mean()
+        within = bool(difference.mean() <= difference.std() / math.sqrt(len(difference)))
+        return self.rms_px <= max(best.rms_px, EXACT_PX) or (within and self.rms_px <= NO_WORSE * best.rms_px)
+
+
+@dataclass(frozen=True)
+class ViewTerms:
+    """What each view says of the kept parameters near an optimum, its pose eliminated: |e_v + A_v d|^2 as a quadratic in d."""
+
+    matrix: Float[Tensor, "v k k"]
+    """S_v = A_v' A_v."""
+    gradient: Float[Tensor, "v k"]
+    """g_v = A_v' e_v."""
+    squares_px2: Float[Tensor, " v"]
+    counts: Float[Tensor, " v"]
+
+    @staticmethod
+    def of(problem: BoardProblem, optimum: CameraAndBoards) -> "ViewTerms":
+        """Of (weighted) residuals by plain least squares."""
+        at = problem.linearise(optimum)
+        gram = problem.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
+        own, coupling = gram[:, :6, :6], gram[:, :6, 6:]
+        reduced = gram[:, 6:, 6:] - coupling.mT @ torch.linalg.solve(own, coupling)
+        counts = problem.points.counts.to(reduced.dtype)
+        return ViewTerms(reduced[:, :-1, :-1], reduced[:, :-1, -1], reduced[:, -1, -1], counts)
+
+    def moved(self, step: Float[Tensor, " k"], kept: list[int]) -> "ViewTerms":
+        """Seen from a neighbour, of some of the parameters; the others are held there."""
+        turned = self.matrix @ step
+        squares = self.squares_px2 + 2 * self.gradient @ step + turned @ step
+        return ViewTerms(self.matrix[:, kept][:, :, kept], (self.gradient + turned)[:, kept], squares, self.counts)
+
+    def held_out(self) -> HeldOut:
+        """What remains of every view by the camera of all others."""
+        # In coordinates in which S is the identity; what S leaves open moves nothing.
+        total = self.matrix.sum(0)
+        unit = total.diagonal().clamp_min(1e-300).rsqrt()
+        values, vectors = torch.linalg.eigh(total * unit[:, None] * unit)
+        sound = values > LEAST_EIGENVALUE
+        basis = unit[:, None] * vectors[:, sound] * values[sound].rsqrt()
+        matrix, gradient = basis.mT @ self.matrix @ basis, self.gradient @ basis
+        factor, info = torch.linalg.cholesky_ex(matrix.sum(0) - matrix)
+        step = -torch.cholesky_solve((gradient.sum(0) - gradient)[..., None], factor)[..., 0]
+        change = 2 * (gradient * step).sum(-1) + (step[:, None] @ matrix @ step[..., None])[:, 0, 0]
+        return HeldOut(len(total), torch.where(info == 0, self.squares_px2 + change, torch.inf), self.counts)
+
+
+def held_out(problem: BoardProblem, optimum: CameraAndBoards) -> HeldOut:
+    """Of the camera and boards that minimise a problem by plain least squares; squares of weighted residuals."""
+    return ViewTerms.of(problem, optimum).held_out()
