@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     pass
 
 
-from omnilines.cli.lines import Cost, Triangulation
+from omnilines.cli.lines import Bandwidth, Cost, Subset, Triangulation, Weights
+from omnilines.triangulation import method_options
 
 
 @experiment_app.command()
@@ -32,16 +33,20 @@ def board(
     perturb_m: Annotated[float, typer.Option("--perturb-m", help="Shift of every pose before the adjustment.")] = 0.01,
     seed: Seed = 0,
     triangulation: Triangulation = "dual",
+    subset: Subset = None,
+    bandwidth: Bandwidth = None,
+    weights: Weights = None,
     cost: Cost = "sector",
     as_json: Json = False,
 ) -> None:
     """Calibrate from photos of a board, rebuild its rows and columns as 3D lines from disturbed poses, before and after."""
     from omnilines.commands.experiment import experiment_board
 
+    options = method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights)
     run(
         lambda progress: experiment_board(
             data, out, pattern_spec=pattern, model=model, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
-            triangulation=triangulation, cost=cost, progress=progress,
+            triangulation=triangulation, triangulation_options=options, cost=cost, progress=progress,
         ),
         as_json,
     )  # fmt: skip
@@ -69,16 +74,19 @@ def _add_study(name: str) -> None:
         perturb_deg: PerturbDeg = 1.0,
         perturb_m: PerturbM = 0.05,
         seed: Seed = 0,
+        subset: Subset = None,
+        bandwidth: Bandwidth = None,
         as_json: Json = False,
     ) -> None:
         """One set-up of STUDIES, with noise and errors of the first poses as asked."""
         from omnilines.commands.experiment_lines import experiment_lines, parse_noise
 
         levels = parse_noise(noise)
+        averaging = method_options("averaging", subset=subset, bandwidth=bandwidth)
         run(
             lambda progress: experiment_lines(
                 name, out, noise_px=levels, trials=trials, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
-                progress=progress,
+                averaging=averaging, progress=progress,
             ),
             as_json,
         )  # fmt: skip
@@ -92,9 +100,12 @@ for _name in STUDIES:
 def house(
     data: Annotated[Path, typer.Option("--data", help="Folder of the model house, with 2D and 3D in it.", show_default=False)],
     out: Out,
+    subset: Subset = None,
+    bandwidth: Bandwidth = None,
     as_json: Json = False,
 ) -> None:
     """Lines of the Oxford model house: every triangulation and every cost, residuals in pixels."""
     from omnilines.commands.experiment_house import experiment_house
 
-    run(lambda progress: experiment_house(data, out, progress=progress), as_json)
+    averaging = method_options("averaging", subset=subset, bandwidth=bandwidth)
+    run(lambda progress: experiment_house(data, out, averaging=averaging, progress=progress), as_json)

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ def reconstruct_segments(
     out: Path,
     *,
     triangulation: str = "dual",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "sector",
     refine: str = "lines",
     loss: str = "none",
@@ -61,6 +63,7 @@ def reconstruct_segments(
         pose_table,
         cameras,
         triangulation=triangulation,
+        triangulation_options=triangulation_options,
         cost=cost,
         refine_poses="poses" in parts,
         refine_cameras="intrinsics" in parts,

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
@@ -55,6 +56,7 @@ def reconstruct_photos(
     least_views: int = LEAST_VIEWS,
     tolerance_px: float | None = None,
     triangulation: str = "ml",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "whitened",
     refine: str | None = None,
     loss: str = "cauchy",
@@ -84,7 +86,7 @@ def reconstruct_photos(
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
-    options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
+    options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed, triangulation_options or {})
     folder = output_folder(out)
     _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
     inputs = [photo.path for photo in refs] + [calibration] + ([] if mask is None else [mask]) + _pose_files(poses)

@@ -6,7 +6,7 @@ from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_p
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
-from omnilines.files.vgg_house import read_vgg_lines
+from omnilines.files.vgg_house import read_vgg_lines, read_vgg_points
 
 __all__ = [
     "PHOTO_SUFFIXES",
@@ -20,6 +20,7 @@ __all__ = [
     "read_rig_corners",
     "read_segments",
     "read_vgg_lines",
+    "read_vgg_points",
     "write_corners",
     "write_covariance",
     "write_lines",
