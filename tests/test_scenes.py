@@ -428,7 +428,7 @@ def test_command_writes_what_it_says(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: build_scene("castle", 0), "one of room, plain-room, flat, street, found 'castle'"),
+        (lambda: build_scene("castle", 0), "one of room, plain-room, flat, street, books, found 'castle'"),
         (lambda: furnished_room(0, (2.0, 4.0, 3.0)), "found 2 x 4 x 3 m"),
         (lambda: furnished_room(-1), "seed of at least 0"),
         (lambda: scene_camera("pinhole", SIZE, 0, 80.0, mirror=True), "--model scaramuzza, found pinhole"),

@@ -14,7 +14,9 @@ Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)
 PoseSource = Annotated[
     str,
     typer.Option(
-        "--poses", help="poses.csv or a COLMAP model's folder; with photos also sfm, rig or boards.", show_default=False
+        "--poses",
+        help="poses.csv or a COLMAP model's folder; with photos also sfm, rig, boards or rectangle:279x216mm (a sheet of paper).",
+        show_default=False,
     ),
 ]
 ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]

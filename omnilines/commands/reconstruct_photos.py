@@ -11,7 +11,7 @@ from omnilines.commands._common import CommandResult, ProgressCallback, output_f
 from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
-from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
+from omnilines.commands._photo_poses import check_source, from_photos, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
 from omnilines.commands._rough_poses import better_poses
@@ -68,7 +68,8 @@ def reconstruct_photos(
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
-    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. `refine` is `lines` unless
+    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`), `rectangle:279x216mm` (a
+    sheet of that size in the photos) or `sfm`. `refine` is `lines` unless
     given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
     at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
     of poses and calibration; it is found from the arcs where it is not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the
@@ -96,7 +97,7 @@ def reconstruct_photos(
     done = stamp.result()
     if done is not None:
         return done
-    if distance is not None and poses not in SOURCES:
+    if distance is not None and not from_photos(poses):
         names = photo_poses(poses, refs, cameras, camera_of, folder, progress=progress)
         require_poses(distance, names)
     found = find_arcs(refs, cameras, camera_of, keep, folder / WORK / "arcs", progress)
@@ -105,7 +106,7 @@ def reconstruct_photos(
         return _posed(source, found, cameras, camera_of, calibration, folder / WORK, pattern, seed, progress)
 
     posed = posed_by(poses)
-    if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
+    if "poses" in parts and not from_photos(poses) and posed.poses.frames is None:
         posed = better_poses(found, posed, cameras, seed, lambda: posed_by("sfm"), progress)
     table = folder / WORK / "poses.csv"
     write_poses(table, posed.poses)
@@ -137,9 +138,9 @@ def _posed(
     pattern = pattern if source == "boards" else None
 
     def find() -> PhotoPoses:
-        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, seed=seed, progress=progress)
+        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, arcs=found, seed=seed, progress=progress)
 
-    if source not in SOURCES:
+    if not from_photos(source):
         return find()
     names = [photo.name for photo in usable]
     made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names)))

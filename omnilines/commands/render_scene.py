@@ -1,4 +1,4 @@
-"""omnilines render scene: photos of a room, flat or street with known edges, to test the extraction and rebuilding of lines."""
+"""omnilines render scene: photos of a room, flat, street or table with known edges, to test the extraction and rebuilding of lines."""
 
 import math
 from collections.abc import Sequence
