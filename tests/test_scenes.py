@@ -272,7 +272,7 @@ def test_edges_of_a_box_on_a_floor() -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_no_edges_overlap(name: str) -> None:
     edges = scene_edges(build_scene(name, 1))
-    assert len(edges) > (200 if name == "plain-room" else 500)
+    assert len(edges) > {"plain-room": 200, "books": 400}.get(name, 500)
     middle = edges.mean(1)
     direction = edges[:, 1] - edges[:, 0]
     length = np.linalg.norm(direction, axis=-1)
@@ -343,7 +343,7 @@ def test_cameras_stand_in_free_space(name: str) -> None:
             assert front.min() > 0.25
             count += 1
         apart = torch.cdist(poses.centre, poses.centre) + 10 * torch.eye(len(poses))
-        assert apart.min() > 0.4
+        assert apart.min() > (0.4 if scene.dome is None else 0.1)
         # Level to within the pitch and roll that are promised, and looking in all directions.
         up = poses.rotation[:, :, 2]
         assert (up[:, 1] < -0.9).all()

@@ -1,4 +1,4 @@
-"""Where the poses of photos come from: a table, a COLMAP model, a rig, a board or sheet in the photos, or the photos themselves."""
+"""Where the poses of photos come from: a table, a COLMAP model, a rig, a board, a sheet, or the photos themselves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

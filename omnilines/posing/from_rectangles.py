@@ -81,11 +81,8 @@ def poses_from_rectangles(
                 "tell which way it lies; leave things lying around the sheet."
             )
         names, turned = [names[k] for k in np.flatnonzero(known)], turned[known]
-    if turned.size and turned[0]:
-        turned = ~turned
-    chosen = [
-        found[name].pose @ rectangle.half_turn if turn else found[name].pose for name, turn in zip(names, turned, strict=True)
-    ]
+    own = [found[name].pose for name in names]
+    chosen = [pose @ rectangle.half_turn if turn else pose for pose, turn in zip(own, turned.tolist(), strict=True)]
     shown = float(np.mean([found[name].chi_square for name in names])) / 2.0
     table = ImagePoses(
         tuple(names),
