@@ -1,4 +1,4 @@
-"""The experiments: board, wide, short, room, house."""
+"""The experiments: board, wide, short, room, house, book."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,10 +8,13 @@ import typer
 from omnilines.cli._shared import (
     Json,
     Model,
+    NoiseGrey,
     Out,
     PatternSpec,
     Seed,
+    Size,
     experiment_app,
+    parse_size,
     run,
 )
 
@@ -109,3 +112,29 @@ def house(
 
     averaging = method_options("averaging", subset=subset, bandwidth=bandwidth)
     run(lambda progress: experiment_house(data, out, averaging=averaging, progress=progress), as_json)
+
+
+@experiment_app.command()
+def book(
+    out: Out,
+    model: Model = "pinhole",
+    fov_deg: Annotated[float | None, typer.Option("--fov-deg", help="Field of view, degrees; default 190, pinhole 60.")] = None,
+    views: Annotated[int, typer.Option("--views", help="Number of photos.")] = 9,
+    size: Size = "1280x960",
+    noise: NoiseGrey = 2.0,
+    hand_px: Annotated[float, typer.Option("--hand-px", help="Standard deviation of corners and ends picked by hand.")] = 1.0,
+    lines: Annotated[int, typer.Option("--lines", help="Lines at most, the longest that all photos show.")] = 25,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Poses from a sheet of paper, lines of the books around it before and after adjustment, in rendered photos."""
+    from omnilines.commands.experiment_book import experiment_book
+
+    image_size = parse_size(size, "--size")
+    run(
+        lambda progress: experiment_book(
+            out, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, hand_px=hand_px, lines=lines, seed=seed,
+            progress=progress,
+        ),
+        as_json,
+    )  # fmt: skip

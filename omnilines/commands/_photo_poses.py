@@ -11,10 +11,11 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, InputError
 from omnilines.commands._common import ProgressCallback
 from omnilines.commands._photo_arcs import FoundArcs
-from omnilines.files import PhotoRef, read_photo, read_poses
+from omnilines.files import PhotoRef, is_corners_table, read_corners, read_photo, read_poses
 from omnilines.posing.find_rectangle import PhotoArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
+from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
 from omnilines.posing.photo_poses import PhotoPoses
@@ -69,7 +70,7 @@ def photo_poses(
     progress: ProgressCallback,
 ) -> PhotoPoses:
     """Poses from `source`: `sfm`, `rig`, `boards` (with a pattern), `rectangle:WIDTHxHEIGHT` (with the arcs of the photos), a
-    poses.csv or a folder with a COLMAP model.
+    poses.csv, a corners.csv of points of known place, or a folder with a COLMAP model.
 
     Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Raises
     InputError where the source does not fit the photos (`check_source` has looked at all but the photos themselves).
@@ -113,8 +114,8 @@ def _without_photos(source: str, names: Sequence[str], cameras: Calibration, cam
         return poses_from_colmap(source, names, camera_of)
     if not Path(source).is_file():
         raise InputError(
-            f"--poses was expected to be a poses.csv, a COLMAP model's folder, or one of {', '.join((*SOURCES, SHEET))}, "
-            f"found '{source}'."
+            "--poses was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, or one of "
+            f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
         )
     return _from_table(Path(source), names, cameras, camera_of, frame_of)
 
@@ -126,6 +127,8 @@ def _frames(names: Sequence[str]) -> dict[str, str]:
 def _from_table(
     path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], frame_of: Mapping[str, str]
 ) -> PhotoPoses:
+    if is_corners_table(path):
+        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names})
     table = read_poses(path)
     known = [k for k, name in enumerate(table.images) if name in camera_of]
     if not known:

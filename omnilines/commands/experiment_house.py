@@ -2,21 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from omnilines import report
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
+from omnilines.commands._distance_figures import DistanceFigures, figures_of, json_rows, write_distance_figures
 from omnilines.costs import COSTS
 from omnilines.files import read_vgg_lines, read_vgg_points, write_lines, write_ply, write_poses
-from omnilines.files.tables import number_cells, write_table
 from omnilines.files.vgg_house import MatchedLines, MatchedPoints
 from omnilines.posing.from_matches import poses_from_matches
 from omnilines.posing.photo_poses import align_to
@@ -33,30 +32,6 @@ CORNER_SIGMA_PX = 0.5
 SVD_LIMIT_PX, SECTOR_LIMIT_PX = 0.65, 0.435
 SHOWN = "sector"
 """The cost whose lines and poses are written."""
-NUMBERS = ("lines", "end_points", "rms_px", "min_px", "max_px", "std_px", "published_rms_px")
-
-
-@dataclass(frozen=True)
-class HouseFigures:
-    """Orthogonal distances (px) of the end points from the lines of one method."""
-
-    stage: str
-    method: str
-    lines: int
-    distance_px: Float[np.ndarray, " k"]
-    """Without sign, both ends of every segment whose line is known."""
-    published_px: float = math.nan
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square."""
-        return float(np.sqrt(np.mean(self.distance_px**2)))
-
-    def row(self) -> dict[str, Any]:
-        """The figures by the names of the CSV columns; the standard deviation is that of the distances about their mean."""
-        d = self.distance_px
-        values = (float(self.lines), float(len(d)), self.rms_px, *map(float, (d.min(), d.max(), d.std())), self.published_px)
-        return {"stage": self.stage, "method": self.method, **dict(zip(NUMBERS, values, strict=True))}
 
 
 def experiment_house(
@@ -79,22 +54,23 @@ def experiment_house(
         progress("adjusting lines and poses", done, len(COSTS))
         scenes[cost] = reconstruct_lines(house.segments, house.poses, house.cameras, cost=cost, refine_poses=True)
         distance = np.abs(scenes[cost].residual_px)
-        figures.append(_figures(ADJUSTMENT, cost, int(scenes[cost].lines.known.sum()), distance))
+        figures.append(figures_of(ADJUSTMENT, cost, int(scenes[cost].lines.known.sum()), distance))
     checks = _checks(house, figures)
     folder = output_folder(out)
     files = tuple(folder / name for name in ("figures.csv", "lines.csv", "lines.ply", "poses.csv"))
     scene = scenes[SHOWN]
-    _write_figures(files[0], figures)
+    write_distance_figures(files[0], figures)
     write_lines(files[1], scene.lines)
     write_ply(files[2], scene.lines, camera_centres_m=scene.poses.cam_from_world.centre.numpy())
     write_poses(files[3], scene.poses)
     summaries = _summaries(house, figures)
     page = report.write_report(folder / "report.html", "The model house", _sections(summaries, checks, figures, scene))
-    rows = [
-        {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in f.row().items()}
-        for f in figures
-    ]
-    data_out = {"tracks": len(house.segments.tracks), "views": len(house.poses), "segments": len(house.segments), "rows": rows}
+    data_out = {
+        "tracks": len(house.segments.tracks),
+        "views": len(house.poses),
+        "segments": len(house.segments),
+        "rows": json_rows(figures),
+    }
     return CommandResult(summaries, data_out, checks, (*files, page), page)
 
 
@@ -111,7 +87,7 @@ def poses_of_matches(house: MatchedLines, points: MatchedPoints) -> ImagePoses:
     return align_to(replace(house.poses, cam_from_world=poses), house.poses)[0]
 
 
-def _triangulations(stage: str, house: MatchedLines, given: ImagePoses, averaging: Mapping[str, Any]) -> list[HouseFigures]:
+def _triangulations(stage: str, house: MatchedLines, given: ImagePoses, averaging: Mapping[str, Any]) -> list[DistanceFigures]:
     """Every method of the registry, and the dual space as published and with the most likely weights, from some poses."""
     arcs = arcs_from_segments(house.segments, given, house.cameras).arcs
     poses = given.cam_from_world[arcs.image]
@@ -122,17 +98,12 @@ def _triangulations(stage: str, house: MatchedLines, given: ImagePoses, averagin
     for name, method, options in methods:
         result = triangulate(method, planes, **options)
         distance = arcs.orthogonal_px(result.lines[arcs.track].projection_normal(poses)).abs().numpy()
-        found.append(_figures(stage, name, int(result.known.sum()), distance))
+        published_px = PUBLISHED_PX.get(name, math.nan)
+        found.append(figures_of(stage, name, int(result.known.sum()), distance, published_px=published_px))
     return found
 
 
-def _figures(stage: str, method: str, lines: int, distance_px: Float[np.ndarray, "n 2"]) -> HouseFigures:
-    known = distance_px[np.isfinite(distance_px).all(1)].ravel()
-    published = PUBLISHED_PX.get(method, math.nan) if stage != ADJUSTMENT else math.nan
-    return HouseFigures(stage, method, lines, known, published)
-
-
-def _checks(house: MatchedLines, figures: list[HouseFigures]) -> tuple[Check, ...]:
+def _checks(house: MatchedLines, figures: list[DistanceFigures]) -> tuple[Check, ...]:
     by_name = {(f.stage, f.method): f for f in figures}
     start, adjusted = by_name[FROM_MATRICES, "svd"], by_name[ADJUSTMENT, "sector"]
     tracks = float(len(house.segments.tracks))
@@ -150,22 +121,14 @@ def _checks(house: MatchedLines, figures: list[HouseFigures]) -> tuple[Check, ..
     )
 
 
-def _write_figures(path: Path, figures: list[HouseFigures]) -> None:
-    rows = [f.row() for f in figures]
-    columns = {name: ['"' + row[name] + '"' if "," in row[name] else row[name] for row in rows] for name in ("stage", "method")}
-    for name in NUMBERS:
-        columns[name] = number_cells(np.array([row[name] for row in rows], dtype=np.float64), path, name, may_be_nan=True)
-    write_table(path, columns)
-
-
-def _summaries(house: MatchedLines, figures: list[HouseFigures]) -> tuple[Summary, ...]:
+def _summaries(house: MatchedLines, figures: list[DistanceFigures]) -> tuple[Summary, ...]:
     segments = house.segments
     setting = Summary(
         "The model house",
         (("lines, views, segments", f"{len(segments.tracks)}, {len(house.poses)}, {len(segments)}"),),
     )
     given, found, adjusted = (
-        tuple((f.method, _described(f)) for f in figures if f.stage == stage)
+        tuple((f.method, f.described()) for f in figures if f.stage == stage)
         for stage in (FROM_MATRICES, FROM_MATCHES, ADJUSTMENT)
     )
     note = "Orthogonal distance of both end points of every segment from the projected line, without sign."
@@ -178,17 +141,8 @@ def _summaries(house: MatchedLines, figures: list[HouseFigures]) -> tuple[Summar
     )
 
 
-def _described(f: HouseFigures) -> str:
-    row = f.row()
-    published = "" if math.isnan(f.published_px) else f", published RMS {f.published_px:.2f}"
-    return (
-        f"RMS {row['rms_px']:.4f} px, min {row['min_px']:.1e}, max {row['max_px']:.2f}, std {row['std_px']:.4f}, "
-        f"{f.lines} lines{published}"
-    )
-
-
 def _sections(
-    summaries: tuple[Summary, ...], checks: tuple[Check, ...], figures: list[HouseFigures], scene: LineScene
+    summaries: tuple[Summary, ...], checks: tuple[Check, ...], figures: list[DistanceFigures], scene: LineScene
 ) -> list[report.Section]:
     quantity = "orthogonal distance of an end point (px)"
     by_stage = {stage: {f.method: f.distance_px for f in figures if f.stage == stage} for stage in (FROM_MATRICES, ADJUSTMENT)}

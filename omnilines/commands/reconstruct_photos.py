@@ -35,6 +35,7 @@ from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.matching.match import LEAST_VIEWS
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.rectangle import PREFIX
 from omnilines.posing.sfm import doubt
 from omnilines.records import LengthUnit
 from omnilines.report import write_report
@@ -143,7 +144,8 @@ def _posed(
     if not from_photos(source):
         return find()
     names = [photo.name for photo in usable]
-    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names)))
+    counts = [len(arcs) for arcs in found] if source.startswith(PREFIX) else None
+    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names, counts)))
     return kept_poses(work / POSES, made_from, find)
 
 

@@ -1,6 +1,6 @@
 """The files of a scene folder: tables (CSV), covariances (NPZ), line drawings (PLY), photos."""
 
-from omnilines.files.corners import is_rig_table, read_corners, read_rig_corners, write_corners
+from omnilines.files.corners import is_corners_table, is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.files.lines import read_lines, write_covariance, write_lines
 from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
 from omnilines.files.ply import write_ply
@@ -12,6 +12,7 @@ __all__ = [
     "PHOTO_SUFFIXES",
     "PhotoRef",
     "find_photos",
+    "is_corners_table",
     "is_rig_table",
     "read_corners",
     "read_lines",

@@ -62,8 +62,8 @@ def poses_from_rectangles(
             found[photo] = outcome
     if not found:
         raise InputError(
-            f"A sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm, brighter than what it lies on, was expected "
-            f"in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
+            f"A sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm, brighter than what it lies on, was "
+            f"expected in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
         )
     names = list(found)
     turned = np.zeros(len(names), dtype=bool)
@@ -77,8 +77,8 @@ def poses_from_rectangles(
         turned, known = half_turns(features, poses, rectangle, seed)
         for k in np.flatnonzero(~known).tolist():
             lost[names[k]] = (
-                f"{names[k]} has no pose: the sheet looks the same after half a turn, and too few features that other photos show "
-                "tell which way it lies; leave things lying around the sheet."
+                f"{names[k]} has no pose: the sheet looks the same after half a turn, and too few features that other photos "
+                "show tell which way it lies; leave things lying around the sheet."
             )
         names, turned = [names[k] for k in np.flatnonzero(known)], turned[known]
     own = [found[name].pose for name in names]

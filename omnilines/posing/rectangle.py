@@ -63,8 +63,8 @@ def parse_rectangle(text: str) -> Rectangle:
         raise InputError(f"Sides of 5 mm to 50 m were expected, found {sides[0]:g} x {sides[1]:g} m in '{text}'; check the unit.")
     if max(sides) < LEAST_UNEQUAL * min(sides):
         raise InputError(
-            f"A rectangle with sides 5 percent apart or more was expected, found {sides[0]:g} x {sides[1]:g} m: after a quarter turn "
-            "it looks nearly the same; take a sheet of paper."
+            f"A rectangle with sides 5 percent apart or more was expected, found {sides[0]:g} x {sides[1]:g} m: after a quarter "
+            "turn it looks nearly the same; take a sheet of paper."
         )
     return Rectangle(*sides)
 
@@ -83,7 +83,7 @@ def corner_distances(corners: Float[Tensor, "*n 4 3"]) -> tuple[Float[Tensor, "*
 
 
 def pose_of_corners(corners: Float[Tensor, "*n 4 3"], rectangle: Rectangle) -> tuple[Pose, Bool[Tensor, "*n"]]:
-    """cam_from_world that sees the corners near unit bearings, exact where these are of the rectangle, and whether there is one."""
+    """cam_from_world that sees the corners near unit bearings (exactly, where they are of the rectangle); if there is one."""
     distances, sound = corner_distances(corners)
     at = distances[..., None] * corners
     along, down = at[..., 1, :] - at[..., 0, :], at[..., 3, :] - at[..., 0, :]

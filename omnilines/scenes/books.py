@@ -1,8 +1,8 @@
 """A sheet of letter paper on a table among books, bookends, a ruler and a box: the dissertation's book sequence, from a seed.
 
 The sheet lies with a corner at the origin of its own frame, x along its longer side, y along its shorter one, z down; the table's
-top is z = 0 of the world, and the sheet's middle its origin. Photos look at the sheet from one half of the space above it, so that
-nothing stands between.
+top is z = 0 of the world, and the sheet's middle its origin. Photos look at the sheet from one half of the space above it, so
+that nothing stands between.
 """
 
 from dataclasses import replace
@@ -47,9 +47,9 @@ def books(seed: int) -> LineScene:
     reach = FARTHEST_M + 0.1
     lamps = Lamps(
         position_m=np.array([[-0.8, -0.6, 1.5], [1.2, 0.4, 1.3]]),
-        strength=np.array([0.4, 0.25]),
+        strength=np.array([0.7, 0.4]),
         reach_m=np.array([2.5, 2.5]),
-        ambient=0.55,
+        ambient=0.7,
         up=0.06,
         side=np.array([0.06, 0.04]),
     )
