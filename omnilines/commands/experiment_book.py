@@ -231,9 +231,7 @@ def _pose_errors(rendered: RenderedScene, poses: ImagePoses, world_from_sheet: P
     return np.stack([np.degrees(np.linalg.norm(off[:, :3], axis=-1)), shift, np.sqrt(stated / 6.0)], -1)
 
 
-def _written(
-    folder: Path, rendered: RenderedScene, cameras: Calibration, settings: list[BookSetting], lines: int
-) -> CommandResult:
+def _written(folder: Path, rendered: RenderedScene, settings: list[BookSetting]) -> CommandResult:
     figures = [f for setting in settings for f in setting.figures]
     checks = book_checks(rendered, settings)
     summaries = book_summaries(rendered, settings)
@@ -251,8 +249,6 @@ def _written(
         "posed": len(settings[0].poses),
         "tracks": len(settings[0].segments.tracks),
         "rows": json_rows(figures, COLUMNS),
-        "poses": {
-            s.name: dict(zip(("rms_deg", "rms_m", "rms_over_stated"), rms_of_each(s.pose_errors), strict=True)) for s in settings
-        },
+        "poses": {s.name: dict(zip(POSE_ERRORS, rms_of_each(s.pose_errors), strict=True)) for s in settings},
     }
     return CommandResult(summaries, data, checks, (*files, page), page)
