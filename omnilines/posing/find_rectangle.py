@@ -26,7 +26,7 @@ LEAST_COVERED = 0.6
 """Of the sides together that the arcs have to cover."""
 NEARLY = 0.2
 """Error of the ratio of the sides and of the right angle up to which the sheet is fitted."""
-MISFIT = 0.01
+MISFIT = 0.005
 """Root mean square of the distances of the arc ends from the sides, over the mean angle of a side: paper curls, its size is
 rounded, and calibrations are not perfect."""
 AS_BRIGHT = 0.1
@@ -59,6 +59,8 @@ class FoundRectangle:
     """Of two degrees of freedom."""
     corners: Float[np.ndarray, "4 3"]
     """Unit bearings of (0, 0), (width, 0), (width, height), (0, height)."""
+    outshone: bool
+    """Whether other four edges close round something larger and clearly brighter, of another shape."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
     cycle = np.array(_cycles(_successors(ends)), dtype=np.int64).reshape(-1, 4)
     if not len(cycle):
         return "four edges that close round something brighter than its surroundings were expected, found none."
+    cycle, corners = _closed(ends, cycle)
     fits = _fitted(ends, noise, inside, cycle, rectangle)
     if not len(fits.misfit):
         return (
@@ -101,7 +104,9 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
     alike = np.flatnonzero(same)
     right = alike[(fits.pose.rotation[alike, 0, 0] > 0).numpy()]
     best = int(right[fits.misfit[right].argmin()]) if len(right) else int(alike[fits.misfit[alike].argmin()])
-    return FoundRectangle(fits.pose[best], fits.covariance[best], float(fits.chi_square[best]), fits.corners[best])
+    brighter = inside[cycle].min(-1) > fits.inside[best] + AS_BRIGHT
+    outshone = bool((brighter & (_mean_side(corners) > size[best])).any())
+    return FoundRectangle(fits.pose[best], fits.covariance[best], float(fits.chi_square[best]), fits.corners[best], outshone)
 
 
 def _turned(arcs: PhotoArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
@@ -123,7 +128,7 @@ def _normals(ends: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 3"]:
     return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
-def _corner(before: Float[np.ndarray, "*n 3"], after: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+def _corner(before: Float[np.ndarray, "*n 3"], after: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 3"]:
     """Where one circle turns towards the normal of another."""
     across = np.cross(before, after)
     return across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
@@ -166,6 +171,18 @@ def _mean_side(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, " n"]:
     return side
 
 
+def _closed(
+    ends: Float[np.ndarray, "n 2 3"], cycle: Int[np.ndarray, "m 4"]
+) -> tuple[Int[np.ndarray, "k 4"], Float[np.ndarray, "k 4 3"]]:
+    """The quadrilaterals with all corners on the inner side of every arc, and arcs along most of the way round."""
+    normal = _normals(ends)
+    corners = _corner(np.roll(normal[cycle], 1, 1), normal[cycle])
+    convex = (np.einsum("mki,mji->mkj", normal[cycle], corners) > -1e-9).all((1, 2))
+    covered = np.linalg.norm(ends[cycle][:, :, 1] - ends[cycle][:, :, 0], axis=-1).sum(-1) / 4
+    kept = convex & (covered >= LEAST_COVERED * _mean_side(corners))
+    return cycle[kept], corners[kept]
+
+
 def _fitted(
     ends: Float[np.ndarray, "n 2 3"],
     noise: Float[np.ndarray, "n 2 3 3"],
@@ -174,13 +191,8 @@ def _fitted(
     rectangle: Rectangle,
 ) -> _Fits:
     """The poses of all quadrilaterals that the sheet fits, each corner of them at the origin where it may be."""
-    normal = _normals(ends)
-    corners = _corner(np.roll(normal[cycle], 1, 1), normal[cycle])
-    # All corners on the inner side of every arc, and arcs along most of the way round.
-    convex = (np.einsum("mki,mji->mkj", normal[cycle], corners) > -1e-9).all((1, 2))
-    covered = np.linalg.norm(ends[cycle][:, :, 1] - ends[cycle][:, :, 0], axis=-1).sum(-1) / 4
-    cycle = cycle[convex & (covered >= LEAST_COVERED * _mean_side(corners))]
     # Every arc may be the first side.
+    normal = _normals(ends)
     cycle = np.concatenate([np.roll(cycle, k, 1) for k in range(4)])
     corners = _corner(np.roll(normal[cycle], 1, 1), normal[cycle])
     near = _nearly(corners, rectangle)

@@ -90,11 +90,17 @@ def poses_from_rectangles(
         tuple(camera_of[name] for name in names),
         max(1.0, shown) * np.stack([found[name].covariance for name in names]),
     )
-    note = (
+    notes = [
         "The world is the sheet: its origin is a corner, x runs along its first side, to the right in "
         f"{names[0]}, z into it. Half a turn more would fit as well."
-    )
-    return PhotoPoses(table, lost, (note,))
+    ]
+    outshone = sum(found[name].outshone for name in names)
+    if outshone:
+        notes.append(
+            f"In {outshone} of {len(names)} photos something brighter and larger than the sheet that was taken has four corners "
+            "but another shape; check that the size is right."
+        )
+    return PhotoPoses(table, lost, tuple(notes))
 
 
 def half_turns(

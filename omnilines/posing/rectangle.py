@@ -119,7 +119,7 @@ def pose_of_sides(
     corners = torch.as_tensor(rectangle.corners_m)
     direction = corners.roll(-1, 0) - corners
     pose = start
-    for _ in range(STEPS):
+    for _ in range(STEPS if len(ends) else 0):
         residual, jacobian, _ = _sides(ends, noise, pose, corners, direction)
         normal = jacobian.mT @ jacobian
         step = -torch.linalg.lstsq(normal, jacobian.mT @ residual[..., None]).solution[..., 0]
