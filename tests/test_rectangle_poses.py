@@ -25,7 +25,7 @@ from omnilines.posing.rectangle import Rectangle, corner_distances, parse_rectan
 from omnilines.scenes import scene_camera, sheet_from_world
 
 LETTER = Rectangle(0.279, 0.216)
-PIXEL_SIGMA = 0.3
+PIXEL_SIGMA = 0.15
 BESIDE = np.array([0.0, 0.3, 0.0])
 CHI_SQUARE_6_999 = 22.5
 

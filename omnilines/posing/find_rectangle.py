@@ -2,7 +2,8 @@
 
 Arcs are turned so that the brighter side is that of their normal V1 x V2; round a sheet they then follow one another clockwise,
 and the next one turns towards the normal of the last. Cycles of four in this order are quadrilaterals, whatever the lens; those
-that a rectangle of the known sides fits are kept, and the brightest is the sheet. Of two that are as bright none is taken.
+that a rectangle of the known sides fits are kept. Of those about as bright as the brightest, the largest is the sheet; of two as
+large none is taken.
 """
 
 import itertools
@@ -26,11 +27,18 @@ LEAST_COVERED = 0.6
 """Of the sides together that the arcs have to cover."""
 NEARLY = 0.2
 """Error of the ratio of the sides and of the right angle up to which the sheet is fitted."""
-MISFIT = 0.005
+MISFIT = 0.003
 """Root mean square of the distances of the arc ends from the sides, over the mean angle of a side: paper curls, its size is
 rounded, and calibrations are not perfect."""
-AS_BRIGHT = 0.1
-"""Difference of the logarithms of grey levels up to which another rectangle is as bright."""
+CHI_SQUARE_2_999 = 13.8
+"""What the noise of the arcs explains fits too."""
+AS_BRIGHT = 0.25
+"""Difference of the logarithms of grey levels up to which another rectangle is as bright: a lamp is brighter than paper."""
+AS_LARGE = 0.7
+"""Of the mean angle of a side, from which on another rectangle is as large."""
+LEAST_SURE = 0.01
+"""Standard deviation of the distance over the distance: what is smaller in the photo, or seen too much from its edge, is no sheet
+to stand on."""
 SAME = 0.1
 """Distance of corners, over the mean angle of a side, up to which two quadrilaterals are the same."""
 
@@ -60,7 +68,9 @@ class FoundRectangle:
     corners: Float[np.ndarray, "4 3"]
     """Unit bearings of (0, 0), (width, 0), (width, height), (0, height)."""
     outshone: bool
-    """Whether other four edges close round something larger and clearly brighter, of another shape."""
+    """Whether other four edges close round something larger and brighter, of another shape."""
+    misfit: float
+    """Distance of the arc ends from the sides, RMS, over the mean angle of a side."""
 
 
 @dataclass(frozen=True)
@@ -89,24 +99,23 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
             f"a sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm was expected, found {len(cycle)} bright "
             "quadrilaterals and none of that shape; check the size, and that all four corners are in the photo."
         )
-    size = _mean_side(fits.corners)
-    brightest = int(fits.inside.argmax())
-    off = np.stack(
-        [np.linalg.norm(np.roll(fits.corners, k, 1) - fits.corners[brightest], axis=-1).max(-1) for k in range(4)]
-    ).min(0)
-    same = off <= SAME * size[brightest]
-    others = fits.inside[~same & (fits.inside >= fits.inside[brightest] - AS_BRIGHT)]
-    if len(others):
+    size, bright = _mean_side(fits.corners), fits.inside >= fits.inside.max() - AS_BRIGHT
+    largest = int(np.where(bright, size, 0.0).argmax())
+    turned = np.stack([np.roll(fits.corners, k, 1) for k in range(4)])
+    off = np.linalg.norm(turned - fits.corners[largest], axis=-1).max(-1).min(0)
+    same = off <= SAME * size[largest]
+    if (bright & ~same & (size >= AS_LARGE * size[largest])).any():
         return (
-            "one sheet of that shape was expected, found others that are as bright; take away what looks like it, or give the "
-            "corners in a table."
+            "one sheet of that shape was expected, found others that are as bright and as large; take away what looks like it, "
+            "or give the corners in a table."
         )
     alike = np.flatnonzero(same)
     right = alike[(fits.pose.rotation[alike, 0, 0] > 0).numpy()]
     best = int(right[fits.misfit[right].argmin()]) if len(right) else int(alike[fits.misfit[alike].argmin()])
-    brighter = inside[cycle].min(-1) > fits.inside[best] + AS_BRIGHT
+    brighter = inside[cycle].min(-1) > fits.inside[best] + LEAST_CONTRAST
     outshone = bool((brighter & (_mean_side(corners) > size[best])).any())
-    return FoundRectangle(fits.pose[best], fits.covariance[best], float(fits.chi_square[best]), fits.corners[best], outshone)
+    chi_square, misfit = float(fits.chi_square[best]), float(fits.misfit[best])
+    return FoundRectangle(fits.pose[best], fits.covariance[best], chi_square, fits.corners[best], outshone, misfit)
 
 
 def _turned(arcs: PhotoArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
@@ -202,12 +211,15 @@ def _fitted(
     cycle, corners = cycle[rows.numpy()], corners[rows.numpy()]
     fit = pose_of_sides(torch.as_tensor(ends[cycle]), torch.as_tensor(noise[cycle]), start[rows], rectangle)
     misfit = fit.misfit_rad.numpy() / _mean_side(corners)
-    good = np.flatnonzero(misfit <= MISFIT)
+    distance = fit.pose.translation.norm(dim=-1).numpy()
+    doubt = np.sqrt(np.linalg.eigvalsh(fit.covariance[:, 3:, 3:].numpy())[:, -1]) / distance
+    chi_square = fit.chi_square.numpy()
+    good = np.flatnonzero(((misfit <= MISFIT) | (chi_square <= CHI_SQUARE_2_999)) & (doubt <= LEAST_SURE))
     chosen = torch.as_tensor(good)
     return _Fits(
         fit.pose[chosen],
         fit.covariance[chosen].numpy(),
-        fit.chi_square[chosen].numpy(),
+        chi_square[good],
         misfit[good],
         corners[good],
         inside[cycle[good]].min(-1),
