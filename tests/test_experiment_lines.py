@@ -18,10 +18,11 @@ from omnilines.commands._line_errors import aligned_rms_m, cramer_rao_bound
 from omnilines.commands._line_report import COLUMNS, study_checks, study_rows
 from omnilines.commands._line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, run_study, settled_poses
 from omnilines.commands.experiment import perturbed_poses
-from omnilines.commands.experiment_house import experiment_house
+from omnilines.commands.experiment_house import experiment_house, poses_of_matches
 from omnilines.commands.experiment_lines import experiment_lines, parse_noise, study_world
 from omnilines.costs import COSTS
-from omnilines.files import read_lines, read_vgg_lines
+from omnilines.files import read_lines, read_vgg_lines, read_vgg_points
+from omnilines.files.vgg_house import MatchedPoints
 from omnilines.geometry.line import PlueckerLines
 from omnilines.simulate_lines import LineWorld, circle_world, room_world
 from omnilines.triangulation import TRIANGULATIONS, triangulate
@@ -340,7 +341,13 @@ def test_house_reaches_its_limits(shared_data: Path, tmp_path: Path) -> None:
     assert result.holds, [check for check in result.checks if not check.holds]
     data = json.loads(json.dumps(result.data, allow_nan=False))
     rows = {(row["stage"], row["method"]): row for row in data["rows"]}
-    assert len(rows) == len(TRIANGULATIONS) + 1 + len(COSTS)
+    assert len(rows) == 2 * (len(TRIANGULATIONS) + 2) + len(COSTS)
+    # The dissertation's figures rest on poses from the same point matches, by another method.
+    for method, published_px in (("svd", 0.62), ("averaging", 0.63), ("dual, published weights", 0.85)):
+        for stage in ("triangulation", "triangulation from matched points"):
+            row = rows[stage, method]
+            assert (row["lines"], row["published_rms_px"]) == (30, published_px)
+            assert row["rms_px"] == pytest.approx(published_px, abs=0.035)
     assert rows["triangulation", "dual, published weights"]["rms_px"] == pytest.approx(0.88, abs=0.01)
     assert rows["triangulation", "svd"]["rms_px"] <= 0.65
     assert rows["adjustment", "sector"]["rms_px"] <= 0.435
@@ -355,6 +362,19 @@ def test_house_reaches_its_limits(shared_data: Path, tmp_path: Path) -> None:
         table = list(csv.DictReader(file))
     assert [row["method"] for row in table] == [row["method"] for row in data["rows"]]
     assert len(read_lines(tmp_path / "out" / "lines.csv").tracks) == 30
+
+
+def test_house_from_its_point_matches_stands_where_its_matrices_say(shared_data: Path) -> None:
+    house, points = read_vgg_lines(shared_data / HOUSE), read_vgg_points(shared_data / HOUSE)
+    assert len(np.unique(points.point)) == 672 and np.bincount(points.view).min() >= 100
+    poses = poses_of_matches(house, points).cam_from_world
+    given = house.poses.cam_from_world
+    # The turntable's path is 8 units long; the matrices are another reconstruction of the same photos.
+    path = float((given.centre[-1] - given.centre[0]).norm())
+    assert float((poses.centre - given.centre).norm(dim=-1).max()) < 2e-3 * path
+    assert float((poses.rotation - given.rotation).flatten(1).norm(dim=-1).max()) < 5e-3
+    with pytest.raises(GeometryError, match="8 points"):
+        poses_of_matches(house, MatchedPoints(points.view[:40], points.point[:40], points.pixels[:40]))
 
 
 def test_a_malformed_house_is_named(shared_data: Path, tmp_path: Path) -> None:

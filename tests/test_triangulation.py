@@ -9,11 +9,13 @@ import torch
 
 from camera_models.errors import InputError
 from camera_models.pose import Pose
+from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.sphere import angle_between
 from omnilines.records import LINE_STATUSES
-from omnilines.triangulation import TRIANGULATIONS, triangulate
-from omnilines.triangulation.averaging import subsets
+from omnilines.simulate_lines import room_world
+from omnilines.triangulation import TRIANGULATIONS, method_options, triangulate
+from omnilines.triangulation.averaging import members, subsets
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 
@@ -215,6 +217,24 @@ def test_wrong_input_is_refused_in_one_sentence() -> None:
         triangulate("averaging", good, subset=1)
 
 
+def test_options_of_methods_are_refused_where_they_do_nothing() -> None:
+    assert method_options("averaging", subset=5, bandwidth=0.1) == {"subset": 5, "bandwidth": 0.1}
+    assert method_options("dual", weights="published") == {"weights": "published", "origin": "file"}
+    assert method_options("ml") == {}
+    wrong: list[tuple[str, dict[str, object], str]] = [
+        ("dual", {"subset": 4}, "--subset was expected with --triangulation averaging"),
+        ("ml", {"bandwidth": 0.1}, "--bandwidth was expected with --triangulation averaging"),
+        ("averaging", {"weights": "unit"}, "--weights was expected with --triangulation dual"),
+        ("dual", {"weights": "heavy"}, "unit, published, most-likely, found 'heavy'"),
+        ("averaging", {"subset": 1}, "2 planes or more, found 1"),
+        ("averaging", {"bandwidth": 0.0}, "radians above 0, found 0"),
+        ("averaging", {"bandwidth": math.nan}, "radians above 0, found nan"),
+    ]
+    for method, options, message in wrong:
+        with pytest.raises(InputError, match=message):
+            method_options(method, **options)
+
+
 def test_an_empty_table_gives_no_lines() -> None:
     nothing = torch.zeros(0, 3, dtype=torch.float64)
     ran = 0
@@ -237,6 +257,24 @@ def test_subsets_are_all_of_them_or_a_seeded_draw() -> None:
     assert drawn.shape == (128, 10) and torch.equal(drawn, subsets(20, 10, 128, 0))
     assert not torch.equal(drawn, subsets(20, 10, 128, 1))
     assert bool((drawn[:, 1:] > drawn[:, :-1]).all())
+
+
+def test_samples_are_all_subsets_of_three_planes_or_more_or_a_draw_from_them() -> None:
+    every = members(8, 3, 1024, 0)
+    assert torch.bincount(every.sum(-1)).tolist() == [0, 0, 0, 56, 70, 56, 28, 8, 1]
+    assert len(torch.unique(every, dim=0)) == 219
+    # 3.38 says 2^N - N - 1, which counts the pairs too.
+    assert len(members(8, 2, 1024, 0)) == 2**8 - 8 - 1
+    assert members(2, 3, 1024, 0).tolist() == [[True, True]]
+    drawn = members(12, 3, 1024, 0)
+    assert len(drawn) == 1024 and torch.equal(drawn, members(12, 3, 1024, 0))
+    assert not torch.equal(drawn, members(12, 3, 1024, 1))
+    # Sizes come in proportion to the number of subsets of each.
+    share = torch.bincount(drawn.sum(-1), minlength=13).double() / 1024
+    expected = torch.tensor([math.comb(12, k) if k >= 3 else 0 for k in range(13)]).double()
+    torch.testing.assert_close(share, expected / expected.sum(), rtol=0, atol=0.04)
+    # Large subsets of many planes are as easy to draw.
+    assert int(members(60, 50, 64, 0).sum(-1).min()) >= 50
 
 
 # --- noise
@@ -304,3 +342,27 @@ def test_the_error_does_not_depend_on_where_the_world_origin_is() -> None:
         for where, d in (("centre", 0 * shift), ("away", shift))
     }
     assert published["centre"] != pytest.approx(published["away"], rel=0.05)
+
+
+def test_a_bandwidth_between_one_sample_and_all_of_them_moves_the_mode() -> None:
+    ends, observations = dissertation_scene(trials=1, noise_px=2.0, step_deg=45.0)
+    lines = {h: triangulate("averaging", observations, bandwidth=h).lines for h in (1e-9, 1e-3, 10.0)}
+    chosen = triangulate("averaging", observations).lines
+    truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+    for found in lines.values():
+        assert float(truth.angle_to(found).max()) < 0.1
+    assert float(lines[1e-3].angle_to(lines[10.0]).median()) > 1e-5
+    assert float(chosen.angle_to(lines[1e-9]).median()) > 1e-5
+
+
+def test_the_most_likely_weights_win_back_what_unequal_arcs_cost() -> None:
+    world, trials = room_world(0), 4
+    true = world.poses(trials)
+    arcs = arcs_from_segments(world.segments(0.5, 0, trials), true, {"cam0": world.camera}).arcs
+    poses = true.cam_from_world[arcs.image]
+    planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel)
+    found = [("dual", {}), ("dual", {"weights": "most-likely"}), ("ml", {})]
+    ends = world.ends_m.repeat(trials, 1, 1)
+    unit_m, likely_m, ml_m = (rms_m(triangulate(method, planes, **options), ends) for method, options in found)
+    assert likely_m < 0.85 * unit_m
+    assert ml_m < likely_m < 1.15 * ml_m

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -70,6 +71,7 @@ def reconstruct_lines(
     cameras: Mapping[str, CameraModel],
     *,
     triangulation: str = "dual",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "sector",
     refine_poses: bool = False,
     refine_cameras: bool = False,
@@ -83,6 +85,7 @@ def reconstruct_lines(
 ) -> LineScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
+    `triangulation_options` are those of the method's function.
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
     makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out. `device` is
     where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
@@ -95,7 +98,9 @@ def reconstruct_lines(
     mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
     models = tuple(cameras.values()) if refine_cameras else ()
     state = LinesAndPoses(frames, _no_chart(), mounted, models)
-    state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0, device)
+    state, first, member = _started(
+        arcs, state, (triangulation, triangulation_options or {}), robust, ROUNDS if refine_poses else 0, device
+    )
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
     start, centres = first.lines[tracks], state.cam_from_world.centre[inner.image]
     state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
@@ -150,7 +155,7 @@ def _no_chart() -> LineChart:
 
 
 def _started(
-    arcs: Arcs, state: LinesAndPoses, method: str, robust: bool, rounds: int, device: str
+    arcs: Arcs, state: LinesAndPoses, method: tuple[str, Mapping[str, Any]], robust: bool, rounds: int, device: str
 ) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
     """Poses mended up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
     first, member = _triangulated(arcs, state.cam_from_world, method, robust, device)
@@ -176,19 +181,20 @@ def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndP
 
 
 def _triangulated(
-    arcs: Arcs, cam_from_world: Pose, method: str, robust: bool, device: str
+    arcs: Arcs, cam_from_world: Pose, method: tuple[str, Mapping[str, Any]], robust: bool, device: str
 ) -> tuple[Triangulation, Bool[Tensor, " n"]]:
-    """Lines of all tracks and which arcs they rest on."""
+    """Lines of all tracks by a method with its options, and which arcs they rest on."""
+    name, options = method
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     poses = cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, covariance)
     if not robust:
-        return triangulate_on(usable_device(device), method, planes), torch.ones(len(arcs), dtype=torch.bool)
+        return triangulate_on(usable_device(device), name, planes, **options), torch.ones(len(arcs), dtype=torch.bool)
     # Poses that are off enlarge residuals beyond the stated noise.
     level = noise_level(planes)
     if arcs.sigma_known and math.isfinite(level):
         level = max(level, 1.0)
-    found = robust_triangulate(planes, method=method, sigma=level if math.isfinite(level) and level > 0 else None)
+    found = robust_triangulate(planes, method=name, sigma=level if math.isfinite(level) and level > 0 else None, **options)
     return found.triangulation, found.inlier
 
 

@@ -1,19 +1,22 @@
 """Commands on lines: reconstruct, adjust."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._shared import Json, LossName, Out, Seed, app, run
+from omnilines.triangulation import method_options
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
 PoseSource = Annotated[
     str,
     typer.Option(
-        "--poses", help="poses.csv or a COLMAP model's folder; with photos also sfm, rig or boards.", show_default=False
+        "--poses",
+        help="poses.csv or a COLMAP model's folder; with photos also sfm, rig, boards or rectangle:279x216mm (a sheet of paper).",
+        show_default=False,
     ),
 ]
 ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]
@@ -23,6 +26,24 @@ MaybeSegments = Annotated[
 ]
 Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging, svd or ml.")]
 Cost = Annotated[str, typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm.")]
+Subset = Annotated[
+    int | None,
+    typer.Option("--subset", help="Planes of the smallest subsets whose lines averaging takes (3).", show_default=False),
+]
+Bandwidth = Annotated[
+    float | None,
+    typer.Option(
+        "--bandwidth", help="Of averaging's kernel, radians (the median distance of a track's samples).", show_default=False
+    ),
+]
+Weights = Annotated[
+    str | None,
+    typer.Option(
+        "--weights",
+        help="Of the rows of dual: unit (default), published (in the file's frame) or most-likely.",
+        show_default=False,
+    ),
+]
 MaybeTriangulation = Annotated[
     str | None, typer.Option("--triangulation", help="dual, averaging, svd or ml (of photos: ml, of segments: dual).")
 ]
@@ -62,6 +83,9 @@ def reconstruct(
     photos: ScenePhotos = None,
     segments: MaybeSegments = None,
     triangulation: MaybeTriangulation = None,
+    subset: Subset = None,
+    bandwidth: Bandwidth = None,
+    weights: Weights = None,
     cost: MaybeCost = None,
     refine: MaybeRefine = None,
     loss: MaybeLoss = None,
@@ -86,9 +110,11 @@ def reconstruct(
         )
     if not photos and scale_from is not None:
         raise InputError("--scale-from is for photos, found --segments without them; give poses in metres.")
+    method = triangulation or ("ml" if photos else "dual")
+    options = method_options(method, subset=subset, bandwidth=bandwidth, weights=weights)
     if not photos and segments is not None:
         _from_segments(
-            calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine or "lines",
+            calibration, poses, segments, out, method, options, cost or "sector", refine or "lines",
             loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
         )  # fmt: skip
         return
@@ -102,8 +128,9 @@ def reconstruct(
     run(
         lambda progress: reconstruct_photos(
             photos or [], calibration, poses, out, segments=segments, pattern=pattern, scale_from=scale_from, mask=mask,
-            least_views=min_views, tolerance_px=tolerance_px, triangulation=triangulation or "ml", cost=cost or "whitened",
-            refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device, seed=seed, progress=progress,
+            least_views=min_views, tolerance_px=tolerance_px, triangulation=method, triangulation_options=options,
+            cost=cost or "whitened", refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device,
+            seed=seed, progress=progress,
         ),
         as_json,
         kept=out / "work",
@@ -111,15 +138,16 @@ def reconstruct(
 
 
 def _from_segments(
-    calibration: Path, poses: str, segments: Path, out: Path, triangulation: str, cost: str, refine: str, loss: str, robust: bool,
-    pose_sigma_deg: float | None, pose_sigma_m: float | None, device: str, as_json: bool,
+    calibration: Path, poses: str, segments: Path, out: Path, triangulation: str, options: dict[str, Any], cost: str, refine: str,
+    loss: str, robust: bool, pose_sigma_deg: float | None, pose_sigma_m: float | None, device: str, as_json: bool,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
     run(
         lambda progress: reconstruct_segments(
-            calibration, Path(poses), segments, out, triangulation=triangulation, cost=cost, refine=refine, loss=loss,
-            robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, device=device, progress=progress,
+            calibration, Path(poses), segments, out, triangulation=triangulation, triangulation_options=options, cost=cost,
+            refine=refine, loss=loss, robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, device=device,
+            progress=progress,
         ),
         as_json,
     )  # fmt: skip
@@ -132,6 +160,9 @@ def adjust(
     segments: SegmentTable,
     out: Out,
     triangulation: Triangulation = "dual",
+    subset: Subset = None,
+    bandwidth: Bandwidth = None,
+    weights: Weights = None,
     cost: Cost = "sector",
     refine: Refine = "lines,poses",
     loss: LossName = "none",
@@ -148,6 +179,7 @@ def adjust(
         segments,
         out,
         triangulation,
+        method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights),
         cost,
         refine,
         loss,

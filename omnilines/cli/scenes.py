@@ -12,7 +12,11 @@ from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size
 def scene(
     out: Out,
     scene: Annotated[
-        str, typer.Option("--scene", help="room (furnished), plain-room (large pieces), flat (five rooms), street.")
+        str,
+        typer.Option(
+            "--scene",
+            help="room (furnished), plain-room (large pieces), flat (five rooms), street, books (a sheet and books on a table).",
+        ),
     ] = "room",
     model: Annotated[
         str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
@@ -36,7 +40,7 @@ def scene(
     textured: Annotated[str, typer.Option("--textured", help="What they cover.")] = "walls,floors,ceilings,furniture",
     as_json: Json = False,
 ) -> None:
-    """Photos of a room, a flat or a street, with the true camera, poses, edges and what each photo sees of them."""
+    """Photos of a room, a flat, a street or a table, with the true camera, poses, edges and what each photo sees of them."""
     from omnilines.commands.render_scene import render_scene
 
     image_size = parse_size(size, "--size")

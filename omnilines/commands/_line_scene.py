@@ -3,7 +3,8 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -49,6 +50,7 @@ class SceneOptions:
     refine: tuple[str, ...]
     device: str
     seed: int
+    triangulation_options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ def _adjusted(
         poses,
         cameras,
         triangulation=options.triangulation,
+        triangulation_options=options.triangulation_options,
         cost=options.cost,
         refine_poses="poses" in options.refine,
         refine_cameras="intrinsics" in options.refine,

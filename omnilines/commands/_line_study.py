@@ -1,8 +1,10 @@
 """Trials of every triangulation and every cost on a scene with known truth, with the poses known and with disturbed poses."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -95,6 +97,7 @@ def run_study(
     seed: int,
     triangulations: Sequence[str] = tuple(dict(TRIANGULATIONS)),
     costs: Sequence[str] = tuple(dict(COSTS)),
+    averaging: Mapping[str, Any] = MappingProxyType({}),
     progress: ProgressCallback = silent,
 ) -> Study:
     """Every method at every noise in every trial; trials differ in their noise and in how their poses are disturbed.
@@ -107,7 +110,7 @@ def run_study(
     figures: list[MethodFigures] = []
     for done, noise in enumerate(noise_px):
         arcs = arcs_from_segments(world.segments(noise, seed, trials), true, {"cam0": world.camera}).arcs
-        level = _Level(world, arcs, noise, trials, tuple(triangulations), tuple(costs))
+        level = _Level(world, arcs, noise, trials, tuple(triangulations), tuple(costs), averaging)
         for half, (poses, start) in enumerate(((KNOWN, true.cam_from_world), (ESTIMATED, disturbed))):
             figures += level.triangulations(poses, start)
 
@@ -129,11 +132,13 @@ class _Level:
     trials: int
     methods: tuple[str, ...]
     costs: tuple[str, ...]
+    averaging: Mapping[str, Any]
 
     def triangulations(self, poses: str, cam_from_world: Pose) -> Iterator[MethodFigures]:
         """Every method, all trials at once."""
         for method in self.methods:
-            found = triangulate(method, _planes(self.arcs, cam_from_world))
+            options = self.averaging if method == "averaging" else {}
+            found = triangulate(method, _planes(self.arcs, cam_from_world), **options)
             yield self._measured(found.lines, found.known, cam_from_world, (poses, TRIANGULATION, method))
 
     def adjustments(self, poses: str, cam_from_world: Pose, tell: Callable[[int], None]) -> Iterator[MethodFigures]:

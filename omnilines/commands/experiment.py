@@ -6,6 +6,7 @@ with the board before and after.
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,7 @@ def experiment_board(
     perturb_m: float = 0.01,
     seed: int = 0,
     triangulation: str = "dual",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "sector",
     progress: ProgressCallback = silent,
 ) -> CommandResult:
@@ -85,6 +87,7 @@ def experiment_board(
         perturb_m=perturb_m,
         seed=seed,
         triangulation=triangulation,
+        triangulation_options=triangulation_options,
         cost=cost,
         progress=progress,
     )
@@ -109,6 +112,7 @@ def run_experiment(
     perturb_m: float,
     seed: int,
     triangulation: str = "dual",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "sector",
     progress: ProgressCallback = silent,
 ) -> BoardExperiment:
@@ -121,7 +125,7 @@ def run_experiment(
     progress("triangulating", 0, 0)
     start = perturbed.cam_from_world
     planes = PlaneObservations.from_arcs(table.arcs.bearings, start[table.arcs.image], table.arcs.track, table.arcs.tracks)
-    first = triangulate(triangulation, planes)
+    first = triangulate(triangulation, planes, **(triangulation_options or {}))
     arcs, tracks = drop_unknown(table.arcs, first.known)
     ends, column = torch.as_tensor(board.ends_m)[tracks], torch.as_tensor(board.column)[tracks]
     if min(int(column.sum()), int((~column).sum())) < 2:

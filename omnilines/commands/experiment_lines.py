@@ -5,8 +5,9 @@ fisheye of 190 degrees and lines all around, where a bearing may point backwards
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,12 +42,14 @@ def experiment_lines(
     perturb_deg: float = PERTURB_DEG,
     perturb_m: float = PERTURB_M,
     seed: int = 0,
+    averaging: Mapping[str, Any] | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Run the study `wide`, `short` or `room`; writes figures.csv and report.html.
 
     With known poses, lines are triangulated and adjusted; with every pose turned by `perturb_deg` about a random axis through its
     camera and its camera shifted by `perturb_m` in a random direction, lines are triangulated, and lines and poses adjusted.
+    `averaging` holds the options of that triangulation.
 
     Raises InputError for options out of range and GeometryError where the scene does not determine its lines.
     """
@@ -60,7 +63,16 @@ def experiment_lines(
     if not (0 <= perturb_deg < 180 and 0 <= perturb_m < math.inf):
         raise InputError(f"A disturbance of 0 to 180 degrees and at least 0 m was expected, found {perturb_deg} and {perturb_m}.")
     world = study_world(study, seed)
-    found = run_study(world, levels, trials, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed, progress=progress)
+    found = run_study(
+        world,
+        levels,
+        trials,
+        perturb_deg=perturb_deg,
+        perturb_m=perturb_m,
+        seed=seed,
+        averaging=averaging or {},
+        progress=progress,
+    )
     about = (
         *_about(world),
         ("trials", f"{trials} at each noise of {', '.join(f'{noise:g}' for noise in levels)} px"),

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,20 @@ from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_line
 from omnilines.adjustment.suspects import Suspect
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
 from omnilines.commands._scene_frame import UNIT_KEY, unit_of_table
-from omnilines.files import read_poses, read_segments, write_covariance, write_lines, write_ply, write_poses, write_segments
+from omnilines.files import (
+    is_corners_table,
+    read_corners,
+    read_poses,
+    read_segments,
+    write_covariance,
+    write_lines,
+    write_ply,
+    write_poses,
+    write_segments,
+)
 from omnilines.least_squares import Outcome, Progress
-from omnilines.records import Segments, Summary
+from omnilines.posing.from_corners import poses_from_corners
+from omnilines.records import ImagePoses, Segments, Summary
 
 SHOWN_SUSPECTS = 5
 """Observations named in a note; all of them are in `--json` and the report."""
@@ -30,6 +42,7 @@ def reconstruct_segments(
     out: Path,
     *,
     triangulation: str = "dual",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "sector",
     refine: str = "lines",
     loss: str = "none",
@@ -50,7 +63,8 @@ def reconstruct_segments(
     parts = parse_refine(refine)
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in parts)
     cameras = load(calibration)
-    table, pose_table = read_segments(segments), read_poses(poses)
+    table = read_segments(segments)
+    pose_table = _poses(poses, table, cameras)
 
     def tell(step: Progress) -> None:
         progress("adjusting the scene", step.iteration, 0)
@@ -61,6 +75,7 @@ def reconstruct_segments(
         pose_table,
         cameras,
         triangulation=triangulation,
+        triangulation_options=triangulation_options,
         cost=cost,
         refine_poses="poses" in parts,
         refine_cameras="intrinsics" in parts,
@@ -81,6 +96,21 @@ def reconstruct_segments(
     return CommandResult(
         (summary,), _data(scene, tuple(cameras)), files=(*files, page), report=page, warnings=scene.table.left_out + summary.notes
     )
+
+
+def _poses(path: Path, segments: Segments, cameras: Calibration) -> ImagePoses:
+    """The poses of a table, or those that see its points of known place."""
+    if not is_corners_table(path):
+        return read_poses(path)
+    names = segments.cameras or (next(iter(cameras)),) * len(segments.images)
+    if segments.cameras is None and len(cameras.cameras) > 1:
+        raise InputError(
+            f"{path}: the camera of every photo was expected in the column camera of segments.csv, found none; add it."
+        )
+    found = poses_from_corners(read_corners(path), cameras, dict(zip(segments.images, names, strict=True)))
+    if found.left_out:
+        raise InputError(f"{path}: {next(iter(found.left_out.values()))}")
+    return found.poses
 
 
 def _pose_sigma(sigma_deg: float | None, sigma_m: float | None, refined: bool) -> tuple[float, float] | None:

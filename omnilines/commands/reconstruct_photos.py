@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
@@ -11,7 +12,7 @@ from omnilines.commands._given_arcs import given_arcs, read_given, remarks_on
 from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
-from omnilines.commands._photo_poses import SOURCES, check_source, photo_poses
+from omnilines.commands._photo_poses import check_source, from_photos, photo_poses
 from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
 from omnilines.commands._resume import Stamp, fingerprint
 from omnilines.commands._rough_poses import better_poses
@@ -35,6 +36,7 @@ from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.matching.match import LEAST_VIEWS
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.rectangle import PREFIX
 from omnilines.posing.sfm import doubt
 from omnilines.records import LengthUnit
 from omnilines.report import write_report
@@ -57,6 +59,7 @@ def reconstruct_photos(
     least_views: int = LEAST_VIEWS,
     tolerance_px: float | None = None,
     triangulation: str = "ml",
+    triangulation_options: Mapping[str, Any] | None = None,
     cost: str = "whitened",
     refine: str | None = None,
     loss: str = "cauchy",
@@ -68,7 +71,8 @@ def reconstruct_photos(
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
-    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`) or `sfm`. `refine` is `lines` unless
+    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`), `rectangle:279x216mm` (a
+    sheet of that size in the photos) or `sfm`. `refine` is `lines` unless
     given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
     at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
     of poses and calibration; it is found from the arcs where it is not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the
@@ -90,7 +94,7 @@ def reconstruct_photos(
     if given is not None and mask is not None:
         raise InputError("--mask says where arcs are looked for, found --segments beside it; leave one of them out.")
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
-    options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed)
+    options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed, triangulation_options or {})
     folder = output_folder(out)
     _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
     inputs = [photo.path for photo in refs] + [calibration]
@@ -102,7 +106,7 @@ def reconstruct_photos(
     done = stamp.result()
     if done is not None:
         return done
-    if distance is not None and poses not in SOURCES:
+    if distance is not None and not from_photos(poses):
         names = photo_poses(poses, refs, cameras, camera_of, folder, progress=progress)
         require_poses(distance, names)
     if given is None:
@@ -114,7 +118,7 @@ def reconstruct_photos(
         return _posed(source, found, cameras, camera_of, calibration, folder / WORK, pattern, seed, progress)
 
     posed = posed_by(poses)
-    if "poses" in parts and poses not in SOURCES and posed.poses.frames is None:
+    if "poses" in parts and not from_photos(poses) and posed.poses.frames is None:
         posed = better_poses(found, posed, cameras, seed, lambda: posed_by("sfm"), progress)
     table = output_folder(folder / WORK) / "poses.csv"
     write_poses(table, posed.poses)
@@ -147,12 +151,13 @@ def _posed(
     pattern = pattern if source == "boards" else None
 
     def find() -> PhotoPoses:
-        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, seed=seed, progress=progress)
+        return photo_poses(source, usable, cameras, camera_of, work, pattern=pattern, arcs=found, seed=seed, progress=progress)
 
-    if source not in SOURCES:
+    if not from_photos(source):
         return find()
     names = [photo.name for photo in usable]
-    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names)))
+    counts = [len(arcs) for arcs in found] if source.startswith(PREFIX) else None
+    made_from = fingerprint([*(photo.path for photo in usable), calibration], repr((source, pattern, seed, names, counts)))
     return kept_poses(work / POSES, made_from, find)
 
 

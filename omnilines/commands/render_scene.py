@@ -1,4 +1,4 @@
-"""omnilines render scene: photos of a room, flat or street with known edges, to test the extraction and rebuilding of lines."""
+"""omnilines render scene: photos of rooms, a street or a table with known edges, to test how lines are found and rebuilt."""
 
 import math
 from collections.abc import Sequence

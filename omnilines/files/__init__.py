@@ -1,17 +1,18 @@
 """The files of a scene folder: tables (CSV), covariances (NPZ), line drawings (PLY), photos."""
 
-from omnilines.files.corners import is_rig_table, read_corners, read_rig_corners, write_corners
+from omnilines.files.corners import is_corners_table, is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.files.lines import read_lines, write_covariance, write_lines
 from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
-from omnilines.files.vgg_house import read_vgg_lines
+from omnilines.files.vgg_house import read_vgg_lines, read_vgg_points
 
 __all__ = [
     "PHOTO_SUFFIXES",
     "PhotoRef",
     "find_photos",
+    "is_corners_table",
     "is_rig_table",
     "read_corners",
     "read_lines",
@@ -20,6 +21,7 @@ __all__ = [
     "read_rig_corners",
     "read_segments",
     "read_vgg_lines",
+    "read_vgg_points",
     "write_corners",
     "write_covariance",
     "write_lines",

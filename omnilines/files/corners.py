@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from camera_models.errors import InputError
-from omnilines.files.tables import Table, name_cells, number_cells, read_table, write_table
+from camera_models.formats.disk import read_text
+from omnilines.files.tables import PARQUET_SUFFIXES, Table, name_cells, number_cells, read_table, write_table
 from omnilines.records import Corners
 
 COLUMNS = ("view", "image", "board_x_m", "board_y_m", "u_px", "v_px")
@@ -47,6 +48,14 @@ def read_rig_corners(path: str | Path) -> Corners:
     corners = _corners(table, view, view_names)
     frames = table.name_of_each("frame", view, view_names, "view") if table.has("frame") else None
     return replace(corners, cameras=cameras or ("cam0",) * len(view_names), frames=frames, boards=boards)
+
+
+def is_corners_table(path: str | Path) -> bool:
+    """Whether the header of a file has all columns of corners.csv."""
+    if Path(path).suffix.lower() in PARQUET_SUFFIXES:
+        return False
+    header = read_text(path).split("\n", 1)[0].lstrip("\ufeff")
+    return set(COLUMNS) <= {cell.strip().strip('"') for cell in header.split(",")}
 
 
 def is_rig_table(path: str | Path) -> bool:

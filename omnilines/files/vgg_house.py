@@ -3,6 +3,7 @@
 A folder holds `2D/NAME.###.lines` (x0 y0 x1 y1 and more, one segment a row), `2D/NAME.nview-lines` (one row a line: the row of
 its segment in every view from 0, or an asterisk) and `3D/NAME.###.P`, the 3x4 matrices P = s K [R t], s > 0. They are decomposed
 into calibrated cameras. Where the world of the matrices is left-handed (det R < 0, as the house's is), its z axis is mirrored.
+`2D/NAME.###.corners` and `2D/NAME.nview-corners` hold point matches in the same way, -1 for none.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from omnilines.records import ImagePoses, Segments
 
 IMAGE_SIZE = (768, 576)
 """Of the photos of the house; the files do not say it."""
-MISSING = "*"
+MISSING = ("*", "-1")
 
 
 @dataclass(frozen=True)
@@ -37,22 +38,52 @@ def read_vgg_lines(folder: str | Path) -> MatchedLines:
     Raises InputError naming the file where one is missing or is not of this format.
     """
     base = Path(folder)
-    tables = sorted(base.glob("2D/*.nview-lines"))
-    if len(tables) != 1:
-        raise InputError(
-            f"One file 2D/*.nview-lines was expected in {base}, found {len(tables)}; give the folder with 2D and 3D in it."
-        )
-    name = tables[0].name.removesuffix(".nview-lines")
-    matrices = sorted(base.glob(f"3D/{name}.[0-9]*.P"))
+    name, matrices = _named(base)
     numbers = [path.name.split(".")[-2] for path in matrices]
-    if len(matrices) < 2:
-        raise InputError(f"Matrices 3D/{name}.###.P of at least 2 views were expected in {base}, found {len(matrices)}.")
     cameras, poses = _cameras([_matrix(path) for path in matrices], numbers)
     lines = [_numbers(base / "2D" / f"{name}.{number}.lines", 4) for number in numbers]
-    image, track, row = _matches(tables[0], [len(segments) for segments in lines])
+    image, track, row = _matches(_table(base, "lines"), [len(segments) for segments in lines])
     ends = np.stack([lines[i][k].reshape(2, 2) for i, k in zip(image.tolist(), row.tolist(), strict=True)])
     tracks = tuple(str(k) for k in range(int(track.max()) + 1))
     return MatchedLines(Segments(image, poses.images, track, tracks, ends, cameras=poses.cameras), poses, cameras)
+
+
+@dataclass(frozen=True)
+class MatchedPoints:
+    """Corners that are the same point in two views or more, one row each."""
+
+    view: Int[np.ndarray, " n"]
+    point: Int[np.ndarray, " n"]
+    pixels: Float[np.ndarray, "n 2"]
+
+
+def read_vgg_points(folder: str | Path) -> MatchedPoints:
+    """The point matches beside the lines of `read_vgg_lines`, points numbered by row; raises InputError as it does."""
+    name, matrices = _named(Path(folder))
+    table = _table(Path(folder), "corners")
+    corners = [_numbers(Path(folder) / "2D" / f"{name}.{path.name.split('.')[-2]}.corners", 2) for path in matrices]
+    view, point, row = _matches(table, [len(found) for found in corners])
+    pixels = np.stack([corners[i][k] for i, k in zip(view.tolist(), row.tolist(), strict=True)])
+    often = np.bincount(point)[point] >= 2
+    return MatchedPoints(view[often], np.unique(point[often], return_inverse=True)[1], pixels[often])
+
+
+def _table(base: Path, kind: str) -> Path:
+    tables = sorted(base.glob(f"2D/*.nview-{kind}"))
+    if len(tables) != 1:
+        raise InputError(
+            f"One file 2D/*.nview-{kind} was expected in {base}, found {len(tables)}; give the folder with 2D and 3D in it."
+        )
+    return tables[0]
+
+
+def _named(base: Path) -> tuple[str, list[Path]]:
+    """The name of the data and the files of the matrices."""
+    name = _table(base, "lines").name.removesuffix(".nview-lines")
+    matrices = sorted(base.glob(f"3D/{name}.[0-9]*.P"))
+    if len(matrices) < 2:
+        raise InputError(f"Matrices 3D/{name}.###.P of at least 2 views were expected in {base}, found {len(matrices)}.")
+    return name, matrices
 
 
 def _numbers(path: Path, columns: int) -> Float[np.ndarray, "n k"]:
@@ -80,7 +111,7 @@ def _matches(path: Path, counts: list[int]) -> tuple[Int[np.ndarray, " n"], Int[
     found = []
     for track, cells in enumerate(rows):
         for view, cell in enumerate(cells):
-            if cell == MISSING:
+            if cell in MISSING:
                 continue
             if not cell.isdigit() or int(cell) >= counts[view]:
                 raise InputError(

@@ -1,4 +1,4 @@
-"""Rooms, flats and streets made of polygons: built from a seed, rendered through any camera, with every edge known.
+"""Rooms, flats, streets and a table made of polygons: built from a seed, rendered through any camera, with every edge known.
 
 scene = build_scene("room", seed=0)
 camera, circle = scene_camera("opencv-fisheye", (1280, 960), seed=0, fov_deg=190.0)
@@ -8,6 +8,7 @@ edge, t, length_px, contrast = visible_stretches(scene, eye(camera, circle), pos
 """
 
 from camera_models import InputError
+from omnilines.scenes.books import books, sheet_from_world
 from omnilines.scenes.cameras import largest_angle, scene_camera
 from omnilines.scenes.edges import scene_edges
 from omnilines.scenes.flat import flat
@@ -20,7 +21,7 @@ from omnilines.scenes.room import furnished_room
 from omnilines.scenes.street import street
 from omnilines.scenes.visibility import stretches_of_photos, visible_stretches
 
-_BUILDERS = {"room": furnished_room, "plain-room": plain_room, "flat": flat, "street": street}
+_BUILDERS = {"room": furnished_room, "plain-room": plain_room, "flat": flat, "street": street, "books": books}
 SCENES = tuple(_BUILDERS)
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "SCENES",
     "Eye",
     "LineScene",
+    "books",
     "build_scene",
     "eye",
     "flat",
@@ -40,6 +42,7 @@ __all__ = [
     "scene_camera",
     "scene_edges",
     "scene_poses",
+    "sheet_from_world",
     "street",
     "stretches_of_photos",
     "visible_stretches",

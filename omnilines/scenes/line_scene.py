@@ -63,6 +63,17 @@ class Boxes:
 
 
 @dataclass(frozen=True)
+class Dome:
+    """Places round the world's origin, which photos from there look at."""
+
+    distance_m: tuple[float, float]
+    height_deg: tuple[float, float]
+    """Of the camera above the horizontal, seen from the origin."""
+    aside_deg: float
+    """To either side of -y."""
+
+
+@dataclass(frozen=True)
 class LineScene:
     """p convex faces of four corners (a triangle repeats one), each seen from its front only; +z is up."""
 
@@ -90,6 +101,8 @@ class LineScene:
     """Cameras stand between these corners."""
     walk_m: Float[np.ndarray, "k 3"] | None = None
     """Corners of the way along which photos are taken, at the height of the eye; without one cameras stand anywhere."""
+    dome: Dome | None = None
+    """Photos are taken from there, where it is given."""
 
     def __len__(self) -> int:
         return len(self.corners_m)

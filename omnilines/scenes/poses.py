@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.views import axis_from_camera
-from omnilines.scenes.line_scene import LineScene
+from omnilines.scenes.line_scene import Dome, LineScene
 from omnilines.simulate import generator
 
 CLEARANCE_M = 0.3
@@ -21,6 +21,8 @@ _ALONG_M, _ASIDE_M, _UP_M = 0.05, 0.12, 0.08
 _TRIES = 4000
 PITCH_DEG, ROLL_DEG = 20.0, 8.0
 """Largest angle of the optical axis with the horizon, and of the image with the upright."""
+AIM_DEG = 3.0
+"""How far a photo that looks at something has it beside its middle."""
 LEVEL_DEG = 5.0
 """The same of both along a way."""
 
@@ -35,6 +37,8 @@ def scene_poses(scene: LineScene, views: int, seed: int, camera: CameraModel | N
     if views < 1:
         raise InputError(f"At least 1 view was expected, found {views}; give more.")
     rng = generator(seed, "scene poses")
+    if scene.dome is not None:
+        return _from_dome(scene.dome, views, rng, camera)
     places = _scattered(scene, views, rng) if scene.walk_m is None else _walked(scene, scene.walk_m, views, rng)
     azimuth = 2.0 * math.pi * (np.arange(views) + rng.uniform(-0.3, 0.3, views)) / views + rng.uniform(0.0, 2.0 * math.pi)
     if scene.walk_m is None:
@@ -47,6 +51,20 @@ def scene_poses(scene: LineScene, views: int, seed: int, camera: CameraModel | N
     tilt = (PITCH_DEG, ROLL_DEG) if scene.walk_m is None else (LEVEL_DEG, LEVEL_DEG)
     pitch, roll = np.radians(rng.uniform(-1.0, 1.0, (2, views)) * np.array(tilt)[:, None])
     rotation = _upright(azimuth[taken], pitch, roll)
+    if camera is not None:
+        rotation = axis_from_camera(camera).T @ rotation
+    return Pose.of(rotation, -np.einsum("nij,nj->ni", rotation, places))
+
+
+def _from_dome(dome: Dome, views: int, rng: np.random.Generator, camera: CameraModel | None) -> Pose:
+    """From one side to the other, at uneven heights and distances, the origin near the middle of each photo."""
+    share = (np.arange(views) + 0.5 + rng.uniform(-0.3, 0.3, views)) / views
+    azimuth = np.radians(-90.0 + dome.aside_deg * (2.0 * share - 1.0))
+    height = np.radians(rng.uniform(*dome.height_deg, views))
+    flat = np.stack([np.cos(azimuth), np.sin(azimuth)], -1) * np.cos(height)[:, None]
+    places = rng.uniform(*dome.distance_m, views)[:, None] * np.column_stack([flat, np.sin(height)])
+    off, roll = np.radians(rng.uniform(-1.0, 1.0, (2, views)) * np.array([AIM_DEG, ROLL_DEG])[:, None])
+    rotation = _upright(azimuth + np.pi + off, -height, roll)
     if camera is not None:
         rotation = axis_from_camera(camera).T @ rotation
     return Pose.of(rotation, -np.einsum("nij,nj->ni", rotation, places))

@@ -19,6 +19,7 @@ without importing torch.
 """
 
 import importlib
+import math
 from typing import TYPE_CHECKING, Any
 
 from camera_models.errors import InputError
@@ -33,6 +34,8 @@ TRIANGULATIONS: tuple[tuple[str, str], ...] = (
     ("svd", "omnilines.triangulation.svd:triangulate"),
     ("ml", "omnilines.triangulation.likelihood:triangulate"),
 )
+WEIGHTS = ("unit", "published", "most-likely")
+"""Of the rows of `dual`."""
 
 
 def check_triangulation(method: str) -> None:
@@ -40,6 +43,35 @@ def check_triangulation(method: str) -> None:
     names = list(dict(TRIANGULATIONS))
     if method not in names:
         raise InputError(f"Expected a triangulation method among {', '.join(names)}, found {method!r}; give one of these names.")
+
+
+def method_options(
+    method: str, *, subset: int | None = None, bandwidth: float | None = None, weights: str | None = None
+) -> dict[str, Any]:
+    """The options of a method's function from those of the command line, None where not given; `weights="published"` is the
+    published form as a whole, with the coordinates of the file.
+
+    Raises InputError for an option that the method does not have, or a value that it does not take.
+    """
+    check_triangulation(method)
+    given = {"--subset": subset is not None, "--bandwidth": bandwidth is not None, "--weights": weights is not None}
+    takes = {"averaging": ("--subset", "--bandwidth"), "dual": ("--weights",)}
+    for option in (name for name, is_given in given.items() if is_given):
+        owner = next(name for name, options in takes.items() if option in options)
+        if method != owner:
+            raise InputError(
+                f"{option} was expected with --triangulation {owner} and only there, found {method}; correct the options."
+            )
+    if weights not in (None, *WEIGHTS):
+        raise InputError(f"--weights was expected among {', '.join(WEIGHTS)}, found '{weights}'; give one of these.")
+    if subset is not None and subset < 2:
+        raise InputError(f"--subset was expected to be 2 planes or more, found {subset}; correct the option.")
+    if bandwidth is not None and not 0 < bandwidth < math.inf:
+        raise InputError(f"--bandwidth was expected in radians above 0, found {bandwidth}; correct the option.")
+    found: dict[str, Any] = {"subset": subset, "bandwidth": bandwidth, "weights": weights}
+    if weights == "published":
+        found["origin"] = "file"
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def triangulate(

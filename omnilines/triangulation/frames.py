@@ -50,6 +50,8 @@ class TrackGroup:
     """g solvable tracks of k observations each, with their frames."""
 
     tracks: Int[Tensor, " g"]
+    rows: Int[Tensor, "g k"]
+    """Of the observations."""
     normal: Float[Tensor, "g k 3"]
     centre: Float[Tensor, "g k 3"]
     focus: Float[Tensor, "g 3"]
@@ -134,6 +136,7 @@ def solvable_groups(observations: PlaneObservations, frames: TrackFrames) -> lis
         groups.append(
             TrackGroup(
                 kept,
+                rows_kept,
                 observations.normal[rows_kept],
                 observations.centre[rows_kept],
                 frames.focus[kept],
