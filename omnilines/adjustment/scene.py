@@ -171,7 +171,7 @@ def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndP
     lines = first.lines[tracks]
     chart = LineChart.about_cameras(lines, state.cam_from_world.centre[inner.image], inner.track)
     loss = _loss("cauchy", "sector", inner, replace(state, chart=chart))
-    adjusted = adjust_lines(inner, lines, state.rig_from_world, rig=state.rig, loss=loss)
+    adjusted = adjust_lines(inner, lines, state.rig_from_world, cost="sector", rig=state.rig, loss=loss)
     return replace(state, rig_from_world=adjusted.state.rig_from_world)
 
 
