@@ -189,8 +189,8 @@ class LineEngine:
     def finish(
         self, found: Minimum[LinesAndPoses], scatter: Float[Tensor, "n 2 2"] | None = None, unit: float = 1.0
     ) -> "LineSolution":
-        """What the undamped equations say at the end, for residuals with the covariance `scatter`, or of the variance `unit`, which
-        is that of the prior in either case."""
+        """What the undamped equations say at the end, for residuals with the covariance `scatter`, or of the variance `unit`,
+        which is that of the prior in either case."""
         reduction = self._reduce(found.state, 0.0)
         smallest, direction = 0.0, np.zeros(6 * len(self.problem.free))
         if reduction is not None and not len(direction):

@@ -45,8 +45,8 @@ class Adjusted:
     noise: Noise
     """Of the end points: what is stated, what the residuals say, and which of the two all covariances are for."""
     whitened: Solution[LinesAndPoses] | LineSolution
-    """The normal equations of the whitened residuals at the solution, with the weights that the cost and the loss give them, for the
-    noise that is stated (or 1 px); with a prior or a robust loss for that of `noise_factor` times as much."""
+    """The normal equations of the whitened residuals at the solution, with the weights that the cost and the loss give them,
+    for the noise that is stated (or 1 px); with a prior or a robust loss for that of `noise_factor` times as much."""
     scale: float
     """Times the covariances of `whitened`: those of the noise."""
     camera_covariance: tuple[Float[Tensor, "_ _"], ...] = ()
@@ -56,8 +56,8 @@ class Adjusted:
 
     @property
     def noise_factor(self) -> float:
-        """Noise that all covariances are for, over what is stated (or 1 px): 1 where it is stated and holds; NaN where the residuals
-        were expected to tell and nothing is left over."""
+        """Noise that all covariances are for, over what is stated (or 1 px): 1 where it is stated and holds; NaN where the
+        residuals were expected to tell and nothing is left over."""
         return self.noise.level
 
     def joint_line_covariance(self, tracks: Int[Tensor, " k"]) -> Float[Tensor, "k4 k4"]:
@@ -90,10 +90,10 @@ def adjust_lines(
     its order; the arcs must know their pixels. A `prior` counts in standard deviations of itself, and the arcs in those of their
     noise, whatever the cost. Its unit is that of the residuals of the cost, as is the scale of the `loss`.
 
-    Covariances are those of the estimate that the cost and the loss give (`weighting.py`), for the stated noise of the end points. Where
-    none is stated, or the residuals are larger than it allows (chi-square, 0.1 percent), they are for the noise that the
-    residuals show, and wider as few residuals ask for (`noise.py`). With a prior and no stated noise, the noise and the solution are found
-    in turn.
+    Covariances are those of the estimate that the cost and the loss give (`weighting.py`), for the stated noise of the end
+    points. Where none is stated, or the residuals are larger than it allows (chi-square, 0.1 percent), they are for the noise
+    that the residuals show, and wider as few residuals ask for (`noise.py`). With a prior and no stated noise, the noise and
+    the solution are found in turn.
 
     With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
     on the processor, which also works out the covariances. Cameras are refined on the processor only.
@@ -154,9 +154,9 @@ def _with_prior(
     prior: PosePrior,
     minimum: Callable[[LinesAndPoses, PosePrior | None], Minimum[LinesAndPoses]],
 ) -> Uncertain:
-    """The solution with a prior that weighs what the noise of the arcs says. Where none is stated it is found in turn with the solution
-    (variance components, W. Foerstner 1979). It begins small, as it is without the prior: one that begins large would let the prior
-    hold the poses, and their errors then look like noise.
+    """The solution with a prior that weighs what the noise of the arcs says. Where none is stated it is found in turn with the
+    solution (variance components, W. Foerstner 1979). It begins small, as it is without the prior: one that begins large would
+    let the prior hold the poses, and their errors then look like noise.
     """
     if task.arcs.sigma_known:
         weighed = prior.weighing(task.weights(state, 1.0).unit)

@@ -2,10 +2,9 @@
 
 Without a loss the cost's own squared residuals have, for noise of unit level, the expectation sum tr(W) - tr(H^-1 K), which for
 the whitened cost is the number of residuals less that of parameters. With a robust loss those of arcs are taken that do not stand
-out, with what the limit cuts off.
+out.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -20,9 +19,8 @@ REJECTED = 1e-3
 """Probability of residuals as large, or as small, below which the stated noise does not hold."""
 COVERED = 0.95
 """Share of truths within the ellipsoids that few residuals leave room for."""
-_CUT = math.exp(-0.5 * LIMIT)
-WITHIN_LIMIT = (1 - (1 + 0.5 * LIMIT) * _CUT) / (1 - _CUT)
-"""Mean of the squared residuals that do not exceed LIMIT, over that of all."""
+MOST_TURNS = 10
+"""Times that the arcs that stand out and the noise of the others are found in turn."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +61,23 @@ class Noise:
         return dim * float(fdtri(dim, self.redundancy, COVERED)) / float(chdtri(dim, 1 - COVERED))
 
 
-def fitting(whitened: Float[Tensor, "n 2"], least: float) -> Bool[Tensor, " n"]:
-    """Arcs whose squared whitened residual is within LIMIT of the variance of all, which is told robustly from their median and
-    taken to be `least` squared at least."""
-    finite = torch.isfinite(whitened).all(-1)
-    if not bool(finite.any()):
+def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float) -> Bool[Tensor, " n"]:
+    """Arcs whose squared whitened residual is within LIMIT of the variance of the noise, `taken` parameters having been fitted.
+
+    The variance is told by the median first, then by the arcs that are within, and is `least` squared at least. Good arcs
+    vary by less than the noise, as they have decided the parameters, so that hardly any is cut off.
+    """
+    square = whitened.square().sum(-1)
+    finite = torch.isfinite(square)
+    left = 2 * int(finite.sum()) - taken
+    if left <= 0:
         return finite
-    scale = max(NORMAL_MAD * float(whitened[finite].abs().median()), least, 1e-12)
-    return finite & (whitened.square().sum(-1) <= LIMIT * scale**2)
+    variance = NORMAL_MAD**2 * float(whitened[finite].square().median()) * 2 * int(finite.sum()) / left
+    within = finite
+    for _ in range(MOST_TURNS):
+        before, within = within, finite & (square <= LIMIT * max(variance, least**2, 1e-24))
+        left = 2 * int(within.sum()) - taken
+        if left <= 0 or bool((before == within).all()):
+            break
+        variance = float(square[within].sum()) / left
+    return within

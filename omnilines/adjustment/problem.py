@@ -46,7 +46,8 @@ class LineProblem:
         prior: PosePrior | None = None,
         mix: Float[Tensor, "n 2 2"] | None = None,
     ) -> None:
-        """`prior` is in the unit of the cost (`PosePrior.weighing`). With `mix` residuals are mix @ (V . Mh) instead of the cost's."""
+        """`prior` is in the unit of the cost (`PosePrior.weighing`). With `mix` residuals are mix @ (V . Mh) instead of the
+        cost's."""
         self.arcs, self.cost_name, self.freedom, self.prior, self.mix = arcs, cost, freedom, prior, mix
         rig = state.rig
         frame = arcs.image if rig is None else rig.frame[arcs.image]

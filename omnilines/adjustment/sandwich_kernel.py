@@ -1,7 +1,7 @@
 """The line engine's passes for a cost that does not weigh arcs by their noise: H^-1 K H^-1 (see `weighting.py`).
 
-With C_i the covariance of an arc's two residuals and Z_i, P_i as in `schur_kernel.py`, Q = sum Z_i C_i Z_i' and T_i = Z_i C_i - Q Z_i,
-the right side of the reduced system has the covariance
+With C_i the covariance of an arc's two residuals and Z_i, P_i as in `schur_kernel.py`, Q = sum Z_i C_i Z_i' and T_i = Z_i C_i
+- Q Z_i, the right side of the reduced system has the covariance
 
     K_ij = P_i' ([i = j] C_i - C_i Z_i' Z_j - Z_i' Z_j C_j + Z_i' Q Z_j) P_j,
 

@@ -20,6 +20,7 @@ from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.suspects import Suspect, suspects
+from omnilines.adjustment.weighting import weighting
 from omnilines.costs import cost_function
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
@@ -31,7 +32,8 @@ from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import noise_level, robust_triangulate
 
 LOSS_SCALE = 2.0
-"""Robust losses bend at this many times the known noise, or the median residual of the start where no noise is given."""
+"""Robust losses bend at this many times the stated noise. Where none is stated, at the median residual of the start first, and
+then at the noise that the residuals show."""
 ROUNDS = 3
 """Times that poses are mended by the tracks that have a line before those that have none are triangulated again."""
 REFINABLE = ("lines", "poses", "intrinsics", "rig")
@@ -97,22 +99,30 @@ def reconstruct_lines(
     state = LinesAndPoses(frames, _no_chart(), mounted, models)
     state, first, member = _started(arcs, state, triangulation, robust, ROUNDS if refine_poses else 0, device)
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
-    start, centres = first.lines[tracks], state.cam_from_world.centre[inner.image]
-    state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
-    adjusted = adjust_lines(
-        inner,
-        start,
-        state.rig_from_world,
-        cost=cost,
-        refine_poses=refine_poses,
-        rig=mounted,
-        refine_rig=refine_rig,
-        models=models,
-        prior=_prior(frames, pose_sigma),
-        loss=_loss(loss, cost, inner, state),
-        callback=callback,
-        device=device,
-    )
+    centres = state.cam_from_world.centre[inner.image]
+    state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
+
+    def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
+        return adjust_lines(
+            inner,
+            start.chart.lines(),
+            start.rig_from_world,
+            cost=cost,
+            refine_poses=refine_poses,
+            rig=start.rig,
+            refine_rig=refine_rig,
+            models=start.models,
+            prior=_prior(frames, pose_sigma),
+            loss=bent,
+            callback=callback,
+            device=device,
+        )
+
+    adjusted = adjust(state, _loss(loss, cost, inner, state))
+    level = adjusted.noise.measured
+    if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
+        # Errors of the start are in the first scale.
+        adjusted = adjust(adjusted.state, Loss(loss, LOSS_SCALE * level * _unit(cost, inner, adjusted.state)))
     final = inner.seen_by(adjusted.state.models) if models else inner
     before, before_px = line_table(names, inner, tracks, first, state, None)
     lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted)
@@ -220,10 +230,18 @@ def _loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses) -> Loss:
     """The loss bent at the median size of the residuals of the start, which pose errors and outliers leave finite."""
     if name == "none":
         return Loss()
-    if cost == "whitened" and arcs.sigma_known:
-        return Loss(name, LOSS_SCALE)
+    if arcs.sigma_known:
+        return Loss(name, LOSS_SCALE * _unit(cost, arcs, start))
     size = cost_function(cost, arcs)(arcs.bearings, start.normals(arcs))[0].norm(dim=-1).median()
     return Loss(name, max(LOSS_SCALE * float(size), 1e-12))
+
+
+def _unit(cost: str, arcs: Arcs, state: LinesAndPoses) -> float:
+    """Standard deviation of a residual of the cost for the stated noise, or for 1 px; two residuals an arc."""
+    return math.sqrt(
+        weighting(cost, arcs.seen_by(state.models) if state.models else arcs, state.normals(arcs), Loss(), 1.0).expected
+        / (2 * len(arcs))
+    )
 
 
 def parse_refine(text: str) -> tuple[str, ...]:

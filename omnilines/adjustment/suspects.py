@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.noise import fitting
+from omnilines.adjustment.noise import LIMIT, NORMAL_MAD
 from omnilines.costs import cost_function
 
 
@@ -24,7 +24,11 @@ class Suspect:
 def suspect_rows(arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
     """Arcs whose squared whitened residual exceeds LIMIT times the variance of all, which is told robustly from their median."""
     whitened, _ = cost_function("whitened", arcs)(arcs.bearings, normal)
-    return torch.isfinite(whitened).all(-1) & ~fitting(whitened, 0.0)
+    finite = torch.isfinite(whitened).all(-1)
+    if not bool(finite.any()):
+        return finite
+    scale = NORMAL_MAD * float(whitened[finite].abs().median())
+    return finite & (whitened.square().sum(-1) > LIMIT * max(scale, 1e-12) ** 2)
 
 
 def suspects(arcs: Arcs, normal: Float[Tensor, "n 3"], tracks: tuple[str, ...], images: tuple[str, ...]) -> tuple[Suspect, ...]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.engine import LineEngine, LineSolution
 from omnilines.adjustment.engine_layout import Layout
-from omnilines.adjustment.noise import WITHIN_LIMIT, Noise, fitting
+from omnilines.adjustment.noise import Noise, fitting
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
@@ -116,7 +116,7 @@ def uncertainty(
     at = 1.0 if level is None else level
     weights = task.weights(found.state, at)
     problem, equations = _equations(task, found.state, weights, prior)
-    parameters = _parameters(problem, equations)
+    parameters = _parameters(problem, found.state)
     redundancy = 2 * len(task.arcs) - parameters + equations.prior_share()
     left = weights.expected - equations.absorbed(parameters)
     measured = math.nan
@@ -128,8 +128,9 @@ def uncertainty(
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, at)
 
 
-def _for_other_noise(task: Task, done: Uncertain, weights: Weighting, prior: PosePrior, at: float) -> Uncertain:
-    """Where the noise is another one than the prior was weighed for: the weights of the solution, and what they make of that noise."""
+def _for_other_noise(task: Task, done: Uncertain, weights: Weighting, prior: PosePrior | None, at: float) -> Uncertain:
+    """Where the noise is another one than the prior was weighed for: the weights of the solution, and what they make of that
+    noise."""
     level = done.noise.level
     if not math.isfinite(level) or level == at or not task.arcs.sigma_known:
         return replace(done, scale=1.0 if math.isfinite(level) else math.nan)
@@ -140,25 +141,38 @@ def _for_other_noise(task: Task, done: Uncertain, weights: Weighting, prior: Pos
 
 
 def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, level: float | None) -> Uncertain:
-    """With a robust loss: the noise of the arcs that do not stand out, and what the others weigh by the loss."""
-    whitened = cost_function("whitened", task.arcs)(task.arcs.bearings, found.state.normals(task.arcs))[0].detach()
-    fits = fitting(whitened, 1.0 if task.arcs.sigma_known else 0.0)
-    total = float(whitened[fits].square().sum()) / WITHIN_LIMIT
-    at = level if level is not None else 1.0 if task.arcs.sigma_known else math.sqrt(total / max(2 * int(fits.sum()), 1))
-    for _ in range(2):
-        weights = task.weights(found.state, at, fits)
-        problem, equations = _equations(task, found.state, weights, prior)
-        taken = _parameters(problem, equations) - equations.prior_share()
-        redundancy = 2 * int(fits.sum()) - taken
-        # An estimate that spreads `excess` times as much as the best one leaves so much more of its errors in the residuals.
-        left = redundancy + (weights.excess - 1) * taken
-        measured = math.sqrt(total / left) if redundancy > LEAST_REDUNDANCY else math.nan
-        noise = Noise(measured, redundancy, task.arcs.sigma_known)
-        if level is not None or noise.level == at or not math.isfinite(noise.level):
-            break
-        at = noise.level
-    done = Uncertain(found, problem, equations, noise, 1.0 if math.isfinite(noise.level) else math.nan)
-    return done if prior is None else _for_other_noise(task, done, weights, prior, at)
+    """With a robust loss: the noise of the arcs that do not stand out; the others weigh what the loss gives them."""
+    state, arcs = found.state, task.arcs
+    whitened = cost_function("whitened", arcs)(arcs.bearings, state.normals(arcs))[0].detach()
+    plain = LineProblem(arcs, "whitened", task.freedom, state, prior)
+    taken, least = float(_parameters(plain, state)), 1.0 if arcs.sigma_known else 0.0
+    if level is None:
+        fits = fitting(whitened, taken, least)
+        first = _noise_of(arcs, whitened[fits], taken, 1.0)
+        noise = _noise_of(arcs, whitened[fits], taken, task.weights(state, _usable(first.level), fits).excess)
+        weights = task.weights(state, _usable(noise.level), fits)
+        problem, equations = _equations(task, state, weights, prior)
+        return Uncertain(found, problem, equations, noise, 1.0 if math.isfinite(noise.level) else math.nan)
+    fits = fitting(whitened, taken, least)
+    weights = task.weights(state, level, fits)
+    problem, equations = _equations(task, state, weights, prior)
+    taken -= equations.prior_share()
+    noise = _noise_of(arcs, whitened[fitting(whitened, taken, least)], taken, weights.excess)
+    return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, level)
+
+
+def _noise_of(arcs: Arcs, whitened: Float[Tensor, "m 2"], taken: float, excess: float) -> Noise:
+    """The noise of arcs that have decided so many parameters. An estimate that spreads `excess` times as much as the best one
+    leaves so much more of its errors in the residuals."""
+    redundancy = whitened.numel() - taken
+    if redundancy <= LEAST_REDUNDANCY:
+        return Noise(math.nan, redundancy, arcs.sigma_known)
+    left = redundancy + (excess - 1) * taken
+    return Noise(math.sqrt(float(whitened.square().sum()) / left), redundancy, arcs.sigma_known)
+
+
+def _usable(level: float) -> float:
+    return level if math.isfinite(level) else 1.0
 
 
 def _equations(
@@ -183,12 +197,12 @@ def _equations(
     return problem, replace(solution, sandwich=Sandwich(solution.reduced, inverse, scores))
 
 
-def _parameters(problem: LineProblem, equations: GeneralSolution | LineSolution) -> int:
+def _parameters(problem: LineProblem, state: LinesAndPoses) -> int:
     """Number of free parameters."""
     arcs, held = problem.arcs, problem.freedom.held_lines
     observed = torch.bincount(arcs.track, minlength=arcs.tracks) > 0
     moving = observed if held is None else observed & ~held
-    return 4 * int(moving.sum()) + problem.structure.kept_size - equations.gauge.shape[1]
+    return 4 * int(moving.sum()) + problem.structure.kept_size - problem.gauge(state).shape[1]
 
 
 def _prior_cost(problem: LineProblem, state: LinesAndPoses) -> float:

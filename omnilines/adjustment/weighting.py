@@ -1,8 +1,9 @@
 """How a cost and a loss weigh the arcs, and what the noise of their end points does to the gradient that is made zero.
 
-With w the two whitened residuals of an arc (standard deviations of its ends across the line) and J their derivative, the residuals
-of any cost are r = A w to first order, and the equations that an estimate solves are sum omega(|r|^2) J'A'r = 0, omega the weight
-of the loss. For Gaussian noise of `level` times what is stated they have, arc by arc, the derivative and the covariance
+With w the two whitened residuals of an arc (standard deviations of its ends across the line) and J their derivative, the
+residuals of any cost are r = A w to first order, and the equations that an estimate solves are sum omega(|r|^2) J'A'r = 0,
+omega the weight of the loss. For Gaussian noise of `level` times what is stated they have, arc by arc, the derivative and the
+covariance
 
     H = J' D J,   D = A'A E[omega w w'] / level^2,      K = J' C J,   C = A'A E[omega^2 w w'] A'A
 
@@ -71,7 +72,8 @@ def weighting(
     level: float,
     fitting: Bool[Tensor, " n"] | None = None,
 ) -> Weighting:
-    """The weights at a state with these plane normals. Arcs that are not `fitting` weigh what the loss gives them where they lie."""
+    """The weights at a state with these plane normals. Arcs that are not `fitting` weigh what the loss gives them where they
+    lie."""
     if cost == "whitened" and loss.name == "none":
         return Weighting(None, None, level**2, 2 * len(arcs) * level**2)
     values, vectors = torch.linalg.eigh(cost_weights(cost, arcs, normal))

@@ -26,7 +26,7 @@ MaybeTriangulation = Annotated[
 ]
 MaybeCost = Annotated[
     str | None,
-    typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm (of photos: whitened, of segments: sector)."),
+    typer.Option("--cost", help="sector, whitened (default), taylor-kriegman or bartoli-sturm."),
 ]
 MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
@@ -87,7 +87,7 @@ def reconstruct(
         raise InputError("--scale-from is for photos, found --segments; give poses in metres.")
     if segments is not None:
         _from_segments(
-            calibration, poses, segments, out, triangulation or "dual", cost or "sector", refine or "lines",
+            calibration, poses, segments, out, triangulation or "dual", cost or "whitened", refine or "lines",
             loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
         )  # fmt: skip
         return
@@ -131,7 +131,7 @@ def adjust(
     segments: SegmentTable,
     out: Out,
     triangulation: Triangulation = "dual",
-    cost: Cost = "sector",
+    cost: Cost = "whitened",
     refine: Refine = "lines,poses",
     loss: LossName = "none",
     robust: Robust = False,
