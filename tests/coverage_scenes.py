@@ -1,4 +1,4 @@
-"""How often stated ellipsoids hold the truth, over seeds of noise: lines, poses and rigs, for every cost, noise, prior and lens."""
+"""How often stated ellipsoids hold the truth, over seeds of noise: lines, poses and rigs, for every cost, prior and lens."""
 
 import math
 from dataclasses import dataclass

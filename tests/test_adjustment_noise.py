@@ -15,7 +15,7 @@ from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.weighting import cost_weights, end_sigma_rad
 from omnilines.commands._noise_notes import noise_notes, noise_row
-from omnilines.costs import COSTS
+from omnilines.costs import COSTS, cost_function
 from omnilines.least_squares import Loss, Outcome
 
 NAMES = [name for name, _ in COSTS]
@@ -83,8 +83,8 @@ def jacobian(problem: LineProblem, found: Adjusted) -> torch.Tensor:
 @pytest.mark.parametrize("rig", [False, True])
 @pytest.mark.parametrize("cost", NAMES)
 def test_covariances_are_the_sandwich_of_the_cost(cost: str, rig: bool) -> None:
-    """(J'WJ)^-1 J'W S W J (J'WJ)^-1 of dense matrices, from the cost's own Jacobian and the noise of its residuals: of the compiled
-    engine, which takes all but the rig, and of the general one."""
+    """(J'WJ)^-1 J'W S W J (J'WJ)^-1 of dense matrices, from the cost's own Jacobian and the noise of its residuals: of the
+    compiled engine, which takes all but the rig, and of the general one."""
     truth = rig_of(5, 9) if rig else world_of("190 degrees", 14, 6)
     arcs, frames = truth.arcs("stated", 2), len(truth.rig_from_world)
     # Unequal noise of the two ends, as arcs of unequal length and contrast have it.
@@ -106,7 +106,7 @@ def test_covariances_are_the_sandwich_of_the_cost(cost: str, rig: bool) -> None:
     scale = own.abs().amax((1, 2), keepdim=True) * found.noise_factor**2
     # To first order in the residuals, which are 1e-3 here.
     assert float(((found.line_covariance - found.noise_factor**2 * own).abs() / scale).max()) < 0.02
-    some = torch.tensor([4, 0, 6])
+    some = torch.tensor([4, 0, 5])
     joint = found.joint_line_covariance(some).reshape(3, 4, 3, 4)
     columns = size + 4 * some[:, None] + torch.arange(4)
     dense_joint = expected[columns.flatten()][:, columns.flatten()].reshape(3, 4, 3, 4) * found.noise_factor**2
@@ -127,8 +127,7 @@ def test_weights_predict_the_spread_of_the_residuals(cost: str) -> None:
     total, predicted = [], []
     for seed in range(60):
         arcs = truth.arcs("stated", seed)
-        problem_cost = LineProblem(arcs, cost, Freedom(torch.ones(6, dtype=torch.bool)), None).cost  # type: ignore[arg-type]
-        total.append(float(problem_cost(arcs.bearings, normal)[0].square().sum()))
+        total.append(float(cost_function(cost, arcs)(arcs.bearings, normal)[0].square().sum()))
         predicted.append(float(cost_weights(cost, arcs, normal).diagonal(dim1=1, dim2=2).sum()))
         assert float(end_sigma_rad(arcs, normal / normal.norm(dim=-1, keepdim=True)).min()) > 0
     assert sum(total) == pytest.approx(sum(predicted), rel=0.06)
@@ -150,9 +149,9 @@ def test_stated_noise_is_used_where_little_is_left_over() -> None:
 
 def test_noise_that_is_not_stated_widens_what_few_residuals_say() -> None:
     """By the quantile of F over that of chi-square: 8.11 for two degrees of freedom and four coordinates, none for many."""
-    assert Noise(0.5, 2, False).widening(4) == pytest.approx(4 * 19.247 / 9.4877, rel=1e-3)
+    assert Noise(0.5, 2.0, False).widening(4) == pytest.approx(4 * 19.247 / 9.4877, rel=1e-3)
     assert Noise(0.5, 1e6, False).widening(6) == pytest.approx(1, rel=1e-4)
-    assert Noise(1.1, 2, True).widening(4) == 1
+    assert Noise(1.1, 2.0, True).widening(4) == 1
     found = adjusted(world_of("pinhole", 1, 3), "whitened", "unstated", False, 0, refine_poses=False)
     assert "2 degrees of freedom tell little" in noise_notes(found.noise)[0]
 

@@ -146,33 +146,28 @@ def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, 
     whitened = cost_function("whitened", arcs)(arcs.bearings, state.normals(arcs))[0].detach()
     plain = LineProblem(arcs, "whitened", task.freedom, state, prior)
     taken, least = float(_parameters(plain, state)), 1.0 if arcs.sigma_known else 0.0
+    fits = fitting(whitened, taken, least)
     if level is None:
-        fits = fitting(whitened, taken, least)
-        first = _noise_of(arcs, whitened[fits], taken, 1.0)
-        noise = _noise_of(arcs, whitened[fits], taken, task.weights(state, _usable(first.level), fits).excess)
-        weights = task.weights(state, _usable(noise.level), fits)
+        noise = _noise_of(task, state, whitened, fits, taken)
+        weights = task.weights(state, noise.level if math.isfinite(noise.level) else 1.0, fits)
         problem, equations = _equations(task, state, weights, prior)
         return Uncertain(found, problem, equations, noise, 1.0 if math.isfinite(noise.level) else math.nan)
-    fits = fitting(whitened, taken, least)
     weights = task.weights(state, level, fits)
     problem, equations = _equations(task, state, weights, prior)
     taken -= equations.prior_share()
-    noise = _noise_of(arcs, whitened[fitting(whitened, taken, least)], taken, weights.excess)
+    noise = _noise_of(task, state, whitened, fitting(whitened, taken, least), taken)
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, level)
 
 
-def _noise_of(arcs: Arcs, whitened: Float[Tensor, "m 2"], taken: float, excess: float) -> Noise:
-    """The noise of arcs that have decided so many parameters. An estimate that spreads `excess` times as much as the best one
-    leaves so much more of its errors in the residuals."""
-    redundancy = whitened.numel() - taken
+def _noise_of(task: Task, state: LinesAndPoses, whitened: Float[Tensor, "n 2"], fits: Bool[Tensor, " n"], taken: float) -> Noise:
+    """The noise of the arcs that fit, which have decided so many parameters. An estimate that spreads `excess` times as much
+    as the best one leaves so much more of its errors in the residuals; the loss sees these, which are smaller than the noise."""
+    count, square, stated = 2 * int(fits.sum()), float(whitened[fits].square().sum()), task.arcs.sigma_known
+    redundancy = count - taken
     if redundancy <= LEAST_REDUNDANCY:
-        return Noise(math.nan, redundancy, arcs.sigma_known)
-    left = redundancy + (excess - 1) * taken
-    return Noise(math.sqrt(float(whitened.square().sum()) / left), redundancy, arcs.sigma_known)
-
-
-def _usable(level: float) -> float:
-    return level if math.isfinite(level) else 1.0
+        return Noise(math.nan, redundancy, stated)
+    left = redundancy + (task.weights(state, math.sqrt(square / count), fits).excess - 1) * taken
+    return Noise(math.sqrt(square / left), redundancy, stated)
 
 
 def _equations(

@@ -29,7 +29,7 @@ def noise_notes(noise: Noise) -> tuple[str, ...]:
     widening = math.sqrt(noise.widening(4))
     if widening > WORTH_SAYING:
         return (
-            f"No noise of the end points is stated, and {noise.redundancy:.0f} degrees of freedom tell little of it: the standard "
+            f"No noise of the end points is stated, and {noise.redundancy:.0f} degrees of freedom tell little of it: standard "
             f"deviations of lines are {widening:.2f} times as large as the residuals say, so that ellipsoids of 95 percent hold.",
         )
     return ()
@@ -40,8 +40,8 @@ def _of_stated(noise: Noise) -> tuple[str, ...]:
     if not noise.holds and noise.measured > WORTH_SAYING:
         return (
             f"The residuals are {noise.measured:.2f} times as large as the stated noise of the end points allows {limit}: all "
-            "uncertainties are for that much noise. Wrong matches, poses that are held although they are off, or a poor calibration "
-            "look like this.",
+            "uncertainties are for that much noise. Wrong matches, poses that are held although they are off, or a poor "
+            "calibration look like this.",
         )
     if noise.overstated and noise.measured < 1 / WORTH_SAYING:
         return (
