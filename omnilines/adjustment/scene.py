@@ -80,14 +80,17 @@ def reconstruct_lines(
     pose_sigma: tuple[float, float] | None = None,
     robust: bool = False,
     loss: str = "none",
+    noise_holds: bool = True,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
 ) -> LineScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
-    makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out. `device` is
-    where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
+    makes the given poses a prior. Without `noise_holds` the stated noise of the end points weighs them among each other, and
+    uncertainties are for what the residuals show of it, more or less. With `robust`, observations of other lines are found by
+    consensus and left out. `device` is where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`;
+    the consensus stays on the processor.
 
     Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
@@ -104,7 +107,7 @@ def reconstruct_lines(
 
     def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
         return adjust_lines(
-            inner,
+            replace(inner, sigma_known=inner.sigma_known and noise_holds),
             start.chart.lines(),
             start.rig_from_world,
             cost=cost,
