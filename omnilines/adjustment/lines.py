@@ -79,6 +79,7 @@ def adjust_lines(
     models: tuple[CameraModel, ...] = (),
     prior: PosePrior | None = None,
     loss: Loss | None = None,
+    cautious: bool = False,
     max_iterations: int = 100,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
@@ -94,6 +95,9 @@ def adjust_lines(
     points. Where none is stated, or the residuals are larger than it allows (chi-square, 0.1 percent), they are for the noise
     that the residuals show, and wider as few residuals ask for (`noise.py`). With a prior and no stated noise, the noise and
     the solution are found in turn.
+
+    With `cautious` it is the noise that all residuals show, also those of arcs that stand out and whatever is stated: for arcs of
+    photos, of which those that stand out are mostly of near edges, and pull at the lines.
 
     With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
     on the processor, which also works out the covariances. Cameras are refined on the processor only.
@@ -115,7 +119,7 @@ def adjust_lines(
 
     place = usable_device(device)
     plain = LineProblem(arcs, "whitened", freedom, state)
-    task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None)
+    task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None, cautious)
 
     def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
         return _minimum(task, start, weighed, max_iterations, callback, place)
@@ -158,7 +162,7 @@ def _with_prior(
     solution (variance components, W. Foerstner 1979). It begins small, as it is without the prior: one that begins large would
     let the prior hold the poses, and their errors then look like noise.
     """
-    if task.arcs.sigma_known:
+    if task.stated:
         weighed = prior.weighing(task.weights(state, 1.0).unit)
         return uncertainty(task, minimum(state, weighed), weighed, 1.0)
     alone = uncertainty(task, minimum(state, None)).noise.level

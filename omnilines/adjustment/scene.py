@@ -80,15 +80,15 @@ def reconstruct_lines(
     pose_sigma: tuple[float, float] | None = None,
     robust: bool = False,
     loss: str = "none",
-    noise_holds: bool = True,
+    cautious: bool = False,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
 ) -> LineScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
-    makes the given poses a prior. Without `noise_holds` the stated noise of the end points weighs them among each other, and
-    uncertainties are for what the residuals show of it, more or less. With `robust`, observations of other lines are found by
+    makes the given poses a prior. `cautious` is that of
+    `adjust_lines`. With `robust`, observations of other lines are found by
     consensus and left out. `device` is where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`;
     the consensus stays on the processor.
 
@@ -107,7 +107,7 @@ def reconstruct_lines(
 
     def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
         return adjust_lines(
-            replace(inner, sigma_known=inner.sigma_known and noise_holds),
+            inner,
             start.chart.lines(),
             start.rig_from_world,
             cost=cost,
@@ -117,6 +117,7 @@ def reconstruct_lines(
             models=start.models,
             prior=_prior(frames, pose_sigma),
             loss=bent,
+            cautious=cautious,
             callback=callback,
             device=device,
         )

@@ -35,6 +35,13 @@ class Task:
     loss: Loss
     layout: Layout | None
     """Of the compiled engine, where that takes the problem."""
+    cautious: bool = False
+    """Whether the noise is what all residuals show, also those of arcs that stand out, whatever is stated."""
+
+    @property
+    def stated(self) -> bool:
+        """Whether the noise of the arcs is stated, to be used as it is."""
+        return self.arcs.sigma_known and not self.cautious
 
     def seen_by(self, state: LinesAndPoses) -> "Task":
         """With the arcs as the cameras of a state see them, where these are refined."""
@@ -122,7 +129,7 @@ def uncertainty(
     measured = math.nan
     if redundancy > LEAST_REDUNDANCY and left > 0:
         measured = at * math.sqrt(max(found.cost - _prior_cost(problem, found.state), 0.0) / left)
-    noise = Noise(measured, weights.share * redundancy, task.arcs.sigma_known)
+    noise = Noise(measured, weights.share * redundancy, task.stated)
     if prior is None:
         return Uncertain(found, problem, equations, noise, (noise.level / at) ** 2)
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, at)
@@ -132,7 +139,7 @@ def _for_other_noise(task: Task, done: Uncertain, weights: Weighting, prior: Pos
     """Where the noise is another one than the prior was weighed for: the weights of the solution, and what they make of that
     noise."""
     level = done.noise.level
-    if not math.isfinite(level) or level == at or not task.arcs.sigma_known:
+    if not math.isfinite(level) or level == at or not task.stated:
         return replace(done, scale=1.0 if math.isfinite(level) else math.nan)
     eye = torch.eye(2, dtype=torch.float64).expand(len(task.arcs), 2, 2)
     scatter = (level / at) ** 2 * (weights.unit * eye if weights.scatter is None else weights.scatter)
@@ -145,8 +152,8 @@ def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, 
     state, arcs = found.state, task.arcs
     whitened = cost_function("whitened", arcs)(arcs.bearings, state.normals(arcs))[0].detach()
     plain = LineProblem(arcs, "whitened", task.freedom, state, prior)
-    taken, least = float(_parameters(plain, state)), 1.0 if arcs.sigma_known else 0.0
-    fits = fitting(whitened, taken, least)
+    taken, least = float(_parameters(plain, state)), 1.0 if task.stated else 0.0
+    fits = torch.isfinite(whitened).all(-1) if task.cautious else fitting(whitened, taken, least)
     if level is None:
         noise = _noise_of(task, state, whitened, fits, taken)
         weights = task.weights(state, noise.level if math.isfinite(noise.level) else 1.0, fits)
@@ -155,14 +162,16 @@ def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, 
     weights = task.weights(state, level, fits)
     problem, equations = _equations(task, state, weights, prior)
     taken -= equations.prior_share()
-    noise = _noise_of(task, state, whitened, fitting(whitened, taken, least), taken)
+    if not task.cautious:
+        fits = fitting(whitened, taken, least)
+    noise = _noise_of(task, state, whitened, fits, taken)
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, level)
 
 
 def _noise_of(task: Task, state: LinesAndPoses, whitened: Float[Tensor, "n 2"], fits: Bool[Tensor, " n"], taken: float) -> Noise:
     """The noise of the arcs that fit, which have decided so many parameters. An estimate that spreads `excess` times as much
     as the best one leaves so much more of its errors in the residuals; the loss sees these, which are smaller than the noise."""
-    count, square, stated = 2 * int(fits.sum()), float(whitened[fits].square().sum()), task.arcs.sigma_known
+    count, square, stated = 2 * int(fits.sum()), float(whitened[fits].square().sum()), task.stated
     redundancy = count - taken
     if redundancy <= LEAST_REDUNDANCY:
         return Noise(math.nan, redundancy, stated)
