@@ -4,16 +4,20 @@ Frames are renumbered so that the band of the reduced system is narrow, lines ar
 neighbours in memory, and observations are sorted by line. See `schur_kernel.py` for the arithmetic.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.adjustment import covariance_kernel, schur_kernel, step_kernel
 from omnilines.adjustment.engine_layout import Layout, layout
+from omnilines.adjustment.engine_sandwich import LineSandwich, frame_gains
 from omnilines.adjustment.line_kernel import (
     MOVING,
     SETTLED,
@@ -67,7 +71,7 @@ class LineEngine:
     def __init__(self, problem: LineProblem, loss: Loss, laid_out: Layout | None = None) -> None:
         self.problem = problem
         self.layout = laid_out or layout(problem)
-        self.views: Views = self.layout.views(problem.cost_name, problem.arcs, LOSS_KINDS[loss.name], loss.scale)
+        self.views: Views = self.layout.views(problem, LOSS_KINDS[loss.name], loss.scale)
         self.residuals = 2 * len(problem.arcs)
         held = problem.freedom.held_lines
         self._held = np.zeros(problem.arcs.tracks, dtype=np.bool_) if held is None else held.numpy()
@@ -182,8 +186,11 @@ class LineEngine:
         right, own = total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel()
         return _Reduction(solved, system, right, own, total.diagonal.ravel())
 
-    def finish(self, found: Minimum[LinesAndPoses]) -> "LineSolution":
-        """What the undamped equations say at the end."""
+    def finish(
+        self, found: Minimum[LinesAndPoses], scatter: Float[Tensor, "n 2 2"] | None = None, unit: float = 1.0
+    ) -> "LineSolution":
+        """What the undamped equations say at the end, for residuals with the covariance `scatter`, or of the variance `unit`,
+        which is that of the prior in either case."""
         reduction = self._reduce(found.state, 0.0)
         smallest, direction = 0.0, np.zeros(6 * len(self.problem.free))
         if reduction is not None and not len(direction):
@@ -194,7 +201,7 @@ class LineEngine:
         gauge = self.problem.gauge(found.state)
         weakest = torch.from_numpy(self.layout.back(direction.reshape(-1, 6)).flatten())
         end = replace(found, outcome=outcome)
-        return LineSolution(end, gauge, smallest, weakest, self, reduction)
+        return LineSolution(end, gauge, smallest, weakest, self, reduction, scatter, unit)
 
     def _gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
         """B in the order of the engine's frames."""
@@ -224,6 +231,13 @@ class LineEngine:
         if self.problem.prior is None or not len(self.problem.free):
             return 0.0
         return float(self.problem.prior.residual(state.rig_from_world)[0][self.problem.free].square().sum())
+
+    def prior_blocks(self, state: LinesAndPoses) -> Float[np.ndarray, "free 6 6"] | None:
+        """P'P of every free frame in the order of the layout; None without a prior."""
+        if self.problem.prior is None or not len(self.problem.free):
+            return None
+        j = self.problem.prior.residual(state.rig_from_world)[1][self.layout.frames[: len(self.problem.free)]].numpy()
+        return j.transpose(0, 2, 1) @ j
 
     def _add_prior(self, state: LinesAndPoses, total: FrameSums) -> None:
         if self.problem.prior is None:
@@ -269,7 +283,7 @@ def _search(cost: Float[np.ndarray, " t"]) -> LineSearch:
 
 @dataclass(frozen=True)
 class LineSolution:
-    """As `least_squares.Solution`, block-sparse; covariances are for residuals of unit variance, in the gauge of the problem."""
+    """As `least_squares.Solution`, block-sparse; covariances are in the gauge of the problem."""
 
     end: Minimum[LinesAndPoses]
     gauge: Float[Tensor, "k g"]
@@ -277,6 +291,8 @@ class LineSolution:
     weakest_direction: Float[Tensor, " k"]
     engine: LineEngine
     reduction: _Reduction | None
+    scatter: Float[Tensor, "n 2 2"] | None = None
+    unit: float = 1.0
 
     @property
     def state(self) -> LinesAndPoses:
@@ -288,16 +304,62 @@ class LineSolution:
         """Sum of the loss, and of the prior."""
         return self.end.cost
 
+    @property
+    def determined(self) -> bool:
+        """Whether the equations have a solution."""
+        return self.reduction is not None and (self.reduction.system is not None or not len(self.engine.problem.free))
+
+    @cached_property
+    def _inverse(self) -> Float[np.ndarray, "blocks 6 6"]:
+        """S^-1 of the frames."""
+        assert self.reduction is not None
+        return np.zeros((0, 6, 6)) if self.reduction.system is None else self.reduction.system.covariance_blocks()
+
+    @cached_property
+    def _sandwich(self) -> LineSandwich | None:
+        """For residuals of unequal variance."""
+        if self.scatter is None or self.reduction is None:
+            return None
+        engine, prior = self.engine, self.engine.prior_blocks(self.state)
+        return LineSandwich(
+            engine.layout,
+            engine.views,
+            self.scatter[engine.layout.observations].numpy(),
+            None if prior is None else self.unit * prior,
+            engine._poses(self.state),
+            engine._lines(self.state.chart),
+            self.reduction.solved,
+            self.reduction.system,
+            self._inverse,
+        )
+
+    def absorbed(self, parameters: int) -> float:
+        """Sum of the squared residuals of the noise of the arcs that so many free parameters take up; NaN where undetermined."""
+        if not self.determined:
+            return math.nan
+        if self._sandwich is not None:
+            return self._sandwich.trace()
+        return self.unit * (parameters - self.prior_share())
+
+    def prior_share(self) -> float:
+        """Parameters that the prior determines, tr(H^-1 P'P)."""
+        own = self.engine.prior_blocks(self.state)
+        if own is None or not self.determined:
+            return 0.0
+        return float((self._inverse[self.engine.layout.pattern.diagonal] * own).sum())
+
     def covariances(self) -> tuple[Float[Tensor, "frames 6 6"], Float[Tensor, "t 4 4"]]:
         """Of every free frame, in the order of the problem, and of every line; NaN where not determined, and for held lines."""
         engine, layout_ = self.engine, self.engine.layout
         tracks, free = engine.problem.arcs.tracks, len(engine.problem.free)
         lines, frames = np.full((tracks, 4, 4), np.nan), np.full((free, 6, 6), np.nan)
-        if self.reduction is None or (free and self.reduction.system is None):
+        if self.reduction is None or not self.determined:
             return torch.from_numpy(frames), torch.from_numpy(lines)
-        blocks = np.zeros((0, 6, 6))
-        if self.reduction.system is not None:
-            blocks = self.reduction.system.covariance_blocks()
+        if self._sandwich is not None:
+            frames, lines = self._sandwich.covariances()
+            return torch.from_numpy(layout_.back(frames)), torch.from_numpy(lines)
+        blocks = self._inverse
+        if free:
             frames = layout_.back(blocks[layout_.pattern.diagonal])
         pose, chart, solved = engine._poses(self.state), engine._lines(self.state.chart), self.reduction.solved
         in_shares(
@@ -306,7 +368,7 @@ class LineSolution:
             ),
             layout_.shares,
         )
-        return torch.from_numpy(frames), torch.from_numpy(lines)
+        return self.unit * torch.from_numpy(frames), self.unit * torch.from_numpy(lines)
 
     def eliminated_covariance(self) -> Float[Tensor, "t 4 4"]:
         """Of every line."""
@@ -314,29 +376,24 @@ class LineSolution:
 
     def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "b4 b4"]:
         """Of some lines together, dense: only for as many as such a matrix can hold. NaN where not determined."""
-        engine, size = self.engine, 4 * len(blocks)
-        if self.reduction is None or (len(engine.problem.free) and self.reduction.system is None):
+        engine, size, chosen = self.engine, 4 * len(blocks), blocks.numpy()
+        if self.reduction is None or not self.determined:
             return torch.full((size, size), torch.nan, dtype=torch.float64)
         solved = self.reduction.solved
-        factors, told = solved.factors[blocks.numpy()], (solved.diagonal[blocks.numpy()] > 0).any(1)
-        own = torch.zeros(len(blocks), 4, 4, dtype=torch.float64)
-        rows, columns = torch.tril_indices(4, 4)
-        own[:, rows, columns] = torch.from_numpy(factors)
-        inverse = torch.where(torch.from_numpy(told)[:, None, None], torch.cholesky_inverse(own), torch.nan)
-        joint = torch.block_diag(*inverse)
-        if self.reduction.system is not None:
-            gains = np.zeros((len(blocks), 4, 6 * len(engine.problem.free)))
-            covariance_kernel.line_gains(
-                engine.layout.place_of_line[blocks.numpy()],
-                engine.views,
-                engine._poses(self.state),
-                engine._lines(self.state.chart),
-                len(engine.problem.free),
-                solved,
-                gains,
-            )
-            flat = gains.reshape(size, -1)
-            joint += torch.from_numpy(flat @ self.reduction.system.solve(np.ascontiguousarray(flat.T)))
-        untold = torch.from_numpy(np.repeat(~told, 4))
-        joint[untold], joint[:, untold] = torch.nan, torch.nan
-        return joint
+        told = (solved.diagonal[chosen] > 0).any(1)
+        own = np.zeros((len(blocks), 4, 4))
+        own[:, *np.tril_indices(4)] = solved.factors[chosen]
+        roots = np.linalg.inv(own).transpose(0, 2, 1)
+        gains = frame_gains(
+            engine.layout, engine.views, engine._poses(self.state), engine._lines(self.state.chart), solved, chosen
+        )
+        if self._sandwich is not None:
+            joint = self._sandwich.joint(chosen, roots, gains)
+        else:
+            joint = self.unit * scipy.linalg.block_diag(*(roots @ roots.transpose(0, 2, 1)))
+            if self.reduction.system is not None:
+                flat = gains.reshape(size, -1)
+                joint += self.unit * flat @ self.reduction.system.solve(np.ascontiguousarray(flat.T))
+        untold = np.repeat(~told, 4)
+        joint[untold], joint[:, untold] = np.nan, np.nan
+        return torch.from_numpy(joint)

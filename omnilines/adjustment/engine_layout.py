@@ -54,15 +54,18 @@ class Layout:
         result[self.rank] = values
         return result
 
-    def views(self, cost: str, arcs: Arcs, kind: int, scale: float) -> Views:
-        """The observations for a cost, in order, and a loss."""
-        n = len(self.observations)
+    def views(self, problem: LineProblem, kind: int, scale: float) -> Views:
+        """The observations for the cost of a problem, in order, and a loss."""
+        arcs, cost, mix, n = problem.arcs, problem.cost_name, problem.mix, len(self.observations)
         rows = np.empty((n, 2, 3))
-        spread = np.empty((0 if cost == "sector" else n, 2, 6))
+        spread = np.empty((0 if cost == "sector" or mix is not None else n, 2, 6))
         upper = torch.triu_indices(3, 3)
         for low in range(0, n, ROWS_AT_ONCE):
             own = self.observations[low : low + ROWS_AT_ONCE]
             bearings, here = arcs.bearings[own], slice(low, low + len(own))
+            if mix is not None:
+                rows[here] = (mix[own] @ bearings).numpy()
+                continue
             if cost == "sector":
                 rows[here] = sector_moment_factor(bearings[:, 0], bearings[:, 1]).numpy()
                 continue

@@ -12,16 +12,21 @@ from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled, lines_settled
-from omnilines.adjustment.engine_layout import Layout, layout
-from omnilines.adjustment.memory import engine_bytes, require_for_general, require_memory
+from omnilines.adjustment.memory import layout_that_fits, require_for_general
+from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, Rig
+from omnilines.adjustment.uncertainty import Task, Uncertain, uncertainty
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, solve
-from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import moved_to, usable_device
+
+MOST_TURNS, SETTLED = 12, 1e-3
+"""Times that the noise and a solution with a prior are found in turn, and the relative change of the noise that ends it."""
+LEAST_LEVEL = 1e-9
+"""Noise below it is that of rounding: it says nothing of what a prior weighs."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +42,27 @@ class Adjusted:
     """In the chart of `state.chart`; NaN for tracks without observations, zero for held lines."""
     pose_covariance: Float[Tensor, "images 6 6"]
     """Of the left perturbation of the pose of every photo, in the gauge of the adjustment; zero for held poses."""
-    noise_factor: float
-    """Square root of the variance factor: residuals over what the stated (or 1 px) noise of the end points predicts."""
+    noise: Noise
+    """Of the end points: what is stated, what the residuals say, and which of the two all covariances are for."""
     whitened: Solution[LinesAndPoses] | LineSolution
-    """The whitened normal equations at the solution, which all covariances come from."""
+    """The normal equations of the whitened residuals at the solution, with the weights that the cost and the loss give them,
+    for the noise that is stated (or 1 px); with a prior or a robust loss for that of `noise_factor` times as much."""
+    scale: float
+    """Times the covariances of `whitened`: those of the noise."""
     camera_covariance: tuple[Float[Tensor, "_ _"], ...] = ()
     """Of the parameters of each camera that was refined, in the order of `state.models`."""
     rig_covariance: Float[Tensor, "cameras 6 6"] | None = None
     """Of the left perturbation of `cam_from_rig`, where it was refined; zero for the first."""
 
+    @property
+    def noise_factor(self) -> float:
+        """Noise that all covariances are for, over what is stated (or 1 px): 1 where it is stated and holds; NaN where the
+        residuals were expected to tell and nothing is left over."""
+        return self.noise.level
+
     def joint_line_covariance(self, tracks: Int[Tensor, " k"]) -> Float[Tensor, "k4 k4"]:
         """Covariance of some lines together, four rows a line: the poses make the errors of all lines depend on each other."""
-        return self.whitened.joint_eliminated_covariance(tracks) * self.noise_factor**2
+        return self.whitened.joint_eliminated_covariance(tracks) * (self.scale * self.noise.widening(4))
 
 
 def adjust_lines(
@@ -65,6 +79,7 @@ def adjust_lines(
     models: tuple[CameraModel, ...] = (),
     prior: PosePrior | None = None,
     loss: Loss | None = None,
+    cautious: bool = False,
     max_iterations: int = 100,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
@@ -73,8 +88,16 @@ def adjust_lines(
 
     `held` names poses that stay; photos without an arc are held in any case. With a rig `cam_from_world` is `rig_from_world` of
     its frames, and `held` and `prior` are those of frames. `models` are refined where given: all cameras of the calibration, in
-    its order; the arcs must know their pixels. The covariance is that of the whitened residuals at the solution, scaled by their
-    variance factor, so that it is right for any noise of the end points.
+    its order; the arcs must know their pixels. A `prior` counts in standard deviations of itself, and the arcs in those of their
+    noise, whatever the cost. Its unit is that of the residuals of the cost, as is the scale of the `loss`.
+
+    Covariances are those of the estimate that the cost and the loss give (`weighting.py`), for the stated noise of the end
+    points. Where none is stated, or the residuals are larger than it allows (chi-square, 0.1 percent), they are for the noise
+    that the residuals show, and wider as few residuals ask for (`noise.py`). With a prior and no stated noise, the noise and
+    the solution are found in turn.
+
+    With `cautious` it is the noise that all residuals show, also those of arcs that stand out and whatever is stated: for arcs of
+    photos, of which those that stand out are mostly of near edges, and pull at the lines.
 
     With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
     on the processor, which also works out the covariances. Cameras are refined on the processor only.
@@ -91,32 +114,77 @@ def adjust_lines(
     centres = state.cam_from_world.centre[arcs.image]
     state = replace(state, chart=LineChart.about_cameras(lines, centres, arcs.track))
     freedom = Freedom(fixed, held_lines, bool(models), refine_rig)
-    problem = LineProblem(arcs, cost, freedom, state, prior)
+    if loss is None:
+        loss = Loss()
+
     place = usable_device(device)
+    plain = LineProblem(arcs, "whitened", freedom, state)
+    task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None, cautious)
+
+    def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
+        return _minimum(task, start, weighed, max_iterations, callback, place)
+
+    if prior is None or bool(fixed.all()):
+        return _described(uncertainty(task, minimum(state, None)))
+    return _described(_with_prior(task, state, prior, minimum))
+
+
+def _minimum(
+    task: Task,
+    state: LinesAndPoses,
+    prior: PosePrior | None,
+    max_iterations: int,
+    callback: Callable[[Progress], None] | None,
+    place: torch.device,
+) -> Minimum[LinesAndPoses]:
+    """The least cost from a start, by the engine that takes the problem."""
+    problem, loss = LineProblem(task.arcs, task.cost, task.freedom, state, prior), task.loss
     if place.type != "cpu":
-        if models:
+        if state.models:
             raise InputError("Cameras are refined on the processor, found the device cuda; use the device cpu.")
-        found = _on_device(place, problem, state, loss, max_iterations, callback)
-        if is_compiled(problem, found.state):
-            return _with_sparse_uncertainty(problem, found, _layout_that_fits(problem))
-        return _with_uncertainty(arcs, freedom, prior, found)
-    if is_compiled(problem, state):
-        engine = LineEngine(problem, loss or Loss(), _layout_that_fits(problem))
-        found = engine.finish(engine.minimise(state, max_iterations, callback)).end
-        return _with_sparse_uncertainty(problem, found, engine.layout)
-    require_for_general(arcs, problem.structure.kept_size)
-    settle = lines_settled(problem, loss or Loss())
-    solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
-    if solution.state.models:
-        arcs = arcs.seen_by(solution.state.models)
-    return _with_uncertainty(arcs, freedom, prior, solution)
+        return _on_device(place, problem, state, loss, max_iterations, callback)
+    if task.layout is not None and is_compiled(problem, state):
+        engine = LineEngine(problem, loss, task.layout)
+        return engine.finish(engine.minimise(state, max_iterations, callback)).end
+    require_for_general(problem.arcs, problem.structure.kept_size)
+    settle = lines_settled(problem, loss)
+    found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
+    return Minimum(found.state, found.outcome, found.cost, found.initial_cost, found.iterations)
+
+
+def _with_prior(
+    task: Task,
+    state: LinesAndPoses,
+    prior: PosePrior,
+    minimum: Callable[[LinesAndPoses, PosePrior | None], Minimum[LinesAndPoses]],
+) -> Uncertain:
+    """The solution with a prior that weighs what the noise of the arcs says. Where none is stated it is found in turn with the
+    solution (variance components, W. Foerstner 1979). It begins small, as it is without the prior: one that begins large would
+    let the prior hold the poses, and their errors then look like noise.
+    """
+    if task.stated:
+        weighed = prior.weighing(task.weights(state, 1.0).unit)
+        return uncertainty(task, minimum(state, weighed), weighed, 1.0)
+    alone = uncertainty(task, minimum(state, None)).noise.level
+    level = alone if math.isfinite(alone) and alone > LEAST_LEVEL else 1.0
+    start, iterations = state, 0
+    for _ in range(MOST_TURNS):
+        weighed = prior.weighing(task.weights(start, level).unit)
+        found = minimum(start, weighed)
+        iterations += found.iterations
+        result = uncertainty(task, found, weighed, level)
+        again = result.noise.level
+        if not math.isfinite(again) or abs(again / level - 1) < SETTLED or again <= LEAST_LEVEL:
+            break
+        start, level = found.state, again
+    return replace(result, found=replace(result.found, iterations=iterations))
 
 
 def _on_device(
     device: torch.device,
     problem: LineProblem,
     state: LinesAndPoses,
-    loss: Loss | None,
+    loss: Loss,
     max_iterations: int,
     callback: Callable[[Progress], None] | None,
 ) -> Minimum[LinesAndPoses]:
@@ -129,90 +197,46 @@ def _on_device(
     return Minimum(end, found.outcome, found.cost, found.initial_cost, found.iterations)
 
 
-def _layout_that_fits(problem: LineProblem) -> Layout:
-    """The engine's layout, which is small. Raises InputError where what follows it does not fit into memory."""
-    found, arcs = layout(problem), problem.arcs
-    pattern, threads = found.pattern, len(found.shares) - 1
-    needed = engine_bytes(len(arcs), arcs.tracks, pattern.kept, len(pattern.row), band_width(pattern, 6), threads)
-    require_memory(needed, len(arcs), arcs.tracks, arcs.images)
-    return found
-
-
 def _no_chart(lines: PlueckerLines) -> LineChart:
     """A chart of the lines about the origin, until the poses of the photos are known."""
     zero = torch.zeros_like(lines.direction)
     return LineChart.from_lines(lines, zero, torch.ones_like(zero[:, 0]))
 
 
-def _with_uncertainty(
-    arcs: Arcs, freedom: Freedom, prior: PosePrior | None, solution: Solution[LinesAndPoses] | Minimum[LinesAndPoses]
-) -> Adjusted:
-    """Covariances from the whitened equations at the solution."""
-    state = solution.state
-    problem = LineProblem(arcs, "whitened", freedom, state, prior)
-    whitened = solve(problem, state, max_iterations=0)
-    variance = _variance(problem, whitened)
-    kept = whitened.kept_covariance() * variance
-    line_covariance = _zero_where_held(freedom, whitened.eliminated_covariance() * variance)
-    low = 6 * len(problem.free)
-    rig_covariance = None
-    if state.rig is not None and len(problem.rig_cameras):
-        rig_covariance = torch.zeros(len(state.rig.cam_from_rig), 6, 6, dtype=torch.float64)
-        rig_covariance[problem.rig_cameras] = _blocks(kept, low, len(problem.rig_cameras))
-        low += 6 * len(problem.rig_cameras)
-    cameras = []
-    for basis in problem.bases:
-        high = low + basis.shape[1]
-        cameras.append(basis @ kept[low:high, low:high] @ basis.mT)
-        low = high
+def _described(done: Uncertain) -> Adjusted:
+    """All covariances, for the noise and its redundancy."""
+    problem, equations, scale, noise = done.problem, done.equations, done.scale, done.noise
+    state, freedom = done.found.state, problem.freedom
+    rig_covariance, cameras = None, []
+    if isinstance(equations, LineSolution):
+        of_frames, lines = equations.covariances()
+        poses = torch.zeros(len(freedom.held_frames), 6, 6, dtype=torch.float64)
+        poses[problem.free] = of_frames
+    else:
+        kept, lines = equations.kept_covariance(), equations.eliminated_covariance()
+        poses, low = _pose_covariance(problem, state, kept), 6 * len(problem.free)
+        if state.rig is not None and len(problem.rig_cameras):
+            rig_covariance = torch.zeros(len(state.rig.cam_from_rig), 6, 6, dtype=torch.float64)
+            rig_covariance[problem.rig_cameras] = _blocks(kept, low, len(problem.rig_cameras)) * (scale * noise.widening(6))
+            low += 6 * len(problem.rig_cameras)
+        for basis in problem.bases:
+            high = low + basis.shape[1]
+            cameras.append(basis @ kept[low:high, low:high] @ basis.mT * (scale * noise.widening(basis.shape[1])))
+            low = high
+    lines = lines * (scale * noise.widening(4))
     return Adjusted(
         state,
-        solution.outcome,
-        solution.initial_cost,
-        solution.cost,
-        solution.iterations,
-        line_covariance,
-        _pose_covariance(problem, state, kept),
-        math.sqrt(variance),
-        whitened,
+        done.found.outcome,
+        done.found.initial_cost,
+        done.found.cost,
+        done.found.iterations,
+        lines if freedom.held_lines is None else torch.where(freedom.held_lines[:, None, None], 0.0, lines),
+        poses * (scale * noise.widening(6)),
+        noise,
+        equations,
+        scale,
         tuple(cameras),
         rig_covariance,
-    )
-
-
-def _variance(problem: LineProblem, whitened: Solution[LinesAndPoses] | LineSolution) -> float:
-    """Variance factor of the whitened residuals; NaN where nothing is left over."""
-    arcs, freedom = problem.arcs, problem.freedom
-    observed = torch.bincount(arcs.track, minlength=arcs.tracks) > 0
-    moving = observed if freedom.held_lines is None else observed & ~freedom.held_lines
-    known = 0 if problem.prior is None else 6 * len(problem.free)
-    degrees = 2 * len(arcs) + known - 4 * int(moving.sum()) - problem.structure.kept_size + whitened.gauge.shape[1]
-    return whitened.cost / degrees if degrees > 0 else math.nan
-
-
-def _zero_where_held(freedom: Freedom, covariance: Float[Tensor, "t 4 4"]) -> Float[Tensor, "t 4 4"]:
-    return covariance if freedom.held_lines is None else torch.where(freedom.held_lines[:, None, None], 0.0, covariance)
-
-
-def _with_sparse_uncertainty(problem: LineProblem, found: Minimum[LinesAndPoses], laid_out: Layout) -> Adjusted:
-    """The same by the compiled engine: only the blocks that are needed of the covariance of all poses are formed."""
-    freedom, state = problem.freedom, found.state
-    engine = LineEngine(LineProblem(problem.arcs, "whitened", freedom, state, problem.prior), Loss(), laid_out)
-    whitened = engine.finish(engine.minimise(state, 0))
-    variance = _variance(engine.problem, whitened)
-    of_frames, of_lines = whitened.covariances()
-    pose_covariance = torch.zeros(len(freedom.held_frames), 6, 6, dtype=torch.float64)
-    pose_covariance[problem.free] = of_frames * variance
-    return Adjusted(
-        state,
-        found.outcome,
-        found.initial_cost,
-        found.cost,
-        found.iterations,
-        _zero_where_held(freedom, of_lines * variance),
-        pose_covariance,
-        math.sqrt(variance),
-        whitened,
     )
 
 

@@ -16,6 +16,9 @@ from pathlib import Path
 
 from camera_models import InputError
 from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.engine_layout import Layout, layout
+from omnilines.adjustment.problem import LineProblem
+from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import free_bytes
 
 BASE = 400_000_000
@@ -72,6 +75,15 @@ def require_for_arcs(observations: int, lines: int, photos: int) -> None:
     """Raise InputError where not even arcs and lines would fit, whatever the photos see together."""
     needed = arcs_bytes(observations, with_pixels=True) + engine_bytes(observations, lines, photos, photos, 5, 1)
     require_memory(needed, observations, lines, photos)
+
+
+def layout_that_fits(problem: LineProblem) -> Layout:
+    """The layout of the compiled engine, which is small. Raises InputError where what follows it does not fit into memory."""
+    found, arcs = layout(problem), problem.arcs
+    pattern, threads = found.pattern, len(found.shares) - 1
+    needed = engine_bytes(len(arcs), arcs.tracks, pattern.kept, len(pattern.row), band_width(pattern, 6), threads)
+    require_memory(needed, len(arcs), arcs.tracks, arcs.images)
+    return found
 
 
 def require_for_general(arcs: Arcs, kept: int) -> None:

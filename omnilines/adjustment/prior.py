@@ -1,5 +1,6 @@
 """What is known of poses beforehand: a mean and standard deviations, as extra residuals of the adjustment."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +18,11 @@ class PosePrior:
     sigma_rad: Float[Tensor, " frames"]
     """Of each component of the rotation vector; infinite where nothing is known."""
     sigma_m: Float[Tensor, " frames"]
+
+    def weighing(self, unit: float) -> "PosePrior":
+        """The prior in the unit of a cost whose squared residuals are so large where those of a prior are one."""
+        root = math.sqrt(unit)
+        return PosePrior(self.mean, self.sigma_rad / root, self.sigma_m / root)
 
     def residual(self, poses: Pose) -> tuple[Float[Tensor, "frames 6"], Float[Tensor, "frames 6 6"]]:
         """r and its derivative by the left perturbation of T.

@@ -13,7 +13,7 @@ from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_function
-from omnilines.costs._cost import CostFunction, by_bearings, line_residual
+from omnilines.costs._cost import CostFunction, by_bearings, line_residual, mixed_distances
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure
 
 
@@ -37,8 +37,18 @@ class LineProblem:
     line leaves nothing open.
     """
 
-    def __init__(self, arcs: Arcs, cost: str, freedom: Freedom, state: LinesAndPoses, prior: PosePrior | None = None) -> None:
-        self.arcs, self.cost_name, self.freedom, self.prior = arcs, cost, freedom, prior
+    def __init__(
+        self,
+        arcs: Arcs,
+        cost: str,
+        freedom: Freedom,
+        state: LinesAndPoses,
+        prior: PosePrior | None = None,
+        mix: Float[Tensor, "n 2 2"] | None = None,
+    ) -> None:
+        """`prior` is in the unit of the cost (`PosePrior.weighing`). With `mix` residuals are mix @ (V . Mh) instead of the
+        cost's."""
+        self.arcs, self.cost_name, self.freedom, self.prior, self.mix = arcs, cost, freedom, prior, mix
         rig = state.rig
         frame = arcs.image if rig is None else rig.frame[arcs.image]
         self.free = torch.nonzero(~freedom.held_frames).flatten()
@@ -67,14 +77,17 @@ class LineProblem:
     @cached_property
     def cost(self) -> CostFunction:
         """Of the arcs as they are."""
-        return cost_function(self.cost_name, self.arcs)
+        return self._cost_of(self.arcs)
+
+    def _cost_of(self, arcs: Arcs) -> CostFunction:
+        return cost_function(self.cost_name, arcs) if self.mix is None else mixed_distances(self.mix)
 
     def linearise(self, state: LinesAndPoses) -> Linearisation:
         """Residuals of the cost and their analytic Jacobians; those by the cameras by the chain rule through the bearings."""
         arcs, cost = self.arcs, self.cost
         if self.bases:
             arcs = arcs.seen_by(state.models)
-            cost = cost_function(self.cost_name, arcs)
+            cost = self._cost_of(arcs)
         poses, chart = state.cam_from_world[arcs.image], state.chart[arcs.track]
         r, by_pose, by_line = line_residual(cost, arcs.bearings, chart, poses)
         if self.freedom.held_lines is not None:

@@ -21,6 +21,7 @@ from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.suspects import Suspect, suspects
+from omnilines.adjustment.weighting import weighting
 from omnilines.costs import cost_function
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
@@ -32,7 +33,8 @@ from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import noise_level, robust_triangulate
 
 LOSS_SCALE = 2.0
-"""Robust losses bend at this many times the known noise, or the median residual of the start where no noise is given."""
+"""Robust losses bend at this many times the stated noise. Where none is stated, at the median residual of the start first, and
+then at the noise that the residuals show."""
 ROUNDS = 3
 """Times that poses are mended by the tracks that have a line before those that have none are triangulated again."""
 REFINABLE = ("lines", "poses", "intrinsics", "rig")
@@ -80,6 +82,7 @@ def reconstruct_lines(
     pose_sigma: tuple[float, float] | None = None,
     robust: bool = False,
     loss: str = "none",
+    cautious: bool = False,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
 ) -> LineScene:
@@ -87,8 +90,10 @@ def reconstruct_lines(
 
     `triangulation_options` are those of the method's function.
     `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
-    makes the given poses a prior. With `robust`, observations of other lines are found by consensus and left out. `device` is
-    where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
+    makes the given poses a prior. `cautious` is that of
+    `adjust_lines`. With `robust`, observations of other lines are found by
+    consensus and left out. `device` is where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`;
+    the consensus stays on the processor.
 
     Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
@@ -102,22 +107,31 @@ def reconstruct_lines(
         arcs, state, (triangulation, triangulation_options or {}), robust, ROUNDS if refine_poses else 0, device
     )
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
-    start, centres = first.lines[tracks], state.cam_from_world.centre[inner.image]
-    state = replace(state, chart=LineChart.about_cameras(start, centres, inner.track))
-    adjusted = adjust_lines(
-        inner,
-        start,
-        state.rig_from_world,
-        cost=cost,
-        refine_poses=refine_poses,
-        rig=mounted,
-        refine_rig=refine_rig,
-        models=models,
-        prior=_prior(frames, pose_sigma),
-        loss=_loss(loss, cost, inner, state),
-        callback=callback,
-        device=device,
-    )
+    centres = state.cam_from_world.centre[inner.image]
+    state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
+
+    def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
+        return adjust_lines(
+            inner,
+            start.chart.lines(),
+            start.rig_from_world,
+            cost=cost,
+            refine_poses=refine_poses,
+            rig=start.rig,
+            refine_rig=refine_rig,
+            models=start.models,
+            prior=_prior(frames, pose_sigma),
+            loss=bent,
+            cautious=cautious,
+            callback=callback,
+            device=device,
+        )
+
+    adjusted = adjust(state, _loss(loss, cost, inner, state))
+    level = adjusted.noise.measured
+    if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
+        # Errors of the start are in the first scale.
+        adjusted = adjust(adjusted.state, Loss(loss, LOSS_SCALE * level * _unit(cost, inner, adjusted.state)))
     final = inner.seen_by(adjusted.state.models) if models else inner
     before, before_px = line_table(names, inner, tracks, first, state, None)
     lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted)
@@ -176,7 +190,7 @@ def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndP
     lines = first.lines[tracks]
     chart = LineChart.about_cameras(lines, state.cam_from_world.centre[inner.image], inner.track)
     loss = _loss("cauchy", "sector", inner, replace(state, chart=chart))
-    adjusted = adjust_lines(inner, lines, state.rig_from_world, rig=state.rig, loss=loss)
+    adjusted = adjust_lines(inner, lines, state.rig_from_world, cost="sector", rig=state.rig, loss=loss)
     return replace(state, rig_from_world=adjusted.state.rig_from_world)
 
 
@@ -226,10 +240,18 @@ def _loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses) -> Loss:
     """The loss bent at the median size of the residuals of the start, which pose errors and outliers leave finite."""
     if name == "none":
         return Loss()
-    if cost == "whitened" and arcs.sigma_known:
-        return Loss(name, LOSS_SCALE)
+    if arcs.sigma_known:
+        return Loss(name, LOSS_SCALE * _unit(cost, arcs, start))
     size = cost_function(cost, arcs)(arcs.bearings, start.normals(arcs))[0].norm(dim=-1).median()
     return Loss(name, max(LOSS_SCALE * float(size), 1e-12))
+
+
+def _unit(cost: str, arcs: Arcs, state: LinesAndPoses) -> float:
+    """Standard deviation of a residual of the cost for the stated noise, or for 1 px; two residuals an arc."""
+    return math.sqrt(
+        weighting(cost, arcs.seen_by(state.models) if state.models else arcs, state.normals(arcs), Loss(), 1.0).expected
+        / (2 * len(arcs))
+    )
 
 
 def parse_refine(text: str) -> tuple[str, ...]:

@@ -7,11 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.noise import LIMIT, NORMAL_MAD
 from omnilines.costs import cost_function
-
-LIMIT = 13.816
-"""99.9 percent of a chi-square distribution of two degrees of freedom, the two ends of an arc."""
-NORMAL_MAD = 1.4826
 
 
 @dataclass(frozen=True)

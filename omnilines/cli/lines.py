@@ -49,7 +49,7 @@ MaybeTriangulation = Annotated[
 ]
 MaybeCost = Annotated[
     str | None,
-    typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm (of photos: whitened, of segments: sector)."),
+    typer.Option("--cost", help="sector, whitened (default), taylor-kriegman or bartoli-sturm."),
 ]
 MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
@@ -114,7 +114,7 @@ def reconstruct(
     options = method_options(method, subset=subset, bandwidth=bandwidth, weights=weights)
     if not photos and segments is not None:
         _from_segments(
-            calibration, poses, segments, out, method, options, cost or "sector", refine or "lines",
+            calibration, poses, segments, out, method, options, cost or "whitened", refine or "lines",
             loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
         )  # fmt: skip
         return
@@ -163,7 +163,7 @@ def adjust(
     subset: Subset = None,
     bandwidth: Bandwidth = None,
     weights: Weights = None,
-    cost: Cost = "sector",
+    cost: Cost = "whitened",
     refine: Refine = "lines,poses",
     loss: LossName = "none",
     robust: Robust = False,

@@ -10,6 +10,7 @@ import numpy as np
 from camera_models import Calibration
 from omnilines import report
 from omnilines.commands._line_scene import PhotoScene
+from omnilines.commands._noise_notes import noise_data, noise_notes
 from omnilines.commands._scene_frame import UNIT_KEY, SceneFrame
 from omnilines.files import PhotoRef
 from omnilines.least_squares import Outcome
@@ -39,7 +40,8 @@ def scene_summary(scene: PhotoScene, photos: int, families: Families) -> Summary
         ("families of parallel lines", str(len(families.members))),
     )
     outcome = scene.scene.adjusted.outcome
-    return Summary("Line scene", rows, () if outcome is Outcome.CONVERGED else (outcome.value,))
+    notes = () if outcome is Outcome.CONVERGED else (outcome.value,)
+    return Summary("Line scene", rows, (*notes, *noise_notes(scene.scene.adjusted.noise)))
 
 
 def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
@@ -60,6 +62,7 @@ def scene_data(scene: PhotoScene, frame: SceneFrame) -> dict[str, Any]:
         "rms_px": scene.scene.rms_px(),
         "slack_px": scene.slack_px,
         "median_sigma_m": float(np.median(lines.sigma_m)),
+        "noise": noise_data(scene.scene.adjusted.noise),
         "outcome": scene.scene.adjusted.outcome.name.lower(),
         "families": [
             {

@@ -15,6 +15,7 @@ from omnilines import report
 from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_lines
 from omnilines.adjustment.suspects import Suspect
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands._noise_notes import noise_data, noise_notes, noise_row
 from omnilines.commands._scene_frame import UNIT_KEY, unit_of_table
 from omnilines.files import (
     is_corners_table,
@@ -43,7 +44,7 @@ def reconstruct_segments(
     *,
     triangulation: str = "dual",
     triangulation_options: Mapping[str, Any] | None = None,
-    cost: str = "sector",
+    cost: str = "whitened",
     refine: str = "lines",
     loss: str = "none",
     robust: bool = False,
@@ -169,6 +170,7 @@ def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, 
         ("rms_px before", f"{scene.rms_px(before=True):.4f}"),
         ("rms_px after", f"{scene.rms_px():.4f}"),
         ("median sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} {lines.unit.sign}"),
+        ("noise of the end points", noise_row(scene.adjusted.noise)),
     )
     notes = _named("do not belong to their track and were left out", scene.wrong)
     notes += _named("lie farther from their line than 99.9 percent should", scene.suspect)
@@ -179,6 +181,7 @@ def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, 
         )
     if scene.adjusted.outcome is not Outcome.CONVERGED:
         notes += (scene.adjusted.outcome.value,)
+    notes += noise_notes(scene.adjusted.noise)
     return Summary("Line scene", rows, notes)
 
 
@@ -215,6 +218,7 @@ def _data(scene: LineScene, names: tuple[str, ...]) -> dict[str, Any]:
         "rms_px_before": scene.rms_px(before=True),
         "rms_px": scene.rms_px(),
         "median_sigma_m": sigma if np.isfinite(sigma) else None,
+        "noise": noise_data(scene.adjusted.noise),
         "outcome": scene.adjusted.outcome.name.lower(),
         "iterations": scene.adjusted.iterations,
         "left_out": list(scene.table.left_out),

@@ -73,6 +73,18 @@ def scaled_distance(
     return h, bearings / width[..., None] - (h / width2)[..., None] * across[..., 0]
 
 
+def mixed_distances(mix: Float[Tensor, "n m 2"]) -> CostFunction:
+    """The cost with residuals mix @ (V . Mh), the distances of both ends from the plane, and d r / d M = (F - r Mh') / |M|."""
+
+    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        factor, length = mix @ bearings, normal.norm(dim=-1, keepdim=True)
+        unit = normal / length
+        r = (factor @ unit[..., None])[..., 0]
+        return r, (factor - r[..., None] * unit[:, None]) / length[..., None]
+
+    return evaluate
+
+
 def by_bearings(cost: CostFunction, bearings: Float[Tensor, "n 2 3"], normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n m 2 3"]:
     """d r / d end bearings, by automatic differentiation: one backward pass for each residual of an observation."""
     leaf = bearings.detach().requires_grad_()

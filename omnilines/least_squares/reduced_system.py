@@ -172,6 +172,20 @@ class ReducedSystem:
             found[low : low + (1 << 16)] -= left[i] @ right[j].transpose(0, 2, 1) + right[i] @ left[j].transpose(0, 2, 1)
         return found
 
+    def conjugated_blocks(self, inner: Float[np.ndarray, "blocks d d"]) -> Float[np.ndarray, "blocks d d"]:
+        """The blocks that the pattern has of S^-1 K S^-1, K by its own: columns, as many at once as memory allows."""
+        dim, kept, size = self.blocks.shape[1], self.pattern.kept, self.size
+        between, found = sparse_matrix(self.pattern, inner), np.zeros_like(inner)
+        at_once = max(1, SOLVED_AT_ONCE // (size * dim))
+        for low in range(0, kept, at_once):
+            high = min(kept, low + at_once)
+            right = np.zeros((size, dim * (high - low)))
+            right[dim * low : dim * high] = np.eye(dim * (high - low))
+            columns = self.solve(between @ self.solve(right)).reshape(kept, dim, high - low, dim)
+            own = np.flatnonzero((self.pattern.row >= low) & (self.pattern.row < high))
+            found[own] = columns[self.pattern.column[own], :, self.pattern.row[own] - low].transpose(0, 2, 1)
+        return found
+
     def diagonal(self) -> Float[np.ndarray, " n"]:
         """Of S."""
         return self.blocks[self.pattern.diagonal].diagonal(axis1=1, axis2=2).ravel()

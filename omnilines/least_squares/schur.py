@@ -20,7 +20,8 @@ CHUNK = 8_000_000
 """Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB, or a sixteenth of what a GPU has free."""
 
 
-def _chunk(device: torch.device) -> int:
+def chunk_of(device: torch.device) -> int:
+    """Entries of products of couplings that are formed at once."""
     free = free_bytes(device)
     return CHUNK if free is None else max(CHUNK, free // 128)
 
@@ -217,7 +218,7 @@ def reduce(equations: NormalEquations, damping: float) -> Reduced:
         return Reduced(equations, matrix.view(k, k), right, factor, False)
     for part in equations.structure.size_classes:
         size = part.columns.shape[1]
-        step = max(1, _chunk(equations.coupling.device) // size**2)
+        step = max(1, chunk_of(equations.coupling.device) // size**2)
         for low in range(0, len(part.blocks), step):
             blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
             lower = factor[blocks]
@@ -253,7 +254,7 @@ def eliminated_covariance(reduced: Reduced, kept_covariance: Float[Tensor, "k k"
     result = torch.where(seen[:, None, None], torch.cholesky_inverse(reduced.factor), float("nan"))
     for part in equations.structure.size_classes:
         size = part.columns.shape[1]
-        step = max(1, _chunk(equations.coupling.device) // size**2)
+        step = max(1, chunk_of(equations.coupling.device) // size**2)
         for low in range(0, len(part.blocks), step):
             blocks, columns = part.blocks[low : low + step], part.columns[low : low + step]
             gain = torch.cholesky_solve(equations.coupling[part.rows[low : low + step]].mT, reduced.factor[blocks])

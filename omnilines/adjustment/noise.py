@@ -1,0 +1,83 @@
+"""The noise of the end points: whether what is stated of it holds, and what the residuals say where nothing is.
+
+Without a loss the cost's own squared residuals have, for noise of unit level, the expectation sum tr(W) - tr(H^-1 K), which for
+the whitened cost is the number of residuals less that of parameters. With a robust loss those of arcs are taken that do not stand
+out.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from scipy.special import chdtrc, chdtri, fdtri
+from torch import Tensor
+
+LIMIT = 13.816
+"""99.9 percent of a chi-square distribution of two degrees of freedom, the two ends of an arc."""
+NORMAL_MAD = 1.4826
+REJECTED = 1e-3
+"""Probability of residuals as large, or as small, below which the stated noise does not hold."""
+COVERED = 0.95
+"""Share of truths within the ellipsoids that few residuals leave room for."""
+MOST_TURNS = 10
+"""Times that the arcs that stand out and the noise of the others are found in turn."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of the end points, in units of what is stated, or of 1 px."""
+
+    measured: float
+    """What the residuals say; NaN where nothing is left over."""
+    redundancy: float
+    """Degrees of freedom that it rests on."""
+    stated: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the residuals allow what is stated: they are not too large for it."""
+        return self.stated and not (self.redundancy > 0 and self._larger < REJECTED)
+
+    @property
+    def overstated(self) -> bool:
+        """Whether the residuals are too small for what is stated."""
+        return self.stated and self.redundancy > 0 and 1 - self._larger < REJECTED
+
+    @property
+    def _larger(self) -> float:
+        """The probability of larger residuals where what is stated holds (chi-square)."""
+        return float(chdtrc(self.redundancy, self.redundancy * self.measured**2))
+
+    @property
+    def level(self) -> float:
+        """What all uncertainty is stated for."""
+        return 1.0 if self.holds else self.measured
+
+    def widening(self, dim: int) -> float:
+        """Factor on the covariance of `dim` coordinates: 1 where the noise is stated, else that which makes the usual ellipsoid
+        of 95 percent hold although the noise is estimated, dim F(dim, redundancy) / chi^2(dim) at 95 percent."""
+        if self.holds or not self.redundancy > 0:
+            return 1.0
+        return dim * float(fdtri(dim, self.redundancy, COVERED)) / float(chdtri(dim, 1 - COVERED))
+
+
+def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float) -> Bool[Tensor, " n"]:
+    """Arcs whose squared whitened residual is within LIMIT of the variance of the noise, `taken` parameters having been fitted.
+
+    The variance is told by the median first, then by the arcs that are within, and is `least` squared at least. Good arcs
+    vary by less than the noise, as they have decided the parameters, so that hardly any is cut off.
+    """
+    square = whitened.square().sum(-1)
+    finite = torch.isfinite(square)
+    left = 2 * int(finite.sum()) - taken
+    if left <= 0:
+        return finite
+    variance = NORMAL_MAD**2 * float(whitened[finite].square().median()) * 2 * int(finite.sum()) / left
+    within = finite
+    for _ in range(MOST_TURNS):
+        before, within = within, finite & (square <= LIMIT * max(variance, least**2, 1e-24))
+        left = 2 * int(within.sum()) - taken
+        if left <= 0 or bool((before == within).all()):
+            break
+        variance = float(square[within].sum()) / left
+    return within

@@ -1,0 +1,58 @@
+"""What a line scene says of the noise of the end points of its arcs."""
+
+import math
+from typing import Any
+
+from omnilines.adjustment.noise import REJECTED, Noise
+
+WORTH_SAYING = 1.1
+"""Factor on standard deviations from which on it is said in a sentence."""
+
+
+def noise_row(noise: Noise) -> str:
+    """What the residuals say of it."""
+    if not math.isfinite(noise.measured):
+        return "as stated; nothing is left over that tells" if noise.stated else "unknown: nothing is left over that tells"
+    unit = "times what is stated" if noise.stated else "px"
+    return f"{noise.measured:.3g} {unit}, from {noise.redundancy:.0f} degrees of freedom"
+
+
+def noise_notes(noise: Noise) -> tuple[str, ...]:
+    """Where the stated noise does not hold, and where too little is left over to tell it."""
+    if noise.stated:
+        return _of_stated(noise)
+    if not math.isfinite(noise.measured):
+        return (
+            "No noise of the end points is stated and nothing is left over that tells it: there are no uncertainties; state "
+            "sigma_px, or give more views.",
+        )
+    widening = math.sqrt(noise.widening(4))
+    if widening > WORTH_SAYING:
+        return (
+            f"No noise of the end points is stated, and {noise.redundancy:.0f} degrees of freedom tell little of it: standard "
+            f"deviations of lines are {widening:.2f} times as large as the residuals say, so that ellipsoids of 95 percent hold.",
+        )
+    return ()
+
+
+def _of_stated(noise: Noise) -> tuple[str, ...]:
+    limit = f"(chi-square, below {100 * REJECTED:g} percent)"
+    if not noise.holds and noise.measured > WORTH_SAYING:
+        return (
+            f"The residuals are {noise.measured:.2f} times as large as the stated noise of the end points allows {limit}: all "
+            "uncertainties are for that much noise. Wrong matches, poses that are held although they are off, or a poor "
+            "calibration look like this.",
+        )
+    if noise.overstated and noise.measured < 1 / WORTH_SAYING:
+        return (
+            f"The residuals are {noise.measured:.2f} times what the stated noise of the end points lets expect {limit}: the "
+            "uncertainties, which are for the stated noise, are likely to be too large.",
+        )
+    return ()
+
+
+def noise_data(noise: Noise) -> dict[str, Any]:
+    """For `--json`."""
+    measured = noise.measured if math.isfinite(noise.measured) else None
+    holds = noise.holds if noise.stated else None
+    return {"stated": noise.stated, "measured": measured, "redundancy": noise.redundancy, "holds": holds}
