@@ -11,7 +11,7 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled, lines_settled
+from omnilines.adjustment.engine import EXACT_FIT, LineEngine, LineSolution, is_compiled, lines_settled
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.memory import engine_bytes, require_for_general, require_memory
 from omnilines.adjustment.prior import PosePrior
@@ -22,6 +22,9 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, solve
 from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import moved_to, usable_device
+
+REWEIGHTED = 1e-9
+"""Share of the cost by which weights formed anew may still lower it: of n residuals, a step of sqrt(1e-9 n) deviations."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,7 @@ def adjust_lines(
     state = replace(state, chart=LineChart.about_cameras(lines, centres, arcs.track))
     freedom = Freedom(fixed, held_lines, bool(models), refine_rig)
     problem = LineProblem(arcs, cost, freedom, state, prior)
+    _require_scale(problem, state)
     place = usable_device(device)
     if place.type != "cpu":
         if models:
@@ -105,11 +109,51 @@ def adjust_lines(
         found = engine.finish(engine.minimise(state, max_iterations, callback)).end
         return _with_sparse_uncertainty(problem, found, engine.layout)
     require_for_general(arcs, problem.structure.kept_size)
-    settle = lines_settled(problem, loss or Loss())
-    solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
+    solution: Solution[LinesAndPoses] | Minimum[LinesAndPoses]
+    if problem.mix is None:
+        settle = lines_settled(problem, loss or Loss())
+        solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
+    else:
+        solution = _reweighted(problem, state, loss, max_iterations, callback)
     if solution.state.models:
         arcs = arcs.seen_by(solution.state.models)
     return _with_uncertainty(arcs, freedom, prior, solution)
+
+
+def _require_scale(problem: LineProblem, state: LinesAndPoses) -> None:
+    """Raise GeometryError where several held poses are meant to give the scene its scale and are too near each other: standard
+    deviations would be endless. Too near is within the noise of an end point at the distance of the lines."""
+    fixed = torch.nonzero(problem.freedom.held_frames & problem.observing).flatten()
+    if len(fixed) < 2 or not len(problem.free) or not problem.only_poses_scale(state):
+        return
+    arcs, centre = problem.arcs, state.rig_from_world.centre[fixed]
+    noise = arcs.by_pixel @ arcs.covariance_px2 @ arcs.by_pixel.mT
+    noise_rad = float((0.5 * noise.diagonal(dim1=-2, dim2=-1).sum(-1)).median().sqrt())
+    apart, least = float((centre - centre[0]).norm(dim=-1).max()), noise_rad * float(state.chart.scale.nanmedian())
+    if apart <= least:
+        raise GeometryError(
+            f"Held poses at two places were expected to give the scene its scale, found {len(fixed)} at one place ({apart:.2g} m "
+            f"apart, {least:.2g} m is noise); hold one that was taken elsewhere too, or only one, which leaves the scale open."
+        )
+
+
+def _reweighted(
+    problem: LineProblem,
+    state: LinesAndPoses,
+    loss: Loss | None,
+    max_iterations: int,
+    callback: Callable[[Progress], None] | None,
+) -> Minimum[LinesAndPoses]:
+    """Solves with weights that are held, formed anew at the end of each, until they no longer change it (`intrinsics.py`)."""
+    found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback)
+    initial, iterations = found.initial_cost, found.iterations
+    while found.outcome is Outcome.CONVERGED and iterations < max_iterations:
+        again = LineProblem(problem.arcs, problem.cost_name, problem.freedom, found.state, problem.prior)
+        found = solve(again, found.state, loss, max_iterations=max_iterations - iterations, callback=callback)
+        iterations += found.iterations
+        if found.initial_cost - found.cost <= REWEIGHTED * found.cost + EXACT_FIT * 2 * len(problem.arcs):
+            break
+    return Minimum(found.state, found.outcome, found.cost, initial, iterations)
 
 
 def _on_device(
