@@ -23,8 +23,8 @@ from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, 
 from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import moved_to, usable_device
 
-REWEIGHTED = 1e-9
-"""Share of the cost by which weights formed anew may still lower it: of n residuals, a step of sqrt(1e-9 n) deviations."""
+REWEIGHTED = 1e-6
+"""Of the mean cost of an observation, by which new weights may still lower the whole: a step of 1e-3 standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -145,13 +145,15 @@ def _reweighted(
     callback: Callable[[Progress], None] | None,
 ) -> Minimum[LinesAndPoses]:
     """Solves with weights that are held, formed anew at the end of each, until they no longer change it (`intrinsics.py`)."""
-    found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback)
+    least = REWEIGHTED / len(problem.arcs)
+    found = solve(problem, state, loss, max_iterations=max_iterations, tolerance=least, callback=callback)
     initial, iterations = found.initial_cost, found.iterations
     while found.outcome is Outcome.CONVERGED and iterations < max_iterations:
         again = LineProblem(problem.arcs, problem.cost_name, problem.freedom, found.state, problem.prior)
-        found = solve(again, found.state, loss, max_iterations=max_iterations - iterations, callback=callback)
+        left = max_iterations - iterations
+        found = solve(again, found.state, loss, max_iterations=left, tolerance=least, callback=callback)
         iterations += found.iterations
-        if found.initial_cost - found.cost <= REWEIGHTED * found.cost + EXACT_FIT * 2 * len(problem.arcs):
+        if found.initial_cost - found.cost <= least * found.cost + EXACT_FIT * 2 * len(problem.arcs):
             break
     return Minimum(found.state, found.outcome, found.cost, initial, iterations)
 

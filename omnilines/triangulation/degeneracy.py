@@ -240,7 +240,8 @@ def assess(
     status = torch.full_like(views, LINE_STATUSES.index("ok"))
     for name, chosen in names.items():
         status[chosen] = LINE_STATUSES.index(name)
-    return hidden(Triangulation(lines, status, views, angle, residual, observations))
+    alone = on_one & ~barely & (clear_views > 2)
+    return hidden(Triangulation(lines, status, views, angle, residual, observations, alone))
 
 
 def hidden(result: Triangulation) -> Triangulation:
