@@ -145,7 +145,8 @@ class Lines:
     rms_px: Float[np.ndarray, " n"]
     """Of the orthogonal distances of both observed end points over all views; NaN where there is no line."""
     sigma_m: Float[np.ndarray, " n"]
-    """Largest standard deviation of either end across the line; NaN where there is no line."""
+    """Largest standard deviation of either end in any one direction across the line; NaN where there is no line. It is that of
+    one coordinate: `geometry.line.end_radius_sigmas` says how far the ends may be."""
     status: tuple[str, ...]
     covariance: Float[np.ndarray, "n 4 4"] | None = None
     """In the line chart (right perturbation of S, 3; phi, 1)."""

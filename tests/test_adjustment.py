@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from camera_models import InputError, OpenCVFisheye
+from camera_models import GeometryError, InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
 from omnilines.adjustment.arcs import Arcs, Observed
@@ -129,6 +129,57 @@ def test_gauge_columns_are_exact_null_directions(held: tuple[int, ...], columns:
     torch.testing.assert_close(by_line @ lines, -moved, rtol=0, atol=1e-11)
     rank = int(torch.linalg.matrix_rank(torch.cat([by_kept, by_line], 1), rtol=1e-10))
     assert rank == by_kept.shape[1] + by_line.shape[1] - columns
+
+
+# Of the scene's lines 0 and 1 are skew; 0 and its parallel leave a shift, 0 and one that meets it a growth.
+@pytest.mark.parametrize(
+    ("second", "poses", "columns"),
+    [(None, (), 3), ("parallel", (), 1), ("meets", (), 1), ("skew", (), 0), (None, (2,), 0)],
+)
+def test_held_lines_leave_open_what_moves_none_of_them(second: str | None, poses: tuple[int, ...], columns: int) -> None:
+    scene = Scene(cameras=6, lines=12)
+    if second in ("parallel", "meets"):
+        first = scene.ends[0]
+        shift = torch.tensor([0.3, -0.2, 0.4], dtype=torch.float64)
+        scene.ends[1] = first + shift if second == "parallel" else torch.stack([first[0], first[1] + shift])
+        scene.lines = PlueckerLines.from_points(scene.ends[:, 0], scene.ends[:, 1])
+    arcs = scene.arcs(NOISE_PX)
+    held = torch.zeros(arcs.tracks, dtype=torch.bool)
+    held[: 1 if second is None else 2] = True
+    state = state_of(scene, arcs)
+    problem = LineProblem(arcs, "sector", Freedom(none_held(scene, *poses), held), state)
+    gauge = problem.gauge(state)
+    assert gauge.shape[1] == columns
+    by_kept, by_line = dense_jacobian(problem, state)
+    by_line = by_line.unflatten(1, (-1, 4))[:, ~held].flatten(1)
+    moved = by_kept @ gauge
+    if columns:
+        lines = torch.linalg.lstsq(by_line, -moved).solution
+        torch.testing.assert_close(by_line @ lines, -moved, rtol=0, atol=1e-11)
+    rank = int(torch.linalg.matrix_rank(torch.cat([by_kept, by_line], 1), rtol=1e-10))
+    assert rank == by_kept.shape[1] + by_line.shape[1] - columns
+
+
+def test_one_held_line_gives_finite_covariances() -> None:
+    scene = Scene()
+    held = torch.zeros(len(scene.lines), dtype=torch.bool)
+    held[0] = True
+    for cost in ("sector", "taylor-kriegman"):
+        found = adjust_lines(scene.arcs(NOISE_PX), scene.lines, scene.disturbed(0.2, 0.005), cost=cost, held_lines=held)
+        assert found.outcome is Outcome.CONVERGED
+        assert torch.isfinite(found.line_covariance).all() and torch.isfinite(found.pose_covariance).all()
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 1e-6])
+def test_held_poses_at_one_place_are_named(apart_m: float) -> None:
+    """Two held photos from one tripod give no scale: the standard deviations would be kilometres."""
+    scene = Scene()
+    turn = Pose.exp(torch.tensor([0.0, 0.1, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64))
+    second = turn.rotation @ scene.poses.rotation[0]
+    rotation, translation = scene.poses.rotation.clone(), scene.poses.translation.clone()
+    rotation[1], translation[1] = second, -(second @ (scene.poses.centre[0] + apart_m))
+    with pytest.raises(GeometryError, match="found 2 at one place"):
+        adjust_lines(scene.arcs(NOISE_PX), scene.lines, Pose(rotation, translation), held=none_held(scene, 0, 1))
 
 
 def test_a_photo_without_an_arc_anchors_nothing() -> None:

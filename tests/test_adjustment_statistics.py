@@ -9,9 +9,9 @@ import torch
 
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.lines import adjust_lines
+from omnilines.adjustment.lines import adjust_lines, end_sigma_m
 from omnilines.adjustment.scene import reconstruct_lines
-from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.simulate_lines import LineWorld, circle_world, room_world
 
@@ -61,6 +61,22 @@ def test_covariances_cover_the_truth(name, cost, seeds):
             assert 0.90 <= items.min() and items.max() <= 0.99
         else:
             assert 0.88 <= items.mean() <= 0.99
+
+
+def test_both_ends_lie_within_the_stated_radius():
+    """`sigma_m` is that of one coordinate: 1.96 of it hold both ends of fewer lines, `end_radius_sigmas` of 95 percent."""
+    scene = world("wide")
+    true, truth = PlueckerLines.from_points(scene.ends_m[:, 0], scene.ends_m[:, 1]), scene.poses().cam_from_world
+    farther = []
+    for seed in range(25):
+        arcs = arcs_from_segments(scene.segments(NOISE_PX, seed), scene.poses(), {"cam0": scene.camera}).arcs
+        found = adjust_lines(arcs, true, truth, cost="whitened", refine_poses=False)
+        sigma = end_sigma_m(found.state.chart, found.line_covariance, scene.ends_m)
+        away = found.state.chart.lines()[:, None].distance_to(scene.ends_m)
+        farther.append((away.amax(-1) / sigma).numpy())
+    inside = {radius: float((np.concatenate(farther) < radius).mean()) for radius in (NORMAL_95, end_radius_sigmas(2))}
+    print(inside)
+    assert inside[NORMAL_95] < 0.93 and inside[end_radius_sigmas(2)] > 0.95
 
 
 @pytest.mark.parametrize("trials", [range(2), pytest.param(range(2, 100), marks=pytest.mark.full)], ids=["2", "all"])

@@ -379,7 +379,7 @@ def test_scene_holds_lines_boards_cameras_and_truth() -> None:
     by_name = {t["name"]: t for t in spec["data"]}
     assert list(by_name) == ["truth", "a", "b", "cameras"]
     assert len(by_name["a"]["x"]) == 2 * 4 and by_name["a"]["x"][3] is None
-    assert by_name["a"]["text"][4] == "track 1: ok, 7 views<br>sigma 1.2 mm, residual 0.25 px"
+    assert by_name["a"]["text"][4] == "track 1: ok, 7 views<br>largest sigma across 1.2 mm, residual 0.25 px"
     assert "4 of 5 tracks have a line" in markup(section)
     # Each pyramid opens along its optical axis: here towards the origin, from its centre.
     pyramids = np.array([by_name["cameras"][k] for k in "xyz"], dtype=float).T.reshape(6, -1, 3)

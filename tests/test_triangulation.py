@@ -172,6 +172,28 @@ def test_degenerate_geometry_is_named(method: str, noise: float) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_a_line_that_rests_on_one_camera_is_weak(method: str, noise: float) -> None:
+    """Cameras and line in the plane y = 0, but for one camera, or for two: the one has nobody to confirm it."""
+    flat = [[-1.0, 0.0, 5.0], [1.0, 0.0, 5.0]]
+    in_plane = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.5], [0.5, 0.0, 1.0], [-1.5, 0.0, 0.2]]
+    beside, other = [0.3, 1.0, 0.1], [-0.4, -1.0, 0.4]
+    assert named(method, flat, [*in_plane, beside], noise) == "weak"
+    assert named(method, flat, [*in_plane, beside, beside], noise) == "weak"
+    assert named(method, flat, [*in_plane, beside, other], noise) == "ok"
+
+
+@pytest.mark.parametrize("method", ["dual", "svd", "ml"])
+def test_a_far_line_is_not_taken_for_parallel_planes(method: str) -> None:
+    """Noise leaves an angle between the planes that would be at a hundred metres; the baseline is wide across them."""
+    centres = (2 * normal(8, 3, seed=18)).tolist()
+    for seed in range(20):
+        middle, half = unit(normal(2, 3, seed=19 + seed))
+        ends = 1e6 * torch.stack([middle + 0.5 * half, middle - 0.5 * half])
+        assert named(method, ends.tolist(), centres, 2e-4) == "at_infinity"
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_a_line_through_a_camera_centre_and_one_behind_are_named(method: str) -> None:
     # The second plane contains the first centre, so the planes meet in a line through that centre.
     arcs = unit(torch.tensor([[[-1.0, 0, 5], [1, 0, 5]], [[-1, 0, 0], [-2, 1, 5]]], dtype=torch.float64))

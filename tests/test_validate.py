@@ -94,7 +94,7 @@ def test_white_noise_passes_the_checks_of_parameters_and_lines(noisy: Noisy) -> 
     truth, calibration, path = noisy
     validation = compare(truth, 190.0, calibration, read_corners(path))
     checks = {check.name: check for check in validation.checks}
-    assert len(checks) == 6 and all(check.holds == (check.value <= check.limit) for check in checks.values())
+    assert len(checks) == 8 and all(check.holds == (check.value <= check.limit) for check in checks.values())
     assert validation.photos_lost == 0
     assert validation.bearing_limit_deg == pytest.approx(0.1 * 190.0 / 480.0)
     assert checks["parameters, squared Mahalanobis distance"].holds
@@ -121,6 +121,7 @@ def test_a_wrong_camera_and_lost_photos_are_seen(noisy: Noisy) -> None:
 
 
 LINES_CHECK = "lines, squared Mahalanobis distance"
+RMS_CHECK, SCALE_CHECK = "distance of the lines' ends, RMS", "scale of the lines, over the board"
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,26 @@ def test_a_truth_that_was_not_photographed_is_seen(noisy: Noisy, board: MovedBoa
     truth, calibration, path = noisy
     checks = compare(replace(truth, pattern=board), 190.0, calibration, read_corners(path)).checks
     failed = {check.name for check in checks if not check.holds}
-    assert failed == (set() if board.shift_m == 2e-4 else {LINES_CHECK})
+    assert failed - {RMS_CHECK, SCALE_CHECK} == (set() if board.shift_m == 2e-4 else {LINES_CHECK})
+
+
+def test_lines_that_are_stated_to_be_bad_or_too_long_do_not_hold(noisy: Noisy) -> None:
+    """The similarity takes a common scale out, and corners that state their errors excuse any line: neither is good."""
+    truth, calibration, path = noisy
+    corners = read_corners(path)
+    longer = replace(
+        calibration,
+        views=tuple(
+            replace(view, cam_from_board=Pose(view.cam_from_board.rotation, 1.01 * view.cam_from_board.translation))
+            for view in calibration.views
+        ),
+    )
+    failed = {check.name for check in compare(truth, 190.0, longer, corners).checks if not check.holds}
+    assert failed == {SCALE_CHECK}
+    noise = np.random.default_rng(1).normal(size=corners.pixels.shape)
+    bad = replace(corners, pixels=corners.pixels + noise, sigma_px=np.full(len(corners), 1.0))
+    checks = {check.name: check for check in compare(truth, 190.0, calibration, bad).checks}
+    assert checks[LINES_CHECK].holds and not checks[RMS_CHECK].holds
 
 
 def test_wrong_corners_are_set_aside_for_what_the_other_photos_say(noisy: Noisy) -> None:

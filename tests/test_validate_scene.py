@@ -22,13 +22,12 @@ from omnilines.commands._scene_validation import (
     _median,
     _pixel_at_edges,
     compare_scene,
-    interval_sigmas,
     own_edges,
     read_rebuilt,
 )
 from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.files import read_poses, write_poses
-from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.records import Lines
 
@@ -208,7 +207,7 @@ def test_an_edge_is_owned_across_gaps_and_not_at_a_crossing() -> None:
     edge, offset = own_edges(lines, edges)
     assert edge.tolist() in ([0, 0, 3, -1], [1, 0, 3, -1])
     np.testing.assert_allclose(np.linalg.norm(offset[:3], axis=-1), [[0.005, 0], [0.012, 0.012], [0.5, 0]], atol=1e-12)
-    assert interval_sigmas() == pytest.approx(math.sqrt(-2 * math.log(0.05)))
+    assert end_radius_sigmas() == pytest.approx(math.sqrt(-2 * math.log(0.05)))
 
 
 def test_the_size_of_a_pixel_is_that_of_the_closed_form(done: Done) -> None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
@@ -16,6 +16,12 @@ from omnilines.triangulation.result import Triangulation
 
 WEAK_SIGMA = 0.1
 """A line whose ends are uncertain by more than this share of its distance from the cameras is called weak."""
+
+
+def too_uncertain(lines: Lines) -> Bool[np.ndarray, " t"]:
+    """Lines that are weak for the uncertainty of their ends."""
+    assert lines.chart_scale_m is not None
+    return ~(lines.sigma_m <= WEAK_SIGMA * lines.chart_scale_m)
 
 
 def line_table(

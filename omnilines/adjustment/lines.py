@@ -11,7 +11,7 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.engine import LineEngine, LineSolution, is_compiled, lines_settled
+from omnilines.adjustment.engine import EXACT_FIT, LineEngine, LineSolution, is_compiled, lines_settled
 from omnilines.adjustment.memory import layout_that_fits, require_for_general
 from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import PosePrior
@@ -27,6 +27,8 @@ MOST_TURNS, SETTLED = 12, 1e-3
 """Times that the noise and a solution with a prior are found in turn, and the relative change of the noise that ends it."""
 LEAST_LEVEL = 1e-9
 """Noise below it is that of rounding: it says nothing of what a prior weighs."""
+REWEIGHTED = 1e-6
+"""Of the mean cost of an observation, by which new weights may still lower the whole: a step of 1e-3 standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,8 @@ def adjust_lines(
 
     place = usable_device(device)
     plain = LineProblem(arcs, "whitened", freedom, state)
+    if prior is None:
+        _require_scale(plain, state)
     task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None, cautious)
 
     def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
@@ -147,6 +151,8 @@ def _minimum(
         engine = LineEngine(problem, loss, task.layout)
         return engine.finish(engine.minimise(state, max_iterations, callback)).end
     require_for_general(problem.arcs, problem.structure.kept_size)
+    if problem.held is not None:
+        return _reweighted(problem, state, loss, max_iterations, callback)
     settle = lines_settled(problem, loss)
     found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
     return Minimum(found.state, found.outcome, found.cost, found.initial_cost, found.iterations)
@@ -178,6 +184,44 @@ def _with_prior(
             break
         start, level = found.state, again
     return replace(result, found=replace(result.found, iterations=iterations))
+
+
+def _require_scale(problem: LineProblem, state: LinesAndPoses) -> None:
+    """Raise GeometryError where several held poses are meant to give the scene its scale and are too near each other: standard
+    deviations would be endless. Too near is within the noise of an end point at the distance of the lines."""
+    fixed = torch.nonzero(problem.freedom.held_frames & problem.observing).flatten()
+    if len(fixed) < 2 or not len(problem.free) or not problem.only_poses_scale(state):
+        return
+    arcs, centre = problem.arcs, state.rig_from_world.centre[fixed]
+    noise = arcs.by_pixel @ arcs.covariance_px2 @ arcs.by_pixel.mT
+    noise_rad = float((0.5 * noise.diagonal(dim1=-2, dim2=-1).sum(-1)).median().sqrt())
+    apart, least = float((centre - centre[0]).norm(dim=-1).max()), noise_rad * float(state.chart.scale.nanmedian())
+    if apart <= least:
+        raise GeometryError(
+            f"Held poses at two places were expected to give the scene its scale, found {len(fixed)} at one place ({apart:.2g} m "
+            f"apart, {least:.2g} m is noise); hold one that was taken elsewhere too, or only one, which leaves the scale open."
+        )
+
+
+def _reweighted(
+    problem: LineProblem,
+    state: LinesAndPoses,
+    loss: Loss | None,
+    max_iterations: int,
+    callback: Callable[[Progress], None] | None,
+) -> Minimum[LinesAndPoses]:
+    """Solves with weights that are held, formed anew at the end of each, until they no longer change it (`intrinsics.py`)."""
+    least = REWEIGHTED / len(problem.arcs)
+    found = solve(problem, state, loss, max_iterations=max_iterations, tolerance=least, callback=callback)
+    initial, iterations = found.initial_cost, found.iterations
+    while found.outcome is Outcome.CONVERGED and iterations < max_iterations:
+        again = LineProblem(problem.arcs, problem.cost_name, problem.freedom, found.state, problem.prior)
+        left = max_iterations - iterations
+        found = solve(again, found.state, loss, max_iterations=left, tolerance=least, callback=callback)
+        iterations += found.iterations
+        if found.initial_cost - found.cost <= least * found.cost + EXACT_FIT * 2 * len(problem.arcs):
+            break
+    return Minimum(found.state, found.outcome, found.cost, initial, iterations)
 
 
 def _on_device(

@@ -10,10 +10,12 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import adjoint
 from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.gauge import open_similarities
+from omnilines.adjustment.intrinsics import distance_by_parameters, held_weights
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_function
-from omnilines.costs._cost import CostFunction, by_bearings, line_residual, mixed_distances
+from omnilines.costs._cost import CostFunction, line_residual, mixed_distances
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure
 
 
@@ -33,8 +35,8 @@ class LineProblem:
     """Kept are, in this order: poses of free frames (6 each), extrinsics of rig cameras (6 each), intrinsics of each camera.
 
     With all poses free, the similarity that bearings leave open is fixed by constraints on the step: the poses neither shift,
-    turn nor scale as a whole. One held pose leaves the scale about it. A held rig with a baseline has a scale; a prior or a held
-    line leaves nothing open.
+    turn nor scale as a whole. Held poses and lines leave less of it open (`gauge.py`). A held rig with a baseline has a scale; a
+    prior leaves nothing open.
     """
 
     def __init__(
@@ -53,6 +55,8 @@ class LineProblem:
         frame = arcs.image if rig is None else rig.frame[arcs.image]
         self.free = torch.nonzero(~freedom.held_frames).flatten()
         self.observing = torch.bincount(frame, minlength=len(freedom.held_frames)) > 0
+        self._lines_held = torch.bincount(arcs.track, minlength=arcs.tracks) > 0
+        self._lines_held &= freedom.held_lines if freedom.held_lines is not None else torch.zeros_like(self._lines_held)
         groups = [KeptGroup(_place(freedom.held_frames)[frame], len(self.free), 6)] if len(self.free) else []
         self.rig_cameras = self.free[:0]
         if freedom.rig and rig is not None:
@@ -72,6 +76,8 @@ class LineProblem:
             for index, basis in enumerate(self.bases):
                 mine = arcs.observed.camera == index
                 groups.append(KeptGroup(torch.where(mine, 0, -1), 1, basis.shape[1]))
+        self.held = held_weights(cost, arcs.seen_by(state.models), state.normals(arcs), mix) if freedom.cameras else None
+        """Weights of distances in pixels that are held while cameras move, None where the cost has none (`intrinsics.py`)."""
         self.structure = Structure(arcs.track, arcs.tracks, 4, tuple(groups))
 
     @cached_property
@@ -87,9 +93,13 @@ class LineProblem:
         arcs, cost = self.arcs, self.cost
         if self.bases:
             arcs = arcs.seen_by(state.models)
-            cost = self._cost_of(arcs)
+            cost = self._cost_of(arcs) if self.held is None else cost_function("bartoli-sturm", arcs)
         poses, chart = state.cam_from_world[arcs.image], state.chart[arcs.track]
         r, by_pose, by_line = line_residual(cost, arcs.bearings, chart, poses)
+        by_cameras = self._by_cameras(arcs, state, chart.projection_normal(poses)[0]) if self.bases else []
+        if self.held is not None:
+            r, by_pose, by_line = (self.held @ r[..., None])[..., 0], self.held @ by_pose, self.held @ by_line
+            by_cameras = [self.held @ by_camera for by_camera in by_cameras]
         if self.freedom.held_lines is not None:
             by_line = torch.where(self.freedom.held_lines[arcs.track][:, None, None], 0.0, by_line)
         kept = []
@@ -100,26 +110,18 @@ class LineProblem:
                 kept.append(by_pose @ adjoint(state.rig.cam_from_rig[state.rig.camera[arcs.image]]))
         if len(self.rig_cameras):
             kept.append(by_pose)
-        if self.bases:
-            by_end = by_bearings(cost, arcs.bearings, chart.projection_normal(poses)[0])
-            kept += self._by_cameras(arcs, state, by_end)
-        return Linearisation(r, by_line, tuple(kept), self._prior(state))
+        return Linearisation(r, by_line, tuple(kept + by_cameras), self._prior(state))
 
-    def _by_cameras(self, arcs: Arcs, state: LinesAndPoses, by_end: Float[Tensor, "n m 2 3"]) -> list[Tensor]:
-        """d r / d intrinsics of each camera: d V / d parameters = -J d pixel / d parameters at a fixed pixel.
-
-        How the weights of a cost follow the parameters is left out: it is of the order of the residuals, and the weights are
-        formed anew at every step.
-        """
+    def _by_cameras(self, arcs: Arcs, state: LinesAndPoses, normal: Float[Tensor, "n 3"]) -> list[Tensor]:
+        """d distance / d intrinsics of each camera, of both ends (`intrinsics.py`)."""
         assert arcs.observed is not None
         found = []
         for index, (model, basis) in enumerate(zip(state.models, self.bases, strict=True)):
             mine = torch.nonzero(arcs.observed.camera == index).flatten()
-            full = by_end.new_zeros(len(arcs), by_end.shape[1], basis.shape[1])
+            full = normal.new_zeros(len(arcs), 2, basis.shape[1])
             if len(mine):
-                by_parameter = model.project_with_jacobians(arcs.bearings[mine])[3] @ basis
-                moved = -arcs.by_pixel[mine] @ by_parameter
-                full[mine] = by_end[mine].flatten(2) @ moved.flatten(1, 2)
+                noise = arcs.covariance_px2[mine] if self.cost_name == "whitened" and self.held is None else None
+                full[mine] = distance_by_parameters(model, arcs.bearings[mine], arcs.by_pixel[mine], normal[mine], noise) @ basis
             found.append(full)
         return found
 
@@ -158,31 +160,34 @@ class LineProblem:
         centres = state.rig.cam_from_rig.centre[used]
         return bool((centres - centres[0]).norm(dim=-1).max() == 0)
 
+    def only_poses_scale(self, state: LinesAndPoses) -> bool:
+        """Whether nothing but held poses can give the scene a scale: no prior, no held line and no rig with a baseline."""
+        return self.prior is None and not bool(self._lines_held.any()) and self._scale_is_free(state)
+
     def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
         """Columns of the kept step for a common turn, shift and scale of the scene, about which the residuals say nothing."""
         rotation, centre = state.rig_from_world.rotation[self.free], state.rig_from_world.centre
-        # A held pose anchors the scene only where a photo observes it; so does a held line, which is not told apart here.
-        fixed = torch.nonzero(self.freedom.held_frames & self.observing).flatten()
-        lines_held = self.freedom.held_lines is not None and bool(self.freedom.held_lines.any())
-        if len(fixed) > 1 or not len(self.free) or self.prior is not None or lines_held:
+        if not len(self.free) or self.prior is not None:
             return rotation.new_zeros(self.structure.kept_size, 0)
-        origin = centre[fixed[0]] if len(fixed) else centre[self.free].mean(0)
+        # A held pose or line anchors the scene only where it takes part.
+        fixed = torch.nonzero(self.freedom.held_frames & self.observing).flatten()
+        lines = state.chart[torch.nonzero(self._lines_held).flatten()].lines()
+        about = torch.cat([centre[fixed], lines.closest_point(centre[self.free].mean(0).expand_as(lines.moment))])
+        origin = about[0] if len(about) else centre[self.free].mean(0)
         arm = centre[self.free] - origin
-        columns = []
-        if not len(fixed):
-            eye = torch.eye(3, dtype=arm.dtype, device=arm.device).expand(len(arm), 3, 3)
-            turns = torch.cat([-rotation, -rotation @ torch.linalg.cross(eye, arm[:, None, :].expand(-1, 3, -1)).mT], 1)
-            shifts = torch.cat([torch.zeros_like(rotation), -rotation], 1)
-            columns += [self._of_frames(turns.reshape(-1, 3)), self._of_frames(shifts.reshape(-1, 3))]
-        if self._scale_is_free(state):
-            # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
-            scale = self._of_frames(torch.cat([torch.zeros_like(arm), -(rotation @ arm[..., None])[..., 0]], -1).reshape(-1, 1))
-            if len(self.rig_cameras) and state.rig is not None:
-                baseline = state.rig.cam_from_rig.translation[self.rig_cameras]
-                low = 6 * len(self.free)
-                scale[low : low + baseline.numel() * 2, 0] = torch.cat([torch.zeros_like(baseline), baseline], -1).flatten()
-            columns.append(scale)
-        return torch.cat(columns, 1) if columns else rotation.new_zeros(self.structure.kept_size, 0)
+        unit = float(arm.norm(dim=-1).max()) or 1.0
+        generators = open_similarities(origin, unit, centre[fixed], lines, not self._scale_is_free(state))
+        turn, shift, growth = generators.split([3, 3, 1])
+        # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
+        moved = torch.linalg.cross(turn.mT[None].expand(len(arm), -1, -1), arm[:, None].expand(-1, turn.shape[1], -1)).mT
+        moved = moved + unit * shift + arm[..., None] * growth
+        columns = self._of_frames(-torch.cat([rotation @ turn, rotation @ moved], 1).flatten(0, 1))
+        if len(self.rig_cameras) and state.rig is not None:
+            baseline = state.rig.cam_from_rig.translation[self.rig_cameras]
+            low = 6 * len(self.free)
+            grown = torch.cat([torch.zeros_like(baseline), baseline], -1).flatten()
+            columns[low : low + len(grown)] = grown[:, None] * growth
+        return columns
 
     def _of_frames(self, rows: Float[Tensor, "f6 g"]) -> Float[Tensor, "k g"]:
         """Rows of the free frames among all kept ones."""

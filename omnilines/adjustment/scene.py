@@ -14,7 +14,7 @@ from camera_models import CameraModel, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, ArcTable, arcs_from_segments
-from omnilines.adjustment.line_table import line_table
+from omnilines.adjustment.line_table import line_table, too_uncertain
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.prior import PosePrior
@@ -52,6 +52,8 @@ class LineScene:
     residual_px: Float[np.ndarray, "n 2"]
     """Orthogonal distance of both ends of every arc of `table`; NaN where its track has no line or where it was left out."""
     residual_before_px: Float[np.ndarray, "n 2"]
+    rests_on_one: Bool[np.ndarray, " t"]
+    """Lines that are `weak` for nothing but this: without one camera the planes of the others coincide."""
     wrong: tuple[Suspect, ...] = ()
     """Observations that the robust triangulation left out: they belong to another line."""
     suspect: tuple[Suspect, ...] = ()
@@ -147,6 +149,7 @@ def reconstruct_lines(
         table,
         _scattered(after_px, used),
         _scattered(before_px, used),
+        first.rests_on_one.numpy() & ~too_uncertain(lines),
         _left_out(arcs, first, member, adjusted.state.cam_from_world, names, poses.images),
         suspects(final, adjusted.state.normals(final), tuple(names[k] for k in tracks.tolist()), poses.images),
         adjusted.state.models,

@@ -168,7 +168,8 @@ def _clipped(
     limit_px = max(MOST_SLACKS * matched.slack_px, LEAST_RMS_PX)
     known = lines.known
     far = known & (lines.rms_px > limit_px)
-    weak = known & ~far & (np.array(lines.status) == "weak")
+    # Of lines that rest on one camera most are right: the table calls them weak, and keeps them.
+    weak = known & ~far & (np.array(lines.status) == "weak") & ~scene.rests_on_one
     kept = np.flatnonzero(known & ~far & ~weak)
     seen = _supported(matched, kept, scene)
     progress("comparing lines with chance", 0, 0)

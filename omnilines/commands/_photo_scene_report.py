@@ -36,7 +36,7 @@ def scene_summary(scene: PhotoScene, photos: int, families: Families) -> Summary
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", f"{scene.scene.rms_px():.3f}"),
         ("slack of poses and calibration", f"{scene.slack_px:g} px"),
-        ("median sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
+        ("median of the largest sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
         ("families of parallel lines", str(len(families.members))),
     )
     outcome = scene.scene.adjusted.outcome

@@ -17,7 +17,7 @@ from omnilines.commands.render_scene import RenderedScene
 from omnilines.evaluate_arcs import LEAST_PX, ArcScores, arc_scores
 from omnilines.evaluate_scene import LEAST_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
-from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
 
@@ -111,13 +111,13 @@ class SceneValidation:
 
         So lines count, too, whose interval is too short.
         """
-        reach = np.maximum(self.tolerance_m, 2.0 * interval_sigmas() * self.rebuilt.lines.sigma_m)
+        reach = np.maximum(self.tolerance_m, 2.0 * end_radius_sigmas() * self.rebuilt.lines.sigma_m)
         return self.across_m.max(-1) <= reach
 
     @property
     def inside_share(self) -> float:
-        """Of the ends of such lines, those within the 95 percent interval of sigma_m; 0 where there is none."""
-        inside = self.across_m <= interval_sigmas() * self.rebuilt.lines.sigma_m[:, None]
+        """Of the ends of such lines, those within the 95 percent circle of sigma_m; 0 where there is none."""
+        inside = self.across_m <= end_radius_sigmas() * self.rebuilt.lines.sigma_m[:, None]
         return float(inside[self.own].mean()) if self.own.any() else 0.0
 
     @property
@@ -182,12 +182,6 @@ def compare_scene(truth: RenderedScene, rebuilt: RebuiltScene) -> SceneValidatio
         across,
         squared,
     )
-
-
-def interval_sigmas() -> float:
-    """Radius of the circle that holds 95 percent of a normal error across a line, in its larger standard deviation: with less in
-    the other direction it holds more."""
-    return math.sqrt(float(scipy.stats.chi2.ppf(INTERVAL, 2)))
 
 
 def own_edges(

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from omnilines import report
-from omnilines.commands._scene_validation import TOLERANCE_PX, SceneValidation, interval_sigmas
+from omnilines.commands._scene_validation import TOLERANCE_PX, SceneValidation
 from omnilines.evaluate_arcs import LEAST_PX
 from omnilines.evaluate_scene import LEAST_CONTRAST, LEAST_VIEWS, scene_scores
+from omnilines.geometry.line import end_radius_sigmas
 from omnilines.records import Summary
 from omnilines.report import Section
 from omnilines.report.line_scene import line_photos_section, stage_section
@@ -50,7 +51,7 @@ def scene_validation_summaries(validation: SceneValidation, scene: str, seed: in
     )
     stated = (
         ("lines on an edge", f"{int(validation.own.sum())} of {scores.lines}"),
-        ("their ends inside the 95 percent interval of sigma_m", _percent(validation.inside_share)),
+        (f"their ends within {end_radius_sigmas():.3g} sigma_m, 95 percent where that holds", _percent(validation.inside_share)),
         ("these lines inside the 95 percent ellipsoid of their covariance", _percent(validation.covariance_share)),
         (f"lines within {1e3 * validation.tolerance_m:.3g} mm, as sigma_m predicts", _percent(validation.expected_precision)),
     )
@@ -137,7 +138,7 @@ def scene_validation_sections(validation: SceneValidation, summaries: tuple[Summ
             "Distance of the lines' ends from their edges",
             {"both ends of every line": in_sigmas},
             "distance across (sigma_m)",
-            f"Of honest lines 95 percent are below {interval_sigmas():.3g}.",
+            f"Of honest lines 95 percent are below {end_radius_sigmas():.3g}.",
             logarithmic=True,
         ),
         report.summary_section(_photos(validation), title="Photos"),

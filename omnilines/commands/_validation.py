@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Pattern
@@ -24,6 +25,10 @@ BEARING_LIMIT_PX = 0.1
 0.02 degrees; below that size the pixel decides."""
 LOST_SHARE = 0.05
 """Of the photos may be without a found target, rounded up."""
+LINE_LIMIT_PX = 0.25
+"""RMS distance of the lines' ends, in pixels where the board is: whatever is stated of the corners, more is too much."""
+SCALE_LIMIT_PX = 0.1
+"""By which the lines may be too long or too short over the whole board, in the same pixels."""
 WORST_Z = 4.5
 COST = "whitened"
 """Of the line adjustment: the one whose covariance is stated."""
@@ -48,6 +53,8 @@ class Validation:
     lines: LineErrors
     corners_aside: int
     """Corners that the lines do not rest on, since the other photos disagree with them."""
+    pixel_m: float
+    """Mean size of a pixel at the median distance of the board."""
 
     @property
     def model(self) -> CameraModel:
@@ -66,7 +73,15 @@ class Validation:
             _at_most("worst parameter, standard deviations off", self.parameters.worst_z, WORST_Z, ""),
             _at_most("corners that fit no line", self.corners_aside, aside, "corners"),
             _at_most("lines, squared Mahalanobis distance", self.lines.statistic, self.lines.limit, ""),
+            _at_most("distance of the lines' ends, RMS", self.lines.aligned.rms_m / self.pixel_m, LINE_LIMIT_PX, "px"),
+            _at_most("scale of the lines, over the board", self.scale_off_px, SCALE_LIMIT_PX, "px"),
         )
+
+    @property
+    def scale_off_px(self) -> float:
+        """By how much the lines, which the best similarity scales, are too long or too short over the diagonal of the board."""
+        diagonal = np.linalg.norm(np.ptp(self.board.ends_m.reshape(-1, 3), axis=0))
+        return abs(1.0 / self.lines.aligned.scale - 1.0) * float(diagonal) / self.pixel_m
 
     @property
     def photos_lost(self) -> int:
@@ -100,7 +115,14 @@ def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, co
         parameter_errors(estimated, covariance, truth.model, freedom),
         line_errors(scene.adjusted, scene.lines.ends_m, board.ends_m),
         aside,
+        math.radians(pixel_deg) * _board_distance_m(truth, board),
     )
+
+
+def _board_distance_m(truth: RenderedTargets, board: BoardLines) -> float:
+    """Median, over the photos, of the distance of the middle of the board."""
+    middle = torch.as_tensor(board.ends_m.mean((0, 1)))
+    return float(truth.cam_from_board.transform(middle[None]).norm(dim=-1).median())
 
 
 def _at_most(name: str, value: float | int, limit: float | int, unit: str) -> Check:

@@ -169,7 +169,7 @@ def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, 
         ("refined", ", ".join(parts)),
         ("rms_px before", f"{scene.rms_px(before=True):.4f}"),
         ("rms_px after", f"{scene.rms_px():.4f}"),
-        ("median sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} {lines.unit.sign}"),
+        ("median of the largest sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} {lines.unit.sign}"),
         ("noise of the end points", noise_row(scene.adjusted.noise)),
     )
     notes = _named("do not belong to their track and were left out", scene.wrong)

@@ -41,7 +41,9 @@ def validate(
     - the parameters agree with the truth within their covariance: jointly, by the 99.9 percent quantile, and each within 4.5
       standard deviations;
     - the lines agree with the rows and columns of the true board, after the best similarity, within what the accuracy that the
-      detector states for each corner predicts, by the same quantile; at most 5 percent of the corners (rounded up) fit no line.
+      detector states for each corner predicts, by the same quantile; at most 5 percent of the corners (rounded up) fit no line;
+    - whatever is stated, their ends are within 0.25 px (RMS) where the board is, and its lines are not too long or too short by
+      more than 0.1 px over the board.
 
     Writes `photos/` (photos and truth), calibration.yaml, corners.csv, the line scene and report.html into `out`. The result
     holds when every check does. Raises InputError for options out of range and GeometryError where the data determine nothing.

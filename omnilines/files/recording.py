@@ -85,7 +85,7 @@ def _strips(
 
 def _label(lines: Lines, row: int) -> str:
     sigma = f"{1e3 * lines.sigma_m[row]:.3g} {lines.unit.thousandth}"
-    return f"{lines.tracks[row]}: {lines.views[row]} views, sigma {sigma}, {lines.rms_px[row]:.3g} px"
+    return f"{lines.tracks[row]}: {lines.views[row]} views, largest sigma across {sigma}, {lines.rms_px[row]:.3g} px"
 
 
 def _camera_size_m(poses: ImagePoses, points: Float[np.ndarray, "n 3"]) -> float:

@@ -1,5 +1,6 @@
 """Pluecker lines L = (d, m): |d| = 1, m = X x d for any point X of the line, so |m| is its distance from the origin (2.1)."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -168,3 +169,12 @@ def _first_of_group(values: Tensor, group: Tensor, chosen: Tensor, groups: int) 
     rows = torch.arange(len(values), device=group.device)
     first = torch.full((groups,), len(values), device=group.device).scatter_reduce(0, group[chosen], rows[chosen], "amin")
     return torch.cat([values, values.new_full((1,), torch.nan)])[first]
+
+
+def end_radius_sigmas(ends: int = 1) -> float:
+    """Distance, in `sigma_m`, within which so many ends of a line lie from the true one, with a probability of 0.95 or more.
+
+    A normal error of two coordinates of that standard deviation or less is beyond r of them with exp(-r^2 / 2) at most, and both
+    ends are inside at least as often as if they did not depend on each other (T. Royen, 2014): 2.45 for one, 2.72 for both.
+    """
+    return math.sqrt(-2.0 * math.log(1.0 - 0.95 ** (1.0 / ends)))

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.errors import InputError
+from omnilines.geometry.line import end_radius_sigmas
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount
 from omnilines.report.page import Section
@@ -149,7 +150,10 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
     ]
     text = Markup("<p>{:,} of {:,} tracks have a line, the least certain first").format(len(known), len(lines))
     text += Markup("; {:,} are shown, all are in lines.csv").format(len(rows)) if len(rows) < len(known) else Markup("")
-    text += Markup(". Sigma is the largest standard deviation, across the line at its worse end and of its direction")
+    text += Markup(
+        ". Sigma is the largest standard deviation in any one direction, across the line at its worse end and of its direction; "
+        "both ends are within {:.3g} of the former with a probability of 95 percent or more"
+    ).format(end_radius_sigmas(2))
     if covariance_file is not None and lines.covariance is not None:
         text += Markup('; the whole covariances are in <a href="{0}">{0}</a>').format(covariance_file)
     head = (

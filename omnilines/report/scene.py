@@ -136,7 +136,7 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
 def _describe(lines: Lines, row: int) -> str:
     return (
         f"{lines.tracks[row]}: {lines.status[row]}, {lines.views[row]} views<br>"
-        f"sigma {1e3 * lines.sigma_m[row]:.3g} {lines.unit.thousandth}, residual {lines.rms_px[row]:.3g} px"
+        f"largest sigma across {1e3 * lines.sigma_m[row]:.3g} {lines.unit.thousandth}, residual {lines.rms_px[row]:.3g} px"
     )
 
 

@@ -46,4 +46,5 @@ def triangulate_on(
         joined([p.plane_angle_rad for p in parts]),
         joined([p.residual_rad for p in parts]),
         observations,
+        joined([p.rests_on_one for p in parts]),
     )

@@ -5,8 +5,12 @@ not determined, and the cause gives the name. h is the spread of the camera cent
 whole spread:
 
     epipolar          h <= 3 sigma B: the planes coincide, the baseline lies in them
-    at_infinity       the line would be farther than B / (3 sigma), more than the baseline supports
-    parallel_planes   neither: the planes nearly coincide because the baseline is short across them
+    at_infinity       the line is far away: at least 30 B, since planes at a distance D differ by 2 h / D, or it would be farther
+                      than B / (3 sigma), more than the whole baseline supports
+    parallel_planes   neither: the planes nearly coincide because the baseline is short across them; the line may be near
+
+A line may be determined and yet rest on one camera: without it the planes of the others are as alike as above. Nothing then
+tells whether that arc belongs to it, and it is `weak`.
 """
 
 import math
@@ -24,6 +28,7 @@ from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.sums_kernel import (
     ACROSS,
+    ALONE,
     ALONG_MEAN,
     AWAY,
     CHORD,
@@ -47,9 +52,11 @@ UNDETERMINED, WEAK = 3.0, 10.0
 ON_LINE = 1e-6
 """Distance of a camera from the line, over that of the farthest, at which its plane is arbitrary."""
 WEAK_ANGLE_RAD = math.radians(0.1)
+FAR = 30.0
+"""Spreads of the cameras: a line that is farther is far away, whatever the baseline."""
 
 
-def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 10"]:
+def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 11"]:
     """What a status is decided from, in the columns of `sums_kernel`, but CLEAR and TOUCHED.
 
     The residual is the distance of both end bearings from the projection plane of the line or, without arcs, the two components
@@ -62,7 +69,7 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
     mean = observations.sum_by_track(observations.centre) / observations.views().clamp_min(1)[:, None]
     from_mean = observations.centre - mean[observations.track]
     height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
-    rows = normal.new_zeros(len(normal), 10)
+    rows = normal.new_zeros(len(normal), 11)
     rows[:, SPREAD], rows[:, ACROSS] = from_mean.square().sum(-1), height.square()
     if observations.arcs is None:
         rows[:, RESIDUAL] = torch.linalg.cross(normal, observations.normal).square().sum(-1)
@@ -70,19 +77,44 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
         rows[:, RESIDUAL] = (observations.arcs * normal[:, None]).sum(-1).square().sum(-1)
         rows[:, CHORD] = (observations.arcs[:, 1] - observations.arcs[:, 0]).norm(dim=-1)
         rows[:, AWAY] = faces_away(observations, lines).to(rows.dtype)
+    precision = torch.ones_like(height)
     if observations.noise is not None:
         variance = (observations.noise.mT @ observations.normal[:, None, :, None]).square().flatten(1).sum(-1)
         precision = rows[:, CHORD].square() / variance.clamp_min(ROUNDING_RAD**2)
-        mean = frames.mean_normal[observations.track]
-        off = (observations.normal * torch.linalg.cross(lines.direction[observations.track], mean)).sum(-1)
-        along = torch.where(off.isnan(), 1.0, (observations.normal * mean).sum(-1))
-        off = torch.nan_to_num(off, nan=0.0)
-        rows[:, ALONG_MEAN], rows[:, MIXED] = precision * along.square(), precision * along * off
-        rows[:, OFF_MEAN] = precision * off.square()
-    return observations.sum_by_track(rows)
+    mean = frames.mean_normal[observations.track]
+    off = (observations.normal * torch.linalg.cross(lines.direction[observations.track], mean)).sum(-1)
+    along = torch.where(off.isnan(), 1.0, (observations.normal * mean).sum(-1))
+    off = torch.nan_to_num(off, nan=0.0)
+    places = [ALONG_MEAN, MIXED, OFF_MEAN]
+    rows[:, places] = precision[:, None] * torch.stack([along.square(), along * off, off.square()], -1)
+    sums = observations.sum_by_track(rows)
+    sums[:, ALONE] = _least_without_one(observations, rows[:, places], sums[:, places])
+    return sums
 
 
-def _residual_deviation(sums: Float[Tensor, "t 10"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
+def _least_without_one(
+    observations: PlaneObservations, own: Float[Tensor, "n 3"], total: Float[Tensor, "t 3"]
+) -> Float[Tensor, " t"]:
+    """Least second eigenvalue of the normals of a track, a normal, without all that were seen from one place."""
+    track = observations.track
+    labels = torch.cat([track[:, None].to(observations.centre.dtype), observations.centre], 1)
+    places, place = torch.unique(labels, dim=0, return_inverse=True)
+    at_place = own.new_zeros(len(places), 3).index_add(0, place, own)
+    of_track = places[:, 0].long()
+    others = observations.views()[of_track] - torch.bincount(place, minlength=len(places))
+    rest = _second_eigenvalue(total[of_track] - at_place) / others.clamp_min(1)
+    least = torch.full_like(total[:, 0], torch.inf)
+    return least.scatter_reduce(0, of_track, torch.where(others > 0, rest, 0.0), "amin")
+
+
+def _second_eigenvalue(places: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Of the matrices [along mixed; mixed off]."""
+    along, mixed, off = places.unbind(-1)
+    largest = 0.5 * (along + off + torch.sqrt((along - off).square() + 4 * mixed.square()))
+    return torch.where(largest > 0, (along * off - mixed.square()) / largest, 0.0)
+
+
+def _residual_deviation(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise."""
     freedom = 2 * views - 4
     variance = sums[:, RESIDUAL] / freedom.clamp_min(1)
@@ -91,7 +123,7 @@ def _residual_deviation(sums: Float[Tensor, "t 10"], views: Int[Tensor, " t"]) -
 
 def _normal_noise(
     observations: PlaneObservations,
-    sums: Float[Tensor, "t 10"],
+    sums: Float[Tensor, "t 11"],
     residual: Tensor,
     angle: Float[Tensor, " t"],
     sigma_rad: float | None,
@@ -113,20 +145,26 @@ def _normal_noise(
     return sigma * 2**0.5 / (sums[:, CHORD] / views.clamp_min(1)).clamp_min(1e-9)
 
 
-def _stated_noise(sums: Float[Tensor, "t 10"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
+def _stated_noise(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
     """With M the sum of p n n' over the normals n of precision p, its second eigenvalue is chi-square of all planes being one.
 
     k planes of one noise sigma at the angle alpha (2 asin of their root mean square sine) have k alpha^2 / (2 sigma)^2.
     """
-    along, mixed, off = sums[:, ALONG_MEAN], sums[:, MIXED], sums[:, OFF_MEAN]
-    largest = 0.5 * (along + off + torch.sqrt((along - off).square() + 4 * mixed.square()))
-    square = ((along * off - mixed.square()) / largest).clamp_max(0.5 * (along + off))
+    along, off = sums[:, ALONG_MEAN], sums[:, OFF_MEAN]
+    square = _second_eigenvalue(sums[:, [ALONG_MEAN, MIXED, OFF_MEAN]]).clamp_max(0.5 * (along + off))
     alone = (views / along.clamp_min(1e-300)).sqrt()
     return torch.where(square > 0, 0.5 * angle * (views / square.clamp_min(1e-300)).sqrt(), alone)
 
 
+def _without_one(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
+    """The angle between the planes of each track without the camera place that turns them most; a second eigenvalue, a normal,
+    goes with its square."""
+    square = _second_eigenvalue(sums[:, [ALONG_MEAN, MIXED, OFF_MEAN]]) / views.clamp_min(1)
+    return angle * (sums[:, ALONE].clamp_min(0) / square.clamp_min(1e-300)).sqrt()
+
+
 def _count_cameras(
-    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 10"]
+    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 11"]
 ) -> None:
     """Fill CLEAR and TOUCHED: a camera on the line sees a point of it; without such cameras two others still determine it,
     unless one is exactly on it."""
@@ -150,7 +188,7 @@ def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Te
 
 
 def _undetermined(
-    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 10"], noise: Tensor
+    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 11"], noise: Tensor
 ) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
     views = observations.views().clamp_min(1)
@@ -160,7 +198,8 @@ def _undetermined(
     parallel = frames.plane_angle_rad < limit.clamp_min(1e-12)
     one_centre = spread <= 1e-12 * (1 + mean.norm(dim=-1))
     epipolar = parallel & (across <= limit * spread) & ~one_centre
-    at_infinity = parallel & ~epipolar & ~one_centre & (across * limit > spread * frames.plane_angle_rad)
+    far = (2 * across > FAR * spread * limit) | (across * limit > spread * frames.plane_angle_rad)
+    at_infinity = parallel & ~epipolar & ~one_centre & far
     return {"epipolar": epipolar, "at_infinity": at_infinity, "parallel_planes": parallel & ~epipolar & ~at_infinity}
 
 
@@ -184,10 +223,13 @@ def assess(
     clear_views = sums[:, CLEAR]
     behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= views
     angle = frames.plane_angle_rad
+    # k planes tell their angle as two of a noise smaller by the root of k / 2 do.
+    barely = angle < (WEAK * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(WEAK_ANGLE_RAD)
+    # Where all planes but those of one camera coincide, nothing tells whether its arc belongs to the line.
+    on_one = _without_one(sums, views, angle) < UNDETERMINED * noise
     # Later names win over earlier ones.
     names = {
-        # k planes tell their angle as two of a noise smaller by the root of k / 2 do.
-        "weak": (clear_views <= 2) | (angle < (WEAK * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(WEAK_ANGLE_RAD)),
+        "weak": (clear_views <= 2) | barely | on_one,
         "behind": behind,
         "through_centre": (clear_views < 2) | (sums[:, TOUCHED] > 0),
         "unsupported": torch.zeros_like(clear_views, dtype=torch.bool) if unsolved is None else unsolved,
@@ -198,7 +240,8 @@ def assess(
     status = torch.full_like(views, LINE_STATUSES.index("ok"))
     for name, chosen in names.items():
         status[chosen] = LINE_STATUSES.index(name)
-    return hidden(Triangulation(lines, status, views, angle, residual, observations))
+    alone = on_one & ~barely & (clear_views > 2)
+    return hidden(Triangulation(lines, status, views, angle, residual, observations, alone))
 
 
 def hidden(result: Triangulation) -> Triangulation:

@@ -31,6 +31,8 @@ class Triangulation:
     """Standard deviation of an observation across the fitted line, from the residuals of more than two views; NaN otherwise."""
     observations: PlaneObservations = field(repr=False)
     """What the lines were found from."""
+    rests_on_one: Bool[Tensor, " t"] = field(repr=False)
+    """Tracks that are `weak` for nothing but this: without one camera the planes of the others coincide."""
 
     def __len__(self) -> int:
         return self.tracks

@@ -8,9 +8,10 @@ from numba import njit
 
 from omnilines.triangulation.small_kernel import cross, weighted_median
 
-RESIDUAL, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED, ALONG_MEAN, MIXED, OFF_MEAN = range(10)
-"""Columns of the sums that a status is decided from. The last three are a a', a b and b b over all normals, each with its
-precision: a along the mean normal and b off it, across the line."""
+RESIDUAL, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED, ALONG_MEAN, MIXED, OFF_MEAN, ALONE = range(11)
+"""Columns of the sums that a status is decided from. ALONG_MEAN, MIXED and OFF_MEAN are a a', a b and b b over all normals, each
+with its precision: a along the mean normal and b off it, across the line. ALONE is the least second eigenvalue, a view, that they
+have without one place of the cameras."""
 ROUNDING = 1e-9
 """Least standard deviation of a bearing (rad)."""
 
@@ -25,8 +26,40 @@ def line_moment(track, row, d0, d1, d2, m0, m1, m2):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, mean_normal, t, sums):
-    """Squared residual, chord, whether the arc faces away, and where the normal points, of one observation."""
+def second_eigenvalue(along, mixed, off):
+    """Of the matrix [along mixed; mixed off]."""
+    largest = 0.5 * (along + off + math.sqrt((along - off) ** 2 + 4.0 * mixed * mixed))
+    return (along * off - mixed * mixed) / largest if largest > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def normal_place(track, noise, row, d0, d1, d2, mean_normal, t):
+    """p a a', p a b and p b b of the normal of one observation; its precision p is 1 where no noise is known."""
+    n0, n1, n2 = track.normal[row, 0], track.normal[row, 1], track.normal[row, 2]
+    precision = 1.0
+    if len(noise):
+        chord = variance = 0.0
+        for x in range(3):
+            along = track.arcs[row, 1, x] - track.arcs[row, 0, x]
+            chord += along * along
+        for a in range(2):
+            for x in range(2):
+                across = noise[row, a, 0, x] * n0 + noise[row, a, 1, x] * n1 + noise[row, a, 2, x] * n2
+                variance += across * across
+        # Both ends turn the normal: by the root of the sum of their variances over the chord.
+        precision = chord / max(variance, ROUNDING**2)
+    e0, e1, e2 = cross(d0, d1, d2, mean_normal[t, 0], mean_normal[t, 1], mean_normal[t, 2])
+    a, b = n0 * mean_normal[t, 0] + n1 * mean_normal[t, 1] + n2 * mean_normal[t, 2], n0 * e0 + n1 * e1 + n2 * e2
+    if b != b:
+        a, b = 1.0, 0.0
+    return precision * a * a, precision * a * b, precision * b * b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def sum_row(track, row, d0, d1, d2, q0, q1, q2, t, sums):
+    """Squared residual, chord and whether the arc faces away, of one observation."""
     n0, n1, n2 = track.normal[row, 0], track.normal[row, 1], track.normal[row, 2]
     square = q0 * q0 + q1 * q1 + q2 * q2
     if len(track.arcs) == 0:
@@ -34,31 +67,40 @@ def sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, mean_normal, t, sums):
         sums[t, RESIDUAL] += (s0 * s0 + s1 * s1 + s2 * s2) / square
         return
     f0, f1, f2 = cross(d0, d1, d2, q0, q1, q2)
-    middle = chord = variance = 0.0
+    middle = chord = 0.0
     for a in range(2):
         h = track.arcs[row, a, 0] * q0 + track.arcs[row, a, 1] * q1 + track.arcs[row, a, 2] * q2
         sums[t, RESIDUAL] += h * h / square
         middle += track.arcs[row, a, 0] * f0 + track.arcs[row, a, 1] * f1 + track.arcs[row, a, 2] * f2
-        if len(noise):
-            for x in range(2):
-                across = noise[row, a, 0, x] * n0 + noise[row, a, 1, x] * n1 + noise[row, a, 2, x] * n2
-                variance += across * across
     for x in range(3):
         along = track.arcs[row, 1, x] - track.arcs[row, 0, x]
         chord += along * along
     sums[t, CHORD] += math.sqrt(chord)
     # NaN, of a track without a line, is not behind.
     sums[t, AWAY] += 1.0 if middle <= 0.0 else 0.0
-    if len(noise):
-        # Both ends turn the normal: by the root of the sum of their variances over the chord.
-        precision = chord / max(variance, ROUNDING**2)
-        e0, e1, e2 = cross(d0, d1, d2, mean_normal[t, 0], mean_normal[t, 1], mean_normal[t, 2])
-        a, b = n0 * mean_normal[t, 0] + n1 * mean_normal[t, 1] + n2 * mean_normal[t, 2], n0 * e0 + n1 * e1 + n2 * e2
-        if b != b:
-            a, b = 1.0, 0.0
-        sums[t, ALONG_MEAN] += precision * a * a
-        sums[t, MIXED] += precision * a * b
-        sums[t, OFF_MEAN] += precision * b * b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def least_without_one(track, noise, begin, end, d0, d1, d2, mean_normal, t, sums):
+    """Least second eigenvalue of the normals of a track, a normal, without all that were seen from one place."""
+    least = math.inf
+    for k in range(begin, end):
+        one = track.rows[k]
+        along, mixed, off, others = sums[t, ALONG_MEAN], sums[t, MIXED], sums[t, OFF_MEAN], 0
+        for j in range(begin, end):
+            row = track.rows[j]
+            apart = 0.0
+            for x in range(3):
+                apart += abs(track.centre[row, x] - track.centre[one, x])
+            if apart > 0.0:
+                others += 1
+                continue
+            aa, ab, bb = normal_place(track, noise, row, d0, d1, d2, mean_normal, t)
+            along, mixed, off = along - aa, mixed - ab, off - bb
+        rest = second_eigenvalue(along, mixed, off) / others if others > 0 else 0.0
+        least = min(least, rest)
+    return least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -74,9 +116,14 @@ def sum_tracks(low, high, track, noise, direction, moment, mean_normal, sums):
             row = track.rows[k]
             c0, c1, c2 = c0 + track.centre[row, 0], c1 + track.centre[row, 1], c2 + track.centre[row, 2]
             q0, q1, q2 = line_moment(track, row, d0, d1, d2, m0, m1, m2)
-            sum_row(track, noise, row, d0, d1, d2, q0, q1, q2, mean_normal, t, sums)
+            sum_row(track, row, d0, d1, d2, q0, q1, q2, t, sums)
+            aa, ab, bb = normal_place(track, noise, row, d0, d1, d2, mean_normal, t)
+            sums[t, ALONG_MEAN] += aa
+            sums[t, MIXED] += ab
+            sums[t, OFF_MEAN] += bb
         views = max(end - begin, 1)
         c0, c1, c2 = c0 / views, c1 / views, c2 / views
+        sums[t, ALONE] = least_without_one(track, noise, begin, end, d0, d1, d2, mean_normal, t, sums)
         for k in range(begin, end):
             row = track.rows[k]
             x, y, z = track.centre[row, 0] - c0, track.centre[row, 1] - c1, track.centre[row, 2] - c2
