@@ -110,7 +110,7 @@ class Scaramuzza(CameraModel):
             return Scaramuzza([*self.parameters.tolist(), *([0.0] * (degree - self.degree))], self.image_size)
         theta = torch.atan2(rho_px, self.sign * self._height(rho_px))
         near = self.from_radial_curve(rho_px, theta, self.centre_px, self.image_size, mirror=self.sign < 0, degree=degree)
-        return near.with_parameters(torch.cat([self.parameters[:5], near.parameters[5:]]))
+        return Scaramuzza(torch.cat([self.parameters[:5], near.parameters[5:]]), self.image_size)
 
     @property
     def centre_px(self) -> Float[Tensor, "2"]:

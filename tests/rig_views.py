@@ -154,7 +154,11 @@ def chain_rig(frames_a_link: int, cameras: int = 8, seed: int = 0) -> RigScene:
 
 def setups(rig: RigScene) -> dict[str, CameraSetup]:
     """Every camera anew, by its own model."""
-    return {name: CameraSetup(model.image_size, model.NAME) for name, model in zip(rig.names, rig.models, strict=True)}
+    options = {"scaramuzza": {"degree": 4}}
+    return {
+        name: CameraSetup(model.image_size, model.NAME, options.get(model.NAME, {}))
+        for name, model in zip(rig.names, rig.models, strict=True)
+    }
 
 
 def worst_pose_error(result: RigCalibration, rig: RigScene) -> tuple[float, float]:

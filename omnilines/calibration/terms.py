@@ -1,9 +1,9 @@
 """Distortion that views which the fit has not seen do not support: it is held at zero and named.
 
 With few views or a narrow lens the terms of a model make up for one another: they grow to values that say nothing of the lens
-(k1 = 3, k2 = -20, k3 = 70) and bend the image beyond the data. Of the last term of the model, the last two, and so on, those are left out
-without which the held-out error is least. The covariance stays that of all terms: so uncertain they are, and leaving them out
-makes no parameter better known than the data do. With many corners for each parameter nothing is left out.
+(k1 = 3, k2 = -20, k3 = 70) and bend the image beyond the data. Of the last term of the model, the last two, and so on, those are
+left out without which the held-out error is least. The covariance stays that of all terms: so uncertain they are, and leaving
+them out makes no parameter better known than the data do. With many corners for each parameter nothing is left out.
 """
 
 from dataclasses import replace
