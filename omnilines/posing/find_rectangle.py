@@ -97,7 +97,7 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
     cycle, corners = _closed(ends, cycle)
     fits = _fitted(ends, noise, inside, cycle, rectangle)
     if not len(fits.misfit) and fits.unsure:
-        return "the sheet was expected to be larger or less oblique, found its distance uncertain by more than 1 percent; go nearer."
+        return "a larger or less oblique sheet was expected, found one whose distance is uncertain by over 1 percent; go nearer."
     if not len(fits.misfit):
         return (
             f"a sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm was expected, found {len(cycle)} bright "
