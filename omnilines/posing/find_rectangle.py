@@ -84,6 +84,8 @@ class _Fits:
     corners: Float[np.ndarray, "n 4 3"]
     inside: Float[np.ndarray, " n"]
     """Logarithm of the grey level inside, along the darkest side."""
+    unsure: bool
+    """Whether others fit, but are too small or too oblique."""
 
 
 def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | str:
@@ -94,6 +96,8 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
         return "four edges that close round something brighter than its surroundings were expected, found none."
     cycle, corners = _closed(ends, cycle)
     fits = _fitted(ends, noise, inside, cycle, rectangle)
+    if not len(fits.misfit) and fits.unsure:
+        return "a larger or less oblique sheet was expected, found one whose distance is uncertain by over 1 percent; go nearer."
     if not len(fits.misfit):
         return (
             f"a sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm was expected, found {len(cycle)} bright "
@@ -214,7 +218,8 @@ def _fitted(
     distance = fit.pose.translation.norm(dim=-1).numpy()
     doubt = np.sqrt(np.linalg.eigvalsh(fit.covariance[:, 3:, 3:].numpy())[:, -1]) / distance
     chi_square = fit.chi_square.numpy()
-    good = np.flatnonzero(((misfit <= MISFIT) | (chi_square <= CHI_SQUARE_2_999)) & (doubt <= LEAST_SURE))
+    shaped = (misfit <= MISFIT) | (chi_square <= CHI_SQUARE_2_999)
+    good = np.flatnonzero(shaped & (doubt <= LEAST_SURE))
     chosen = torch.as_tensor(good)
     return _Fits(
         fit.pose[chosen],
@@ -223,6 +228,7 @@ def _fitted(
         misfit[good],
         corners[good],
         inside[cycle[good]].min(-1),
+        bool(shaped.any()),
     )
 
 
