@@ -37,7 +37,7 @@ def chart_errors(found: LineChart, true: PlueckerLines) -> torch.Tensor:
 @pytest.mark.parametrize("seeds", [10, pytest.param(200, marks=pytest.mark.full)])
 def test_covariances_cover_the_truth(name, cost, seeds):
     """95 percent intervals, poses fixed and two poses held: pooled 93 to 97 percent over 200 seeds, and no line or pose
-    outside 90 to 99 (its coordinates together). The covariance is that of the whitened cost, near the sector cost's own."""
+    outside 90 to 99 (its coordinates together). The covariance is that of the cost itself."""
     scene = world(name)
     true, truth = PlueckerLines.from_points(scene.ends_m[:, 0], scene.ends_m[:, 1]), scene.poses().cam_from_world
     held = torch.zeros(scene.images, dtype=torch.bool)
