@@ -54,7 +54,7 @@ def distance_by_parameters(
     return -(at_foot.mT @ by_parameter)[..., 0, :] / width2.sqrt()[..., None]
 
 
-def held_mix(cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n m 2"] | None:
+def weights_to_hold(cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n m 2"] | None:
     """G of a cost at one state, r = G h with the distances h (px) of both ends; None for costs that are these distances."""
     if cost in IN_PIXELS:
         return None

@@ -110,7 +110,7 @@ def adjust_lines(
         return _with_sparse_uncertainty(problem, found, engine.layout)
     require_for_general(arcs, problem.structure.kept_size)
     solution: Solution[LinesAndPoses] | Minimum[LinesAndPoses]
-    if problem.mix is None:
+    if problem.held_weights is None:
         settle = lines_settled(problem, loss or Loss())
         solution = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
     else:
