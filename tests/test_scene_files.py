@@ -175,7 +175,8 @@ def test_recording_read_by_rerun(tmp_path: Path) -> None:
     assert set(found) == {"/world/lines/ok", "/world/lines/weak", "/world/truth", *photos}
     ok = found["/world/lines/ok"]
     np.testing.assert_allclose(ok["LineStrips3D:strips"], lines.ends_m[[0, 3]], rtol=1e-6)
-    assert ok["LineStrips3D:labels"] == ["wall 1: 3 views, largest sigma across 1.2 mm, 0.25 px", "wall%201: 9 views, largest sigma across 1.2 mm, 0.25 px"]
+    stated = "largest sigma across 1.2 mm, 0.25 px"
+    assert ok["LineStrips3D:labels"] == [f"wall 1: 3 views, {stated}", f"wall%201: 9 views, {stated}"]
     for status, colour in STATUS_COLOURS.items():
         (packed,) = found[f"/world/lines/{status}"]["LineStrips3D:colors"]
         assert packed.to_bytes(4, "big") == bytes([*colour, 255])

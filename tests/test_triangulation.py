@@ -4,15 +4,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from camera_models import OpenCVFisheye
 from camera_models.errors import InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.scene import reconstruct_lines
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.sphere import angle_between
-from omnilines.records import LINE_STATUSES
+from omnilines.records import LINE_STATUSES, ImagePoses, Segments
 from omnilines.simulate_lines import room_world
 from omnilines.triangulation import TRIANGULATIONS, method_options, triangulate
 from omnilines.triangulation.averaging import members, subsets
@@ -181,6 +184,22 @@ def test_a_line_that_rests_on_one_camera_is_weak(method: str, noise: float) -> N
     assert named(method, flat, [*in_plane, beside], noise) == "weak"
     assert named(method, flat, [*in_plane, beside, beside], noise) == "weak"
     assert named(method, flat, [*in_plane, beside, other], noise) == "ok"
+
+
+def test_a_scene_says_which_lines_are_weak_for_resting_on_one_camera_alone() -> None:
+    """Track 0 rests on one camera, track 1 on two views, track 2 on all."""
+    camera = OpenCVFisheye([300.0, 300.0, 640.0, 480.0, 0.0, 0.0, 0.0, 0.0], (1280, 960))
+    centres = torch.tensor([[0, 0, 0], [1, 0, 0], [2, 0, 0.5], [-1, 0, 0.2], [0.3, 1, 0.1]], dtype=torch.float64)
+    poses = ImagePoses(tuple("abcde"), Pose(torch.eye(3, dtype=torch.float64).expand(5, 3, 3), -centres))
+    ends = torch.tensor([[[-1, 0, 5], [1, 0, 5]], [[-1, 1, 5], [1, 2, 5]], [[0, -1, 4], [0.5, 1, 4]]], dtype=torch.float64)
+    rows = [(view, track) for track in range(3) for view in range(5) if track != 1 or view in (0, 4)]
+    image, track = (np.array(column) for column in zip(*rows, strict=True))
+    pixels, _ = camera.project(ends[track] - centres[image][:, None])
+    noisy = pixels.numpy() + 0.2 * np.random.default_rng(0).normal(size=pixels.shape)
+    segments = Segments(image, tuple("abcde"), track, ("0", "1", "2"), noisy, np.full(len(rows), 0.2))
+    found = reconstruct_lines(segments, poses, {"cam0": camera})
+    assert found.lines.status == ("weak", "weak", "ok")
+    assert found.rests_on_one.tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("method", ["dual", "svd", "ml"])

@@ -54,7 +54,7 @@ def distance_by_parameters(
     return -(at_foot.mT @ by_parameter)[..., 0, :] / width2.sqrt()[..., None]
 
 
-def held_weights(
+def weights_to_hold(
     cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"], mix: Float[Tensor, "n m 2"] | None = None
 ) -> Float[Tensor, "n m 2"] | None:
     """G at one state, r = G h with the distances h (px) of both ends: of the cost, or of residuals mix @ (V . Mh) where a `mix`

@@ -151,7 +151,7 @@ def _minimum(
         engine = LineEngine(problem, loss, task.layout)
         return engine.finish(engine.minimise(state, max_iterations, callback)).end
     require_for_general(problem.arcs, problem.structure.kept_size)
-    if problem.held is not None:
+    if problem.held_weights is not None:
         return _reweighted(problem, state, loss, max_iterations, callback)
     settle = lines_settled(problem, loss)
     found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)

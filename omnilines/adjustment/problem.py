@@ -11,7 +11,7 @@ from camera_models import InputError
 from camera_models.pose import adjoint
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.gauge import open_similarities
-from omnilines.adjustment.intrinsics import distance_by_parameters, held_weights
+from omnilines.adjustment.intrinsics import distance_by_parameters, weights_to_hold
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_function
@@ -76,7 +76,9 @@ class LineProblem:
             for index, basis in enumerate(self.bases):
                 mine = arcs.observed.camera == index
                 groups.append(KeptGroup(torch.where(mine, 0, -1), 1, basis.shape[1]))
-        self.held = held_weights(cost, arcs.seen_by(state.models), state.normals(arcs), mix) if freedom.cameras else None
+        self.held_weights = (
+            weights_to_hold(cost, arcs.seen_by(state.models), state.normals(arcs), mix) if freedom.cameras else None
+        )
         """Weights of distances in pixels that are held while cameras move, None where the cost has none (`intrinsics.py`)."""
         self.structure = Structure(arcs.track, arcs.tracks, 4, tuple(groups))
 
@@ -93,13 +95,17 @@ class LineProblem:
         arcs, cost = self.arcs, self.cost
         if self.bases:
             arcs = arcs.seen_by(state.models)
-            cost = self._cost_of(arcs) if self.held is None else cost_function("bartoli-sturm", arcs)
+            cost = self._cost_of(arcs) if self.held_weights is None else cost_function("bartoli-sturm", arcs)
         poses, chart = state.cam_from_world[arcs.image], state.chart[arcs.track]
         r, by_pose, by_line = line_residual(cost, arcs.bearings, chart, poses)
         by_cameras = self._by_cameras(arcs, state, chart.projection_normal(poses)[0]) if self.bases else []
-        if self.held is not None:
-            r, by_pose, by_line = (self.held @ r[..., None])[..., 0], self.held @ by_pose, self.held @ by_line
-            by_cameras = [self.held @ by_camera for by_camera in by_cameras]
+        if self.held_weights is not None:
+            r, by_pose, by_line = (
+                (self.held_weights @ r[..., None])[..., 0],
+                self.held_weights @ by_pose,
+                self.held_weights @ by_line,
+            )
+            by_cameras = [self.held_weights @ by_camera for by_camera in by_cameras]
         if self.freedom.held_lines is not None:
             by_line = torch.where(self.freedom.held_lines[arcs.track][:, None, None], 0.0, by_line)
         kept = []
@@ -120,7 +126,7 @@ class LineProblem:
             mine = torch.nonzero(arcs.observed.camera == index).flatten()
             full = normal.new_zeros(len(arcs), 2, basis.shape[1])
             if len(mine):
-                noise = arcs.covariance_px2[mine] if self.cost_name == "whitened" and self.held is None else None
+                noise = arcs.covariance_px2[mine] if self.cost_name == "whitened" and self.held_weights is None else None
                 full[mine] = distance_by_parameters(model, arcs.bearings[mine], arcs.by_pixel[mine], normal[mine], noise) @ basis
             found.append(full)
         return found
