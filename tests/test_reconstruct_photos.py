@@ -58,7 +58,8 @@ def test_lines_lie_on_the_edges_of_the_room(room, rebuilt):
     lines = read_lines(rebuilt / "lines.csv")
     found = scores(room, lines)
     assert len(lines) > 60
-    assert set(lines.status) == {"ok"}
+    # Weak are those that rest on one photo beside others of one place.
+    assert set(lines.status) <= {"ok", "weak"} and lines.status.count("ok") > 0.85 * len(lines)
     # Three where all of their arcs agree.
     assert (lines.views >= 3).all() and (lines.views >= 4).mean() > 0.5
     # A pixel is 7 mm a metre away. Six such rooms: 0.69 to 0.81, 2.4 to 4.7 mm.
