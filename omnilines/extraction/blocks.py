@@ -75,13 +75,6 @@ class Blocks:
         """Those of some arcs, in order, numbered anew."""
         return _kept(self, rows)
 
-    def thinned(self, most: int) -> "Blocks":
-        """Of each arc with more blocks than `most` every second one, or third, ..., so that no more are left."""
-        count = np.diff(self.starts)
-        stride = np.maximum(-(-count // most), 1)[self.owner]
-        rows = np.flatnonzero((np.arange(len(self.owner)) - self.starts[self.owner]) % stride == 0)
-        return Blocks(self.arcs, *(getattr(self, field.name)[rows] for field in fields(self)[1:]))
-
     def mean(self, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
         """Of each arc's blocks."""
         return np.bincount(self.owner, values, self.arcs) / np.maximum(np.diff(self.starts), 1)

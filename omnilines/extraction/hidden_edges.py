@@ -37,8 +37,7 @@ OTHER_BLURS = np.array([0.85, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0, 2.4])
 MOST_LEFT, MOST_LEFT_CLOSE = 0.6, 0.35
 """Share of what the known steps leave of the profiles, with the blur that suits them best, that one more step may leave."""
 MOST_HIDDEN_PX = 5.0
-LEAST_HIDDEN_BLOCKS, MOST_BLOCKS = 7, 16
-"""Of an arc: fewer tell no edge from noise; of more every second one, or third, ..., is looked at."""
+LEAST_HIDDEN_BLOCKS = 7
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,6 @@ class Hidden:
 
 def hidden_arcs(model: CameraModel, known: Profiled, rows: Int[np.ndarray, " k"], blur_px: float, noise: float) -> Hidden:
     """Edges beside some of the arcs that one more step in their profiles shows."""
-    total, known = np.diff(known.blocks.starts), replace(known, blocks=known.blocks.thinned(MOST_BLOCKS))
     rows = rows[np.bincount(known.blocks.owner, known.blocks.whole, len(known.arcs))[rows] >= LEAST_HIDDEN_BLOCKS]
     count = len(rows)
     base, blocks = known.arcs.keep(rows), known.crossed(model, rows)
@@ -78,15 +76,14 @@ def hidden_arcs(model: CameraModel, known: Profiled, rows: Int[np.ndarray, " k"]
     tried &= np.maximum.reduceat(np.append(blocks.count, 0), blocks.starts[:-1]) < MOST_STEPS if count else tried
     kept = np.flatnonzero(tried)
     tried_blocks = replace(blocks, place=place).keep(kept)
-    found, edge = _settled(base.keep(kept), tried_blocks, CANDIDATES_PX[best[kept]], total[rows[kept]], blur_px, noise)
+    found, edge = _settled(base.keep(kept), tried_blocks, CANDIDATES_PX[best[kept]], blur_px, noise)
     return Hidden(found.keep(edge), rows[kept[edge]])
 
 
 def _settled(
-    arcs: Arcs, blocks: Blocks, offset: Float[np.ndarray, " n"], total: Int[np.ndarray, " n"], blur_px: float, noise: float
+    arcs: Arcs, blocks: Blocks, offset: Float[np.ndarray, " n"], blur_px: float, noise: float
 ) -> tuple[Arcs, Bool[np.ndarray, " n"]]:
-    """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges.
-    `total` is how many blocks each arc has in all."""
+    """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges."""
     start = np.concatenate([offset[blocks.owner, None], blocks.place[:, :-1]], -1)
     more = replace(blocks, count=blocks.count + 1)
     place, variance, heights, rest = fit_places(more, start, WIDE_TAPER_PX, blur_px)
@@ -98,7 +95,7 @@ def _settled(
     unsteady = np.sqrt(blocks.mean((shift - blocks.mean(shift)[blocks.owner]) ** 2))
     # Averaged with its sign, so that noise does not count.
     height = np.linalg.norm([blocks.mean(channel.copy()) for channel in heights[:, 0].T], axis=0)
-    evidence = total * height / noise / (unsteady + SCATTER_PX) ** 2
+    evidence = np.diff(blocks.starts) * height / noise / (unsteady + SCATTER_PX) ** 2
     own = np.linalg.norm([blocks.mean(channel.copy()) for channel in heights[:, 1].T], axis=0)
     edge = (used >= LEAST_HIDDEN_BLOCKS) & (evidence > LEAST_EVIDENCE) & (height > LEAST_RATIO * own)
     edge &= (unsteady < MOST_UNSTEADY_PX) & (np.sqrt(scatter) < MOST_SCATTER_PX)

@@ -39,7 +39,7 @@ MOST_OFF_PX = 0.4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 TYPICAL_BLUR_PX = 0.7
 """Where no arc tells the blur of the photo."""
-BLUR_ARCS, BLUR_BLOCKS, BLUR_STRIDE = 40, 16, 3
+BLUR_ARCS, BLUR_STRIDE = 40, 3
 SHARP_CONTRAST = 20.0
 
 
@@ -52,7 +52,7 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     lone = np.sort(lone[np.argsort(-np.diff(blocks.starts)[lone], kind="stable")[:BLUR_ARCS]])
     if not len(lone):
         return TYPICAL_BLUR_PX
-    blocks = known.blocks.keep(strong[lone]).thinned(BLUR_BLOCKS)
+    blocks = known.blocks.keep(strong[lone])
     left = np.full((len(BLURS_PX), len(lone)), np.inf)
     # Some blurs first; then those around the median of the best, on which alone it depends.
     tried = np.arange(0, len(BLURS_PX), BLUR_STRIDE)
