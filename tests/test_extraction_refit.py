@@ -6,11 +6,7 @@ import pytest
 
 from camera_models import Pinhole
 from omnilines.extraction import extract_arcs, refit
-from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import profiled
 from omnilines.extraction.circle_kernel import fit_circles
-from omnilines.extraction.edgels import numbered
-from omnilines.extraction.refit import Photo
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
 
@@ -53,22 +49,3 @@ def test_arcs_do_not_depend_on_how_many_are_refitted_at_a_time(monkeypatch: pyte
     parts = extract_arcs(image, CAMERA, least_px=13.0)
     np.testing.assert_allclose(parts.endpoints_px, whole.endpoints_px, rtol=0, atol=1e-9)
     np.testing.assert_allclose(parts.covariance_px2, whole.covariance_px2, rtol=1e-9)
-
-
-def test_blocks_are_thinned_evenly() -> None:
-    cells, points = np.zeros((0, 2), dtype=np.int32), np.zeros((0, 4), dtype=np.float32)
-    photo = Photo(drawn(), CAMERA, numbered(CAMERA.image_size, cells, points))
-    turn, half = np.array([0.0, 0.3, 0.6]), np.array([0.05, 0.2, 0.45])
-    normal = np.stack([np.sin(turn), np.cos(turn), np.zeros(3)], -1)
-    arcs = Arcs(normal, np.tile([0.0, 0.0, 1.0], (3, 1)), -half, half, np.tile(np.eye(2), (3, 1, 1)))
-    blocks = profiled(photo, arcs, 1.0).blocks
-    thin = blocks.thinned(9)
-    count, left = np.diff(blocks.starts), np.diff(thin.starts)
-    assert count[0] <= 9 < 2 * 9 < count[2]
-    assert left[0] == count[0]
-    assert (left <= 9).all()
-    assert (left >= 5).all()
-    for arc in range(3):
-        stride = -(-count[arc] // 9)
-        own, kept = (table.angle[table.owner == arc] for table in (blocks, thin))
-        np.testing.assert_array_equal(kept, own[::stride])
