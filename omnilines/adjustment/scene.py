@@ -90,12 +90,10 @@ def reconstruct_lines(
 ) -> LineScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
-    `triangulation_options` are those of the method's function.
-    `rig` is that of the calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m)
-    makes the given poses a prior. `cautious` is that of
-    `adjust_lines`. With `robust`, observations of other lines are found by
-    consensus and left out. `device` is where lines are triangulated and the iterations of the adjustment run, `cpu` or `cuda`;
-    the consensus stays on the processor.
+    `triangulation_options` are those of the method's function, `cautious` is that of `adjust_lines`. `rig` is that of the
+    calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m) makes the given poses a
+    prior. With `robust`, observations of other lines are found by consensus and left out. `device` is where lines are
+    triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
 
     Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
@@ -113,6 +111,7 @@ def reconstruct_lines(
     state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
 
     def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
+        """From a start, with a loss at its scale."""
         return adjust_lines(
             inner,
             start.chart.lines(),

@@ -48,6 +48,7 @@ def rms_of_each(values: Float[np.ndarray, "n k"]) -> list[float]:
 
 
 def book_checks(rendered: RenderedScene, settings: list[BookSetting]) -> tuple[Check, ...]:
+    """Whether every sheet was found, poses err as they state, and the adjustment lowers the residuals."""
     posed, views = float(len(settings[0].poses)), float(len(rendered.poses))
     checks = [Check("photos whose sheet was found", posed, views, "photos", posed == views)]
     for setting in settings:
@@ -60,6 +61,7 @@ def book_checks(rendered: RenderedScene, settings: list[BookSetting]) -> tuple[C
 
 
 def book_summaries(rendered: RenderedScene, settings: list[BookSetting]) -> tuple[Summary, ...]:
+    """Camera and poses, then the table of every setting before and after adjustment (table 5.2)."""
     found = settings[0]
     about = [
         ("camera", f"{rendered.model.NAME}, {rendered.model.image_size[0]} x {rendered.model.image_size[1]} px"),
@@ -86,6 +88,7 @@ def book_sections(
     checks: tuple[Check, ...],
     settings: list[BookSetting],
 ) -> list[report.Section]:
+    """The page: summaries, checks, residuals, lines over the photos in `folder`, and the scene."""
     quantity = "orthogonal distance of an end point (px)"
     sections = [report.summary_section(*summaries), report.checks_section(checks)]
     for setting in settings:

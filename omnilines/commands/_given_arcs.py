@@ -78,6 +78,7 @@ def given_arcs(
     """
 
     def look(photo: PhotoRef) -> FoundArcs:
+        """The segments of one photo, or why it has none."""
         name = camera_of[photo.name]
         rows = given.rows_of(photo.name)
         try:

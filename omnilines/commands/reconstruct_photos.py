@@ -8,7 +8,7 @@ from typing import Any
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
 from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._given_arcs import given_arcs, read_given, remarks_on
+from omnilines.commands._given_arcs import GivenSegments, given_arcs, read_given, remarks_on
 from omnilines.commands._kept_poses import kept_poses
 from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
 from omnilines.commands._photo_arcs import FoundArcs, find_arcs
@@ -71,14 +71,13 @@ def reconstruct_photos(
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
-    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`), `rectangle:279x216mm` (a
-    sheet of that size in the photos) or `sfm`. `refine` is `lines` unless
-    given, and `lines,poses` with `sfm`; with poses refined, photos that have none are placed by the lines. A line is kept that
-    at least `least_views` photos see. `tolerance_px` is the standard deviation that arcs have beyond what they state, for errors
-    of poses and calibration; it is found from the arcs where it is not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the
-    distance in metres of two photos, where poses leave the scale open. `segments` is a table of unmatched segments of these
-    photos, taken in place of arcs that would be found in them. `colmap` and `recording` add a COLMAP model and a recording for
-    the rerun viewer. `device` is `cpu` or `cuda`.
+    `poses` is a poses.csv, a folder with a COLMAP model, `rig`, `boards` (with a `pattern`), `rectangle:279x216mm` (a sheet of
+    that size in the photos) or `sfm`. `refine` is `lines` unless given, and `lines,poses` with `sfm`; with poses refined, photos
+    that have none are placed by the lines. A line is kept that at least `least_views` photos see. `tolerance_px` is the standard
+    deviation that arcs have beyond what they state, for errors of poses and calibration; it is found from the arcs where it is
+    not given. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos, where poses leave the scale open.
+    `segments` is a table of unmatched segments of these photos, taken in place of arcs that would be found in them. `colmap` and
+    `recording` add a COLMAP model and a recording for the rerun viewer. `device` is `cpu` or `cuda`.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
@@ -90,19 +89,14 @@ def reconstruct_photos(
     camera_of = {photo.name: camera_of_photo(photo, cameras) for photo in refs}
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     unit = unit_of_poses(poses, cameras, camera_of)
-    given = None if segments is None else read_given(segments, refs, camera_of)
-    if given is not None and mask is not None:
-        raise InputError("--mask says where arcs are looked for, found --segments beside it; leave one of them out.")
+    given = _given(segments, mask, refs, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     options = SceneOptions(least_views, tolerance_px, triangulation, cost, loss, parts, device, seed, triangulation_options or {})
     folder = output_folder(out)
     _check(options, poses, refs, cameras, camera_of, pattern, folder / "colmap" if colmap else None, recording)
-    inputs = [photo.path for photo in refs] + [calibration]
-    inputs += [path for path in (mask, segments) if path is not None]
-    inputs += _pose_files(poses)
-    stamp = Stamp(
-        folder / STAMP, fingerprint(inputs, repr((options, poses, pattern, distance, colmap, recording, [p.name for p in refs])))
-    )
+    files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
+    wanted = repr((options, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
+    stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted))
     done = stamp.result()
     if done is not None:
         return done
@@ -133,6 +127,17 @@ def reconstruct_photos(
     result = _written(folder, scene, found, posed, cameras, refs, asked, progress)
     stamp.write(result)
     return result
+
+
+def _given(
+    segments: Path | None, mask: Path | None, photos: Sequence[PhotoRef], camera_of: Mapping[str, str]
+) -> GivenSegments | None:
+    """A user's own segments, where there are some."""
+    if segments is None:
+        return None
+    if mask is not None:
+        raise InputError("--mask says where arcs are looked for, found --segments beside it; leave one of them out.")
+    return read_given(segments, photos, camera_of)
 
 
 def _posed(
