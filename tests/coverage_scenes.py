@@ -19,7 +19,7 @@ from omnilines.adjustment.weighting import weighting
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss
-from omnilines.simulate_lines import circle_world, room_world
+from omnilines.synthetic.lines import circle_world, room_world
 
 NOISE_PX = 0.5
 OUTLIERS, OUTLIER_PX = 0.03, (10.0, 40.0)

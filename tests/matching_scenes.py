@@ -12,8 +12,8 @@ from camera_models.equirectangular import Equirectangular
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.simulate import example_camera
-from omnilines.simulate_lines import room_world
+from omnilines.synthetic.lines import room_world
+from omnilines.synthetic.targets import example_camera
 
 SAMPLES = 300
 LONGEST_RAD, SHORTEST_RAD = 2.5, math.radians(3.0)

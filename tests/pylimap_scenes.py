@@ -16,7 +16,7 @@ from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import ImagePoses, Lines, Segments
-from omnilines.simulate_lines import LineWorld
+from omnilines.synthetic.lines import LineWorld
 
 HERE = pathlib.Path(__file__).resolve().parent
 PEERS = HERE.parent / ".venv-peers" / "bin" / "python"

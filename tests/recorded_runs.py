@@ -4,10 +4,11 @@
     python tests/recorded_runs.py compare FOLDER OTHER name every file of the results that differs
 
 A change that moves code and means to change no result is checked so: record with the version before it, record with the one after
-it (both times with the tree on PYTHONPATH), compare. What may differ is left out: the software and command that a file names, pictures
-of plots, times.
+it (both times with the tree on PYTHONPATH), compare. What may differ is left out: the software
+and command that a file names, plots, times.
 """
 
+# ruff: noqa: E501 (a command is one line)
 import contextlib
 import csv
 import io
@@ -136,7 +137,9 @@ def shown(path: Path) -> str:
 
 def compare(first: Path, second: Path) -> int:
     """Print the files that differ, with how far numbers in tables are apart; the number of them."""
-    names = sorted({str(p.relative_to(f)) for f in (first, second) for p in f.rglob("*") if p.is_file() and "work" not in p.parts})
+    names = sorted(
+        {str(p.relative_to(f)) for f in (first, second) for p in f.rglob("*") if p.is_file() and "work" not in p.parts}
+    )
     kinds = SHOWN | {".printed", ".html", ".npz"}
     differing = 0
     for name in names:

@@ -9,8 +9,8 @@ import torch
 
 from camera_models import CameraModel, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.pose import Pose, rotation_from_vector
-from omnilines.calibration.rig_alone import CameraSetup
-from omnilines.calibration.rig_result import RigCalibration
+from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig.result import RigCalibration
 from omnilines.records import Corners
 
 COLUMNS, ROWS, SQUARE_M = 9, 6, 0.05

@@ -14,9 +14,9 @@ from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.weighting import cost_weights, end_sigma_rad
-from omnilines.commands._noise_notes import noise_notes, noise_row
 from omnilines.costs import COSTS, cost_function
 from omnilines.least_squares import Loss, Outcome
+from omnilines.pages.noise_notes import noise_notes, noise_row
 
 NAMES = [name for name, _ in COSTS]
 

@@ -13,7 +13,7 @@ from omnilines.adjustment.lines import adjust_lines, end_sigma_m
 from omnilines.adjustment.scene import reconstruct_lines
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
-from omnilines.simulate_lines import LineWorld, circle_world, room_world
+from omnilines.synthetic.lines import LineWorld, circle_world, room_world
 
 NOISE_PX = 0.5
 NORMAL_95 = 1.959964

@@ -10,7 +10,7 @@ from board_views import BOARD, board_corners, board_views
 from rig_views import pair, setups
 
 from camera_models import CameraModel, DoubleSphere, GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza, Unified
-from omnilines.calibration.rig import calibrate_rig
+from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.single import calibrate_camera
 from omnilines.records import Corners
 

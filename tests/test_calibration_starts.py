@@ -12,7 +12,7 @@ from camera_models import CameraModel, OpenCVFisheye, Scaramuzza
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.evaluate import bearing_error_deg
+from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.records import Corners
 
 SIZE = (1280, 960)

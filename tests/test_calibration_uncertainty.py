@@ -19,7 +19,7 @@ from omnilines.calibration.uncertainty import (
     worst_sigma_px,
 )
 from omnilines.calibration.views import board_points
-from omnilines.evaluate import bearing_errors
+from omnilines.evaluation.cameras import bearing_errors
 
 SIZE = (1280, 960)
 LENSES = {

@@ -23,10 +23,11 @@ from omnilines.calibration.select import Candidate
 from omnilines.cli import main
 from omnilines.commands import calibrate as calibrate_module
 from omnilines.commands import detect as detect_module
-from omnilines.commands._camera_search import completed, resected, searched
 from omnilines.commands.calibrate import calibrate_photos
-from omnilines.commands.detect import PhotoCorners, detect, detect_corners, search_again
+from omnilines.commands.detect import detect
 from omnilines.files import find_photos, read_corners
+from omnilines.pipelines.camera_search import completed, resected, searched
+from omnilines.pipelines.detect import PhotoCorners, detect_corners, search_again
 from omnilines.records import ViewResult
 
 SIZE = (1280, 960)

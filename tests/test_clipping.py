@@ -9,8 +9,8 @@ import torch
 from matching_scenes import VIEWS, room
 
 from omnilines.geometry.line import PlueckerLines
-from omnilines.structure.clip_kernel import AGREE_SIGMA, DRAWN_IN, GAP_SIGMA, agreed, clipped, covered
 from omnilines.structure.clipping import LEAST_AT_ONCE, supported_stretches
+from omnilines.structure.kernels.clip import AGREE_SIGMA, DRAWN_IN, GAP_SIGMA, agreed, clipped, covered
 
 SIGMA = 0.01
 

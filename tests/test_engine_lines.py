@@ -10,13 +10,13 @@ from engine_scenes import Row, row
 
 from omnilines.adjustment import lines as adjustment
 from omnilines.adjustment.engine import COMPILED_COSTS, LOSS_KINDS, LineEngine, LineSolution
-from omnilines.adjustment.line_kernel import Views
+from omnilines.adjustment.kernels.line import Views
+from omnilines.adjustment.kernels.line_step import bend
+from omnilines.adjustment.kernels.schur import line_block
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
-from omnilines.adjustment.schur_kernel import line_block
 from omnilines.adjustment.state import LinesAndPoses
-from omnilines.adjustment.step_kernel import bend
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 

@@ -17,10 +17,10 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
-from omnilines.evaluate import bearing_error_deg, bearing_errors, line_errors, parameter_errors, symmetric_form
+from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors, symmetric_form
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import ImagePoses
-from omnilines.simulate import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
 
 SIZE = (640, 480)
 BOARD = pattern("checkerboard:8x6:30mm")

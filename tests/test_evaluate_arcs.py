@@ -9,7 +9,7 @@ import torch
 
 from camera_models import Equirectangular, InputError, OpenCVFisheye
 from camera_models.pose import Pose
-from omnilines.evaluate_arcs import ArcScores, arc_scores, lines_of_edges
+from omnilines.evaluation.arcs import ArcScores, arc_scores, lines_of_edges
 from omnilines.files.true_edges import (
     Stretches,
     TrueEdges,

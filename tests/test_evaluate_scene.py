@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
-from omnilines.evaluate_scene import SceneScores, aligned_ends, scene_scores
+from omnilines.evaluation.scene import SceneScores, aligned_ends, scene_scores
 from omnilines.files.true_edges import Stretches, TrueEdges
 from omnilines.records import ImagePoses
 

@@ -17,13 +17,13 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands._board_figures import FIGURES, UNCHECKED, BoardExperiment
-from omnilines.commands.detect import PhotoCorners
 from omnilines.commands.experiment import experiment_board, perturbed_poses, run_experiment
 from omnilines.files import read_corners, read_lines, read_poses, read_segments, write_corners
 from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.detect import PhotoCorners
 from omnilines.records import Corners
 from omnilines.structure import regularity
+from omnilines.studies.board_figures import FIGURES, UNCHECKED, BoardExperiment
 
 FISHEYE1 = "calibration/fisheye1"
 CHECKED = [key for key, _, _ in FIGURES if key not in UNCHECKED]

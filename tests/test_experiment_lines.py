@@ -14,9 +14,6 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines
-from omnilines.commands._line_errors import aligned_rms_m, cramer_rao_bound
-from omnilines.commands._line_report import COLUMNS, study_checks, study_rows
-from omnilines.commands._line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, run_study, settled_poses
 from omnilines.commands.experiment import perturbed_poses
 from omnilines.commands.experiment_house import experiment_house, poses_of_matches
 from omnilines.commands.experiment_lines import experiment_lines, parse_noise, study_world
@@ -24,7 +21,10 @@ from omnilines.costs import COSTS
 from omnilines.files import read_lines, read_vgg_lines, read_vgg_points
 from omnilines.files.vgg_house import MatchedPoints
 from omnilines.geometry.line import PlueckerLines
-from omnilines.simulate_lines import LineWorld, circle_world, room_world
+from omnilines.pages.line_study import COLUMNS, study_checks, study_rows
+from omnilines.studies.line_errors import aligned_rms_m, cramer_rao_bound
+from omnilines.studies.line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, run_study, settled_poses
+from omnilines.synthetic.lines import LineWorld, circle_world, room_world
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 

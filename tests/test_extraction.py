@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from camera_models import Calibration, CameraModel, Equirectangular, InputError, OpenCVFisheye, Pinhole, load, save
 from omnilines.cli import main
 from omnilines.commands.render_scene import render_scene
-from omnilines.evaluate_arcs import ArcScores, arc_scores
+from omnilines.evaluation.arcs import ArcScores, arc_scores
 from omnilines.extraction import ExtractedArcs, extract_arcs
 from omnilines.extraction.image_circle import image_circle
 from omnilines.files import read_poses, read_segments

@@ -8,7 +8,7 @@ import pytest
 
 from camera_models import Pinhole
 from omnilines.extraction import extract_arcs
-from omnilines.extraction.bend_kernel import bend_of
+from omnilines.extraction.kernels.bend import bend_of
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
 RATE, LENGTH, NOISE_PX = 260.0, 120, 0.05

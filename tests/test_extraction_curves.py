@@ -12,9 +12,9 @@ from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, arcs_of_ends
 from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
-from omnilines.extraction.pair_kernel import near_pairs
-from omnilines.extraction.profile_kernel import mean_profiles, piece_means, profiles
-from omnilines.extraction.step_kernel import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.pair import near_pairs
+from omnilines.extraction.kernels.profile import mean_profiles, piece_means, profiles
+from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
 
 EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]
 

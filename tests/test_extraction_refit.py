@@ -6,7 +6,7 @@ import pytest
 
 from camera_models import Pinhole
 from omnilines.extraction import extract_arcs, refit
-from omnilines.extraction.circle_kernel import fit_circles
+from omnilines.extraction.kernels.circle import fit_circles
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
 

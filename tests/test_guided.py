@@ -24,7 +24,7 @@ from camera_models.errors import InputError
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pose import Pose
 from omnilines.calibration.single import calibrate_camera
-from omnilines.simulate import simulate_corners
+from omnilines.synthetic.targets import simulate_corners
 
 SIZE = (1280, 960)
 LENS_190 = OpenCVFisheye([286.0, 286.0, 639.5, 479.5, -0.01, 0.003, -0.001, 0.0001], SIZE)

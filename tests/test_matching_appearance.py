@@ -10,7 +10,7 @@ from camera_models import CameraModel
 from camera_models.equirectangular import Equirectangular
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.matching.appearance import DARK_GREY, MARGIN, side_colours
-from omnilines.simulate import example_camera
+from omnilines.synthetic.targets import example_camera
 
 FIRST, SECOND = np.array([40.0, 90.0, 200.0]), np.array([220.0, 0.0, 60.0])
 """Blue, green and red towards the normal of a circle, and on its other side."""

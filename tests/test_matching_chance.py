@@ -12,7 +12,7 @@ from camera_models.equirectangular import Equirectangular
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.chance import REACH_PX, chance_of_lines
-from omnilines.matching.chance_kernel import at_least, shown_and_beside
+from omnilines.matching.kernels.chance import at_least, shown_and_beside
 from omnilines.matching.known_lines import MOST_CHI_SQUARE, mean_colours
 
 SIGMA_PX, BARS, PHOTOS = 0.2, 25, 12

@@ -12,12 +12,13 @@ from matching_scenes import VIEWS, every_neighbour, room
 
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
-from omnilines.matching import hypotheses, voting_kernel
-from omnilines.matching import hypothesis_kernel as kernel
+from omnilines.matching import hypotheses
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.epipolar_kernel import arcs_across, arcs_by_angle
 from omnilines.matching.hypotheses import find_hypotheses
-from omnilines.matching.track_kernel import claim, near_lines, needed, united
+from omnilines.matching.kernels import hypothesis as kernel
+from omnilines.matching.kernels import voting as voting_kernel
+from omnilines.matching.kernels.epipolar import arcs_across, arcs_by_angle
+from omnilines.matching.kernels.track import claim, near_lines, needed, united
 
 CAMERAS = list(VIEWS)
 

@@ -17,7 +17,7 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.select import Candidate, all_candidates, fit_boards, select_model
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.views import board_points
-from omnilines.evaluate import bearing_errors
+from omnilines.evaluation.cameras import bearing_errors
 from omnilines.files import read_corners
 from omnilines.records import Corners
 

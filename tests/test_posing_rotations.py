@@ -10,10 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from test_posing_sfm import described, places, world
 
-from omnilines.least_squares.threads import one_torch_thread
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched
 from omnilines.posing.rotations import agreeing_pairs
+from omnilines.progress import one_torch_thread
 from omnilines.scenes import scene_camera
 
 

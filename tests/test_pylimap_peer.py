@@ -21,7 +21,7 @@ from pylimap_scenes import (
 
 from camera_models import Pinhole
 from omnilines.costs import COSTS
-from omnilines.simulate_lines import circle_world
+from omnilines.synthetic.lines import circle_world
 from omnilines.triangulation import TRIANGULATIONS
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("peer")]

@@ -9,7 +9,7 @@ import pytest
 from camera_models import load
 from omnilines.cli import main
 from omnilines.commands.render_scene import render_scene
-from omnilines.evaluate_scene import scene_scores
+from omnilines.evaluation.scene import scene_scores
 from omnilines.files import find_photos, read_lines, read_photo, read_segments, write_segments
 from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.records import Segments

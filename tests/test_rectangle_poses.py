@@ -10,13 +10,13 @@ import torch
 
 from camera_models import CameraModel, InputError, load
 from camera_models.pose import Pose
-from omnilines.commands._photo_arcs import find_arcs
-from omnilines.commands._photo_poses import photo_poses, sides_of
 from omnilines.commands.experiment_book import experiment_book
 from omnilines.commands.reconstruct import reconstruct_segments
 from omnilines.commands.reconstruct_photos import reconstruct_photos
 from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.files import find_photos, read_corners, read_poses
+from omnilines.pipelines.photo_arcs import find_arcs
+from omnilines.pipelines.photo_poses import photo_poses, sides_of
 from omnilines.posing.features import Features
 from omnilines.posing.find_rectangle import FoundRectangle, PhotoArcs, find_rectangle
 from omnilines.posing.from_corners import poses_from_corners

@@ -28,12 +28,12 @@ from rig_views import (
 
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
-from omnilines.calibration.rig import calibrate_rig
-from omnilines.calibration.rig_alone import CameraSetup
-from omnilines.calibration.rig_joint import RigData
-from omnilines.calibration.rig_problem import RigState
-from omnilines.calibration.rig_result import RigCalibration
-from omnilines.calibration.rig_views import RigViews
+from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.joint import RigData
+from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.single import calibrate_camera
 from omnilines.least_squares import solve
 from omnilines.records import Corners

@@ -24,7 +24,7 @@ from rig_views import (
 
 from camera_models import GeometryError, Scaramuzza
 from omnilines.calibration.numbering import Lattice, Numbering
-from omnilines.calibration.rig import calibrate_rig
+from omnilines.calibration.rig.calibrate import calibrate_rig
 
 
 def half_a_turn(board):

@@ -11,15 +11,15 @@ from matching_scenes import SIZE, MatchingScene, camera_named, from_views, looki
 from camera_models import Calibration
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
-from omnilines.commands._line_poses import poses_by_lines
-from omnilines.commands._photo_arcs import FoundArcs
-from omnilines.commands._viewed_arcs import viewed_arcs
 from omnilines.files import PhotoRef
 from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
+from omnilines.pipelines.line_poses import poses_by_lines
+from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.pipelines.viewed_arcs import viewed_arcs
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
-from omnilines.simulate_lines import room_world
+from omnilines.synthetic.lines import room_world
 
 INSTANTS, CAMERAS = 9, ("left", "right")
 IN_RIG = Pose.exp(torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.1, 2.0, 0.0, 0.2, 0.0, 0.1]], dtype=torch.float64))

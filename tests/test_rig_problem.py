@@ -8,9 +8,9 @@ import torch
 from rig_views import FISHEYE_220, MIRROR, PINHOLE
 
 from camera_models.pose import Pose, adjoint
-from omnilines.calibration.rig_links import links, relative_pose, weakest_link
-from omnilines.calibration.rig_problem import RigPoints, RigProblem, RigState
-from omnilines.calibration.rig_systematic import RADIAL_SHIFT_PX, moved_by_radial_shifts
+from omnilines.calibration.rig.links import links, relative_pose, weakest_link
+from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.systematic import RADIAL_SHIFT_PX, moved_by_radial_shifts
 from omnilines.least_squares import solve
 from omnilines.least_squares.schur import normal_equations
 

@@ -11,11 +11,11 @@ from test_matching_directions import scene
 
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
-from omnilines.commands._common import silent
-from omnilines.commands._photo_arcs import FoundArcs
-from omnilines.commands._rough_poses import better_poses
 from omnilines.files import PhotoRef
+from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.pipelines.rough_poses import better_poses
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.progress import silent
 from omnilines.records import ImagePoses
 
 VIEWS = 10

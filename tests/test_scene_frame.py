@@ -11,18 +11,18 @@ import torch
 import camera_models
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.cli import main
-from omnilines.commands import _photo_poses
-from omnilines.commands._scene_frame import (
+from omnilines.commands.render_scene import render_scene
+from omnilines.files import read_lines, read_poses
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines import photo_poses as _photo_poses
+from omnilines.pipelines.scene_frame import (
     KnownDistance,
     distance_and_sigma,
     parse_known_distance,
     scene_frame,
     unit_of_table,
 )
-from omnilines.commands.render_scene import render_scene
-from omnilines.files import read_lines, read_poses
-from omnilines.geometry.line import PlueckerLines
-from omnilines.geometry.line_chart import LineChart
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines

@@ -18,7 +18,8 @@ from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 from camera_models.unified import Unified
-from omnilines.commands.detect import PhotoCorners, detect
+from omnilines.commands.detect import detect
+from omnilines.pipelines.detect import PhotoCorners
 from omnilines.records import Corners
 
 BOARD = pattern("checkerboard:6x5:30mm")

@@ -16,7 +16,7 @@ from omnilines.adjustment.scene import reconstruct_lines
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.sphere import angle_between
 from omnilines.records import LINE_STATUSES, ImagePoses, Segments
-from omnilines.simulate_lines import room_world
+from omnilines.synthetic.lines import room_world
 from omnilines.triangulation import TRIANGULATIONS, method_options, triangulate
 from omnilines.triangulation.averaging import members, subsets
 from omnilines.triangulation.observations import PlaneObservations

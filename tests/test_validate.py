@@ -17,11 +17,11 @@ from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines import cli
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands._validation import compare
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos, calibration_record
 from omnilines.commands.render import RenderedTargets, render_targets, write_targets
 from omnilines.files import read_corners, read_poses, write_corners
-from omnilines.simulate import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.studies.validation import compare
+from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
 
 SIZE = (640, 480)
 SPEC = "checkerboard:8x6:30mm"

@@ -16,8 +16,13 @@ from camera_models.pose import Pose
 from omnilines import cli
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.commands import validate_scene as command
-from omnilines.commands._common import CommandResult
-from omnilines.commands._scene_validation import (
+from omnilines.commands.render_scene import RenderedScene, write_scene
+from omnilines.commands.result import CommandResult
+from omnilines.files import read_poses, write_poses
+from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
+from omnilines.geometry.line_chart import LineChart
+from omnilines.records import Lines
+from omnilines.studies.scene_validation import (
     RebuiltScene,
     _median,
     _pixel_at_edges,
@@ -25,11 +30,6 @@ from omnilines.commands._scene_validation import (
     own_edges,
     read_rebuilt,
 )
-from omnilines.commands.render_scene import RenderedScene, write_scene
-from omnilines.files import read_poses, write_poses
-from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
-from omnilines.geometry.line_chart import LineChart
-from omnilines.records import Lines
 
 OPTIONS = {"scene": "room", "model": "pinhole", "fov_deg": 100.0, "views": 8, "size": (360, 360), "seed": 1}
 ARGUMENTS = ("--scene", "room", "--model", "pinhole", "--fov-deg", 100, "--views", 8, "--size", "360x360", "--seed", 1)

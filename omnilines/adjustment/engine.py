@@ -15,10 +15,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from omnilines.adjustment import covariance_kernel, schur_kernel, step_kernel
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.engine_sandwich import LineSandwich, frame_gains
-from omnilines.adjustment.line_kernel import (
+from omnilines.adjustment.kernels import covariance as covariance_kernel
+from omnilines.adjustment.kernels import line_step as step_kernel
+from omnilines.adjustment.kernels import schur as schur_kernel
+from omnilines.adjustment.kernels.line import (
     MOVING,
     SETTLED,
     SINGULAR,
@@ -35,7 +37,7 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
 from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import ReducedSystem
-from omnilines.least_squares.threads import in_shares
+from omnilines.progress import in_shares
 
 COMPILED_COSTS = ("sector", "whitened", "bartoli-sturm")
 LOSS_KINDS = {"none": 0, "huber": 1, "cauchy": 2}

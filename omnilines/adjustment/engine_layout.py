@@ -8,11 +8,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.line_kernel import Pairs, Views
+from omnilines.adjustment.kernels.line import Pairs, Views
 from omnilines.adjustment.problem import LineProblem
 from omnilines.geometry.sphere import sector_moment_factor
 from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern
-from omnilines.least_squares.threads import threads_for
+from omnilines.progress import threads_for
 
 ROWS_AT_ONCE = 1 << 16
 """Observations whose rows are prepared at once."""

@@ -6,11 +6,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnilines.adjustment import covariance_kernel, sandwich_kernel
 from omnilines.adjustment.engine_layout import Layout
-from omnilines.adjustment.line_kernel import LineBlocks, LineStates, Views
+from omnilines.adjustment.kernels import covariance as covariance_kernel
+from omnilines.adjustment.kernels import sandwich as sandwich_kernel
+from omnilines.adjustment.kernels.line import LineBlocks, LineStates, Views
 from omnilines.least_squares.reduced_system import ReducedSystem, sparse_matrix
-from omnilines.least_squares.threads import in_shares
+from omnilines.progress import in_shares
 
 
 @dataclass(frozen=True)

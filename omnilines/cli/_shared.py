@@ -13,7 +13,8 @@ from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
 
 if TYPE_CHECKING:
-    from omnilines.commands._common import CommandResult, ProgressCallback
+    from omnilines.commands.result import CommandResult
+    from omnilines.progress import ProgressCallback
 
 app = typer.Typer(
     name="omnilines",

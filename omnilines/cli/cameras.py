@@ -25,7 +25,8 @@ from omnilines.cli._shared import (
 )
 
 if TYPE_CHECKING:
-    from omnilines.commands._common import CommandResult, ProgressCallback
+    from omnilines.commands.result import CommandResult
+    from omnilines.progress import ProgressCallback
 
 EACH = "; of a rig also by camera, as in cam0=...,cam1=..."
 FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))

@@ -1,0 +1,1 @@
+"""What the command line does: read files, run a pipeline, write files and the page."""

@@ -16,11 +16,14 @@ from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
-from omnilines.commands._calibration_report import calibration_data, calibration_sections, calibration_summaries
-from omnilines.commands._common import CommandResult, ProgressCallback, check_output_folder, output_folder, provenance, silent
-from omnilines.commands.detect import PhotoCorners, counts_remark, detect_corners, search_again
+from omnilines.commands.result import CommandResult
 from omnilines.files import PhotoRef, find_photos, read_corners, write_corners
+from omnilines.files.folders import check_output_folder, output_folder
 from omnilines.least_squares import Loss, Progress
+from omnilines.pages.calibration import calibration_data, calibration_sections, calibration_summaries
+from omnilines.pipelines.detect import PhotoCorners, counts_remark, detect_corners, search_again
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
 from omnilines.records import Corners, ViewResult
 from omnilines.report import write_report
 

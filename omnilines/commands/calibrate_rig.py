@@ -8,17 +8,20 @@ import numpy as np
 
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError, load, model_class, save
 from camera_models.formats.calibration_data import RigCamera
-from omnilines.calibration.rig import calibrate_rig
-from omnilines.calibration.rig_alone import AUTO, CameraSetup
-from omnilines.calibration.rig_result import RigCalibration
-from omnilines.calibration.rig_views import BOARDS
-from omnilines.commands._common import CommandResult, ProgressCallback, check_output_folder, output_folder, provenance, silent
-from omnilines.commands._rig_report import rig_data, rig_sections, rig_summaries
-from omnilines.commands._rig_search import searched_with_rig
-from omnilines.commands._rig_sources import RigSource, is_rig, rig_from_photos, rig_from_table
+from omnilines.calibration.rig.alone import AUTO, CameraSetup
+from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.views import BOARDS
 from omnilines.commands.calibrate import calibration_record, view_record
+from omnilines.commands.result import CommandResult
 from omnilines.files import write_corners
+from omnilines.files.folders import check_output_folder, output_folder
 from omnilines.least_squares import Loss, Progress
+from omnilines.pages.rig import rig_data, rig_sections, rig_summaries
+from omnilines.pipelines.rig_search import searched_with_rig
+from omnilines.pipelines.rig_sources import RigSource, is_rig, rig_from_photos, rig_from_table
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
 from omnilines.report import write_report
 
 __all__ = ["RigOptions", "calibrate_rig_corners", "calibrate_rig_photos", "is_rig"]

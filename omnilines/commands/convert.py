@@ -11,7 +11,8 @@ from camera_models import Calibration, Conversion, InputError
 from camera_models.formats import format_for_writing, format_named, format_of_file
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
-from omnilines.commands._common import CommandResult, provenance
+from omnilines.commands.result import CommandResult
+from omnilines.provenance import provenance
 from omnilines.records import Summary
 
 COLUMNS = (

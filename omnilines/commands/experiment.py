@@ -22,11 +22,8 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.commands._board_figures import BoardExperiment, measure
-from omnilines.commands._board_report import board_checks, board_data, board_sections, board_summaries, scene_tables
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
 from omnilines.commands.calibrate import calibration_record
-from omnilines.commands.detect import PhotoCorners, detect_corners
+from omnilines.commands.result import CommandResult
 from omnilines.files import (
     find_photos,
     read_corners,
@@ -37,9 +34,14 @@ from omnilines.files import (
     write_poses,
     write_segments,
 )
+from omnilines.files.folders import output_folder
 from omnilines.least_squares import Progress
+from omnilines.pages.board import board_checks, board_data, board_sections, board_summaries, scene_tables
+from omnilines.pipelines.detect import PhotoCorners, detect_corners
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 from omnilines.report import write_report
+from omnilines.studies.board_figures import BoardExperiment, measure
 from omnilines.triangulation import triangulate
 from omnilines.triangulation.observations import PlaneObservations
 

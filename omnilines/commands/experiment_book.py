@@ -18,7 +18,14 @@ from camera_models.pose import Pose
 from omnilines import report
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.scene import reconstruct_lines
-from omnilines.commands._book_report import (
+from omnilines.commands.render_scene import RenderedScene, write_scene
+from omnilines.commands.result import CommandResult
+from omnilines.costs import COSTS
+from omnilines.evaluation.arcs import arc_scores
+from omnilines.files import PhotoRef, find_photos, write_lines, write_ply, write_poses
+from omnilines.files.folders import output_folder
+from omnilines.geometry.line import PlueckerLines
+from omnilines.pages.book import (
     ADJUSTMENT,
     BY_HAND,
     COLUMNS,
@@ -32,22 +39,17 @@ from omnilines.commands._book_report import (
     book_summaries,
     rms_of_each,
 )
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._distance_figures import figures_of, json_rows, write_distance_figures
-from omnilines.commands._line_errors import aligned_rms_m
-from omnilines.commands._photo_arcs import find_arcs
-from omnilines.commands._photo_poses import photo_poses
-from omnilines.commands._viewed_arcs import segments_of
-from omnilines.commands.render_scene import RenderedScene, write_scene
-from omnilines.costs import COSTS
-from omnilines.evaluate_arcs import arc_scores
-from omnilines.files import PhotoRef, find_photos, write_lines, write_ply, write_poses
-from omnilines.geometry.line import PlueckerLines
+from omnilines.pages.distances import figures_of, json_rows, write_distance_figures
+from omnilines.pipelines.photo_arcs import find_arcs
+from omnilines.pipelines.photo_poses import photo_poses
+from omnilines.pipelines.viewed_arcs import segments_of
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.rectangle import PREFIX
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ImagePoses, Segments
 from omnilines.scenes import sheet_from_world
-from omnilines.simulate import generator
+from omnilines.studies.line_errors import aligned_rms_m
+from omnilines.synthetic.targets import generator
 from omnilines.triangulation import TRIANGULATIONS, WEIGHTS, method_options, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 

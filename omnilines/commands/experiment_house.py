@@ -12,13 +12,15 @@ import torch
 from omnilines import report
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._distance_figures import DistanceFigures, figures_of, json_rows, write_distance_figures
+from omnilines.commands.result import CommandResult
 from omnilines.costs import COSTS
 from omnilines.files import read_vgg_lines, read_vgg_points, write_lines, write_ply, write_poses
+from omnilines.files.folders import output_folder
 from omnilines.files.vgg_house import MatchedLines, MatchedPoints
+from omnilines.pages.distances import DistanceFigures, figures_of, json_rows, write_distance_figures
 from omnilines.posing.from_matches import poses_from_matches
 from omnilines.posing.photo_poses import align_to
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Check, ImagePoses, Summary
 from omnilines.triangulation import TRIANGULATIONS, WEIGHTS, method_options, triangulate
 from omnilines.triangulation.observations import PlaneObservations

@@ -13,11 +13,13 @@ import numpy as np
 import torch
 
 from camera_models import InputError
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._line_report import study_checks, study_data, study_sections, study_summaries, write_figures
-from omnilines.commands._line_study import run_study
+from omnilines.commands.result import CommandResult
+from omnilines.files.folders import output_folder
+from omnilines.pages.line_study import study_checks, study_data, study_sections, study_summaries, write_figures
+from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
-from omnilines.simulate_lines import LineWorld, circle_world, room_world
+from omnilines.studies.line_study import run_study
+from omnilines.synthetic.lines import LineWorld, circle_world, room_world
 
 NOISE_PX = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 TRIALS = 50

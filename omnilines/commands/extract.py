@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 
 from camera_models import Calibration, CameraModel, InputError, load
 from camera_models.formats.disk import write_atomically
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands.detect import on_all_cores
+from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractedArcs, extract_arcs
 from omnilines.files import PhotoRef, find_photos, read_photo, write_segments
+from omnilines.files.folders import output_folder
+from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Segments, Summary
 
 TABLE, PICTURES = "segments.csv", "pictures"

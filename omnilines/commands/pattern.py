@@ -4,7 +4,8 @@ from pathlib import Path
 
 from calib_patterns import pattern as parse_pattern
 from calib_patterns.printing import FORMATS, print_pattern
-from omnilines.commands._common import CommandResult, output_folder
+from omnilines.commands.result import CommandResult
+from omnilines.files.folders import output_folder
 from omnilines.records import Summary
 
 

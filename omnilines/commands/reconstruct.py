@@ -14,9 +14,7 @@ from camera_models.formats.calibration_data import RigCamera
 from omnilines import report
 from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_lines
 from omnilines.adjustment.suspects import Suspect
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
-from omnilines.commands._noise_notes import noise_data, noise_notes, noise_row
-from omnilines.commands._scene_frame import UNIT_KEY, unit_of_table
+from omnilines.commands.result import CommandResult
 from omnilines.files import (
     is_corners_table,
     read_corners,
@@ -28,8 +26,13 @@ from omnilines.files import (
     write_poses,
     write_segments,
 )
+from omnilines.files.folders import output_folder
 from omnilines.least_squares import Outcome, Progress
+from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
+from omnilines.pipelines.scene_frame import UNIT_KEY, unit_of_table
 from omnilines.posing.from_corners import poses_from_corners
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Segments, Summary
 
 SHOWN_SUSPECTS = 5

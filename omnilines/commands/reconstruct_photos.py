@@ -7,16 +7,28 @@ from typing import Any
 
 from camera_models import Calibration, GeometryError, InputError, load
 from omnilines.adjustment.scene import parse_refine
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._given_arcs import GivenSegments, given_arcs, read_given, remarks_on
-from omnilines.commands._kept_poses import kept_poses
-from omnilines.commands._line_scene import PhotoScene, SceneOptions, photo_scene
-from omnilines.commands._photo_arcs import FoundArcs, find_arcs
-from omnilines.commands._photo_poses import check_source, from_photos, photo_poses
-from omnilines.commands._photo_scene_report import scene_data, scene_sections, scene_summary
-from omnilines.commands._resume import Stamp, fingerprint
-from omnilines.commands._rough_poses import better_poses
-from omnilines.commands._scene_frame import (
+from omnilines.commands.extract import camera_of_photo, read_mask
+from omnilines.commands.reconstruct import write_scene
+from omnilines.commands.result import CommandResult
+from omnilines.commands.resume import Stamp
+from omnilines.costs import check_cost
+from omnilines.files import PhotoRef, find_photos, write_poses
+from omnilines.files.colmap_scene import check_colmap_folder, colmap_cameras, write_colmap_scene
+from omnilines.files.fingerprint import fingerprint
+from omnilines.files.folders import output_folder
+from omnilines.files.obj import write_obj
+from omnilines.files.recording import rerun_module, write_recording
+from omnilines.least_squares import Loss
+from omnilines.least_squares.devices import usable_device
+from omnilines.matching.match import LEAST_VIEWS
+from omnilines.pages.photo_scene import scene_data, scene_sections, scene_summary
+from omnilines.pipelines.given_arcs import GivenSegments, given_arcs, read_given, remarks_on
+from omnilines.pipelines.kept_poses import kept_poses
+from omnilines.pipelines.line_scene import PhotoScene, SceneOptions, photo_scene
+from omnilines.pipelines.photo_arcs import FoundArcs, find_arcs
+from omnilines.pipelines.photo_poses import check_source, from_photos, photo_poses
+from omnilines.pipelines.rough_poses import better_poses
+from omnilines.pipelines.scene_frame import (
     KnownDistance,
     parse_known_distance,
     require_poses,
@@ -24,20 +36,11 @@ from omnilines.commands._scene_frame import (
     unit_of_poses,
     without_scale,
 )
-from omnilines.commands._weak_photos import advice
-from omnilines.commands.extract import camera_of_photo, read_mask
-from omnilines.commands.reconstruct import write_scene
-from omnilines.costs import check_cost
-from omnilines.files import PhotoRef, find_photos, write_poses
-from omnilines.files.colmap_scene import check_colmap_folder, colmap_cameras, write_colmap_scene
-from omnilines.files.obj import write_obj
-from omnilines.files.recording import rerun_module, write_recording
-from omnilines.least_squares import Loss
-from omnilines.least_squares.devices import usable_device
-from omnilines.matching.match import LEAST_VIEWS
+from omnilines.pipelines.weak_photos import advice
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX
 from omnilines.posing.sfm import doubt
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import LengthUnit
 from omnilines.report import write_report
 from omnilines.structure.families import line_families

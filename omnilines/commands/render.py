@@ -15,10 +15,13 @@ from camera_models import Calibration, CameraEstimate, CameraModel, InputError, 
 from camera_models.formats.calibration_data import ViewRecord
 from camera_models.formats.disk import write_atomically
 from camera_models.pose import Pose
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands.result import CommandResult
 from omnilines.files import write_corners, write_poses
+from omnilines.files.folders import output_folder
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Summary
-from omnilines.simulate import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
 
 TRUE_CORNERS = "true_corners.csv"
 """Not `corners.csv`: the name of detected corners, which other commands would take instead of the photos."""

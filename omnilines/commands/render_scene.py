@@ -11,9 +11,12 @@ from jaxtyping import UInt8
 
 from camera_models import Calibration, CameraEstimate, CameraModel, save
 from camera_models.formats.disk import write_atomically
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, provenance, silent
+from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, read_photo, write_poses
+from omnilines.files.folders import output_folder
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Summary
 from omnilines.scenes import (
     PHOTO_WIDTH_M,

@@ -3,14 +3,16 @@
 from pathlib import Path
 
 from camera_models import load
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._validation import compare
-from omnilines.commands._validation_report import validation_data, validation_sections, validation_summaries
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.commands.reconstruct import write_scene
 from omnilines.commands.render import write_targets
+from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
+from omnilines.files.folders import output_folder
+from omnilines.pages.validation import validation_data, validation_sections, validation_summaries
+from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
+from omnilines.studies.validation import compare
 
 PHOTOS = "photos"
 """Folder of the photos and of the truth, inside the output folder."""

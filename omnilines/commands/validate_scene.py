@@ -2,17 +2,19 @@
 
 from pathlib import Path
 
-from omnilines.commands._common import CommandResult, ProgressCallback, output_folder, silent
-from omnilines.commands._scene_validation import compare_scene, read_rebuilt
-from omnilines.commands._scene_validation_report import (
+from omnilines.commands.reconstruct_photos import reconstruct_photos
+from omnilines.commands.render_scene import write_scene
+from omnilines.commands.result import CommandResult
+from omnilines.commands.validate import PHOTOS
+from omnilines.files.folders import output_folder
+from omnilines.pages.scene_validation import (
     scene_validation_data,
     scene_validation_sections,
     scene_validation_summaries,
 )
-from omnilines.commands.reconstruct_photos import reconstruct_photos
-from omnilines.commands.render_scene import write_scene
-from omnilines.commands.validate import PHOTOS
+from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
+from omnilines.studies.scene_validation import compare_scene, read_rebuilt
 
 SCENE = "scene"
 """Folder of the rebuilt lines, inside the output folder."""

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.bearings import pixels_at
-from omnilines.extraction.curve_kernel import rays_beside
+from omnilines.extraction.kernels.curve import rays_beside
 
 COARSE = 16
 """Intervals of an arc from which its length in pixels is known."""

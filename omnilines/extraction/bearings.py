@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import CameraModel
-from omnilines.extraction.bearing_kernel import read_bearings, smooth_cells
+from omnilines.extraction.kernels.bearing import read_bearings, smooth_cells
 
 STEP_PX = 16.0
 MOST_ERROR_PX = 3e-4

@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, across_px
-from omnilines.extraction.crossing_kernel import crossings
 from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.profile_kernel import mean_profiles
+from omnilines.extraction.kernels.crossing import crossings
+from omnilines.extraction.kernels.profile import mean_profiles
+from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
 from omnilines.extraction.refit import Photo, joined
-from omnilines.extraction.step_kernel import MOST_STEPS, ROUNDS, fit_steps
 
 _BETWEEN_PX = 0.5
 OFFSETS_PX = np.arange(-12, 13) * _BETWEEN_PX

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 from omnilines.extraction.blocks import pieces
 from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.profile_kernel import piece_means, profiles
+from omnilines.extraction.kernels.profile import piece_means, profiles
 from omnilines.extraction.refit import Photo, Refitted
 
 STRONG_GREY = 16.0

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from camera_models import CameraModel
 from omnilines.extraction.arcs import COARSE, LONGEST_RAD, STEP_RAD, Arcs, across_px, changes, steps
 from omnilines.extraction.bearings import pixels_at
-from omnilines.extraction.curve_kernel import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
+from omnilines.extraction.kernels.curve import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
 
 NODE_PX = 10.0
 LEAST_INTERVALS, MOST_INTERVALS = 4, 128

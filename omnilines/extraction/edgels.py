@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
-from omnilines.extraction.edgel_kernel import add_products, ridge_points, second_differences, strengths
+from omnilines.extraction.kernels.edgel import add_products, ridge_points, second_differences, strengths
 
 SMOOTHING_PX = 0.6
 """Standard deviation of the Gaussian before differences are taken."""

@@ -16,11 +16,11 @@ from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
 from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
-from omnilines.extraction.chain_kernel import chains, circles, links
 from omnilines.extraction.clutter import stands_out
 from omnilines.extraction.edgels import find_points, noise_level, numbered, seen_chains
 from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
+from omnilines.extraction.kernels.chain import chains, circles, links
 from omnilines.extraction.merging import duplicates, merged
 from omnilines.extraction.neighbours import fit_together, photo_blur
 from omnilines.extraction.refit import Photo, Refitted, joined, refit

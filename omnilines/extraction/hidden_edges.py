@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float, Int
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import OFFSETS_PX, Blocks, Profiled, fit_places
-from omnilines.extraction.circle_kernel import fit_circles
-from omnilines.extraction.hidden_kernel import one_more_step
+from omnilines.extraction.kernels.circle import fit_circles
+from omnilines.extraction.kernels.hidden import one_more_step
+from omnilines.extraction.kernels.step_edge import MOST_STEPS
 from omnilines.extraction.neighbours import FLOOR_PX, SCATTER_PX, WIDE_TAPER_PX
 from omnilines.extraction.refit import floor_covariance, moved
-from omnilines.extraction.step_kernel import MOST_STEPS
 
 CANDIDATES_PX = np.arange(-8, 9) * 0.5
 LEAST_APART_PX = 0.7

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.rim_kernel import first_light
+from omnilines.extraction.kernels.rim import first_light
 
 RAYS = 360
 DARK_GREY = 40.0

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2, spans
 from omnilines.extraction.curves import Samples
-from omnilines.extraction.pair_kernel import near_pairs
+from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.refit import Photo, support_of
 
 NEAR_RAD = 0.08

@@ -14,9 +14,9 @@ from scipy.special import stdtrit
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import LEAST_BLOCKS, Blocks, Profiled, fit_places
-from omnilines.extraction.circle_kernel import fit_circles
+from omnilines.extraction.kernels.circle import fit_circles
+from omnilines.extraction.kernels.step_edge import ROUNDS
 from omnilines.extraction.refit import floor_covariance, moved
-from omnilines.extraction.step_kernel import ROUNDS
 
 TAPER_PX, WIDE_TAPER_PX = 1.0, 2.0
 """Standard deviations of the weights of a profile: to fit an arc, and to see how much that depends on what lies beside it."""

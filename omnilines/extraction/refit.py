@@ -10,8 +10,8 @@ from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, inverse_2x2
 from omnilines.extraction.curves import Samples, samples
 from omnilines.extraction.edgels import Edgels, grey_unit
-from omnilines.extraction.profile_kernel import TAPER_PX, WIDE_TAPER_PX, step_filters, supported
-from omnilines.extraction.refit_kernel import FIGURES, LAGS, LEAST_COSINE, WITHIN_PX, refit_arcs
+from omnilines.extraction.kernels.profile import TAPER_PX, WIDE_TAPER_PX, step_filters, supported
+from omnilines.extraction.kernels.refit import FIGURES, LAGS, LEAST_COSINE, WITHIN_PX, refit_arcs
 
 FLOOR_PX = 0.01
 """Standard deviation across the arc that no number of pixels lowers: interpolation, and what the blur's shape hides."""

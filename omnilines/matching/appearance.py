@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from camera_models import CameraModel
 from omnilines.geometry.sphere import arc_normal, points_on_arc
-from omnilines.matching.appearance_kernel import median_logs
+from omnilines.matching.kernels.appearance import median_logs
 
 ALONG = 16
 """Places along an arc at which its sides are read."""

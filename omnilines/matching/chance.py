@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from camera_models import CameraModel
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.chance_kernel import at_least, shown_and_beside
+from omnilines.matching.kernels.chance import at_least, shown_and_beside
 from omnilines.matching.known_lines import MOST_CHI_SQUARE, mean_colours
 
 REACH_PX = 100.0

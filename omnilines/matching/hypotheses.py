@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
 
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.voting_kernel import best_lines
+from omnilines.matching.kernels.voting import best_lines
 
 MOST_SUPPORTERS = 96
 """Arcs that are remembered for each arc."""

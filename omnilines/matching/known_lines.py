@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS, likenesses
-from omnilines.matching.track_kernel import near_lines
+from omnilines.matching.kernels.hypothesis import LEAST_LIKENESS, likenesses
+from omnilines.matching.kernels.track import near_lines
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
 

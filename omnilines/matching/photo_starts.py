@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float
 
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypothesis_kernel import likenesses
+from omnilines.matching.kernels.hypothesis import likenesses
+from omnilines.matching.kernels.place import agreeing
 from omnilines.matching.known_lines import KnownLines
-from omnilines.matching.place_kernel import agreeing
 
 SHARPEST = 120
 """Arcs that directions are sought by: those whose circles are known best."""

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from camera_models.pose import Pose, adjoint
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypothesis_kernel import LEAST_LIKENESS
+from omnilines.matching.kernels.hypothesis import LEAST_LIKENESS
 from omnilines.matching.known_lines import REACH_PX, KnownLines, most_likely
 
 REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12, 0.0))

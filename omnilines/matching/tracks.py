@@ -12,8 +12,8 @@ from jaxtyping import Bool, Int
 
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses
+from omnilines.matching.kernels.track import claim, needed, united
 from omnilines.matching.known_lines import known_lines, most_likely
-from omnilines.matching.track_kernel import claim, needed, united
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import robust_triangulate
 

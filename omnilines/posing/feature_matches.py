@@ -14,7 +14,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.posing.features import Features
-from omnilines.posing.match_kernel import best_near
+from omnilines.posing.kernels.match import best_near
 
 RATIO, FAINT_RATIO, GUIDED_RATIO = 0.8, 0.9, 0.85
 """Of the distances of the best and the second best descriptor."""

@@ -19,10 +19,10 @@ from camera_models.pose import Pose, adjoint
 from omnilines.least_squares import Outcome, Step, minimise
 from omnilines.least_squares.pattern import narrower_order, pair_pattern
 from omnilines.least_squares.reduced_system import ReducedSystem
-from omnilines.least_squares.threads import in_shares, threads_for
-from omnilines.posing import point_kernel
-from omnilines.posing.point_kernel import FrameSums, PointBlocks, Sightings
+from omnilines.posing.kernels import point as point_kernel
+from omnilines.posing.kernels.point import FrameSums, PointBlocks, Sightings
 from omnilines.posing.tracks import Observations
+from omnilines.progress import in_shares, threads_for
 
 BEND = 2.0
 GROSS = 4.0

@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose, adjoint
-from omnilines.least_squares.threads import one_torch_thread
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
@@ -23,6 +22,7 @@ from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.growth import Grown, Matches, grow, start_from
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
+from omnilines.progress import one_torch_thread
 from omnilines.records import ImagePoses
 
 Progress = Callable[[str, int, int], None]

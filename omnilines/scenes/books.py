@@ -14,7 +14,7 @@ from omnilines.scenes.building import Builder, Colour, Frame, colour
 from omnilines.scenes.furniture import FABRIC, PLAIN, STONE, WOOD, tone, wood
 from omnilines.scenes.line_scene import Dome, Lamps, LineScene
 from omnilines.scenes.room import room_textures
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 SHEET_M = (0.279, 0.216)
 PAPER_GREY = 225.0

@@ -7,7 +7,7 @@ import torch
 
 from camera_models import CameraModel, Cylindrical, Equirectangular, InputError, Scaramuzza, model_class
 from camera_models.views import views
-from omnilines.simulate import example_camera
+from omnilines.synthetic.targets import example_camera
 
 FISHEYE_FOV_DEG, NARROW_FOV_DEG, WHOLE_DEG = 190.0, 80.0, 360.0
 

@@ -14,7 +14,7 @@ from omnilines.scenes.flat_rooms import FURNISHED, Room
 from omnilines.scenes.furniture import PLAIN, PLASTER, STONE, WOOD, other_hue, tone, window, wood
 from omnilines.scenes.line_scene import Lamps, LineScene, Texture
 from omnilines.scenes.room import room_textures, room_walls
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 THICK_M = 0.15
 """Of the walls."""

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, UInt
 
 from camera_models import InputError
 from omnilines.scenes.line_scene import LineScene, PhotoTexture
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 PLACES = ("walls", "floors", "ceilings", "furniture")
 PHOTO_WIDTH_M = 1.5

@@ -11,7 +11,7 @@ from omnilines.scenes.building import Builder, Colour, Frame, Opening, colour
 from omnilines.scenes.furniture import FABRIC, LEAF_HUE_DEG, PLAIN, PLASTER, SKY_HUE_DEG, STONE, WOOD, other_hue, tone, wood
 from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.room import FROM_WALLS_M, ROOM_M, Wall, checked_size, room_lamps, room_textures, room_walls
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 THINNEST_M = 0.1
 """Least distance between two parallel edges of one piece."""

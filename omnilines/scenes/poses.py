@@ -10,7 +10,7 @@ from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.views import axis_from_camera
 from omnilines.scenes.line_scene import Dome, LineScene
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 CLEARANCE_M = 0.3
 """Least distance of a camera from furniture."""

@@ -26,7 +26,7 @@ from omnilines.scenes.furniture import (
     wood,
 )
 from omnilines.scenes.line_scene import Lamps, LineScene, Texture
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 ROOM_M = (5.0, 4.0, 3.0)
 SMALLEST_M, LARGEST_M = (4.0, 4.0, 2.5), (12.0, 12.0, 5.0)

@@ -6,7 +6,7 @@ from omnilines.scenes.appearance import texture
 from omnilines.scenes.building import Builder, Colour, Frame, Opening, colour
 from omnilines.scenes.furniture import PLAIN, PLASTER, SKY_HUE_DEG, STONE, WOOD, other_hue, tone, wood
 from omnilines.scenes.line_scene import Lamps, LineScene
-from omnilines.simulate import generator
+from omnilines.synthetic.targets import generator
 
 LENGTH_M, WIDTH_M = 40.0, 12.0
 PAVEMENT_M = 2.2

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 
 from omnilines.geometry.line import PlueckerLines
-from omnilines.structure.clip_kernel import clipped
+from omnilines.structure.kernels.clip import clipped
 
 LEAST_AT_ONCE = 2
 """Photos that have to show every place of a stretch."""

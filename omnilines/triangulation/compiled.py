@@ -8,10 +8,13 @@ from torch import Tensor
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import PHI_MAX_RAD, PHI_MIN_RAD, LineChart
-from omnilines.least_squares.threads import in_shares, threads_for
-from omnilines.triangulation import consensus_kernel, likelihood_kernel, sums_kernel, track_kernel
-from omnilines.triangulation.consensus_kernel import ConsensusRules
-from omnilines.triangulation.track_kernel import TrackResults, TrackRows
+from omnilines.progress import in_shares, threads_for
+from omnilines.triangulation.kernels import consensus as consensus_kernel
+from omnilines.triangulation.kernels import likelihood as likelihood_kernel
+from omnilines.triangulation.kernels import sums as sums_kernel
+from omnilines.triangulation.kernels import track as track_kernel
+from omnilines.triangulation.kernels.consensus import ConsensusRules
+from omnilines.triangulation.kernels.track import TrackResults, TrackRows
 
 NO_ARCS = np.empty((0, 2, 3))
 NO_NOISE = np.empty((0, 2, 3, 2))

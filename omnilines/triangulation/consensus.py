@@ -21,8 +21,8 @@ from omnilines.geometry.line import PARALLEL, PlueckerLines
 from omnilines.geometry.line_chart import PHI_MAX_RAD, PHI_MIN_RAD
 from omnilines.triangulation.candidates import candidate_batches, pair_table
 from omnilines.triangulation.compiled import consensus, judged, least_majority, on_processor
-from omnilines.triangulation.consensus_kernel import ConsensusRules
 from omnilines.triangulation.degeneracy import faces_away
+from omnilines.triangulation.kernels.consensus import ConsensusRules
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import chart_of, end_distances, inverse, linearise

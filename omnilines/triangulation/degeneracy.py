@@ -24,9 +24,7 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.records import LINE_STATUSES
 from omnilines.triangulation.compiled import camera_sums, on_processor, status_sums
 from omnilines.triangulation.frames import TrackFrames
-from omnilines.triangulation.observations import PlaneObservations
-from omnilines.triangulation.result import Triangulation
-from omnilines.triangulation.sums_kernel import (
+from omnilines.triangulation.kernels.sums import (
     ACROSS,
     ALONE,
     ALONG_MEAN,
@@ -40,6 +38,8 @@ from omnilines.triangulation.sums_kernel import (
     SPREAD,
     TOUCHED,
 )
+from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.result import Triangulation
 
 ARC_SIGMA_RAD = 5e-4
 """Noise of a bearing that is assumed for two views, which cannot show it, about half a pixel of an ordinary camera; and the

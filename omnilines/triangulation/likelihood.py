@@ -18,7 +18,7 @@ from omnilines.triangulation.candidates import candidate_batches, pair_table
 from omnilines.triangulation.compiled import nearest_pairs, on_processor, refined
 from omnilines.triangulation.degeneracy import assess
 from omnilines.triangulation.dual import frames_and_lines
-from omnilines.triangulation.likelihood_kernel import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, TOLERANCE
+from omnilines.triangulation.kernels.likelihood import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, TOLERANCE
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.residuals import (
     NormalEquations,

@@ -11,7 +11,7 @@ from camera_models.errors import InputError
 from camera_models.pose import Pose
 from omnilines.geometry.sphere import arc_normal
 from omnilines.triangulation.compiled import on_processor, planes, track_rows
-from omnilines.triangulation.track_kernel import TrackRows
+from omnilines.triangulation.kernels.track import TrackRows
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
     python tests/bench/bench_extraction.py [--scene room] [--views 3] [--seeds 0 1] [--panorama] [--small]
 
-LSD is OpenCV's, on the grey photo, segments of 25 px and more. The figures are those of omnilines.evaluate_arcs. "repeated" is
+LSD is OpenCV's, on the grey photo, segments of 25 px and more. The figures are those of omnilines.evaluation.arcs. "repeated" is
 the share of the edges that two photos both see (40 px, 10 grey levels) and that either found, that both found; "inside 95" is
 the share of end points whose distance from the true great circle is below 1.96 of its standard deviation. Time is CPU time.
 """
@@ -26,7 +26,7 @@ from camera_models import CameraModel, Equirectangular
 from camera_models.resampling import resample, sampling_grid
 from camera_models.views import axis_from_camera, views
 from omnilines.commands.render_scene import RenderedScene, write_scene
-from omnilines.evaluate_arcs import ArcScores, arc_scores
+from omnilines.evaluation.arcs import ArcScores, arc_scores
 from omnilines.extraction import extract_arcs
 from omnilines.files import read_photo
 from omnilines.records import Segments

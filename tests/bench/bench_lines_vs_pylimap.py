@@ -25,7 +25,7 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.costs import COSTS
 from omnilines.records import ImagePoses, Segments
-from omnilines.simulate_lines import LineWorld, circle_world
+from omnilines.synthetic.lines import LineWorld, circle_world
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 

@@ -10,7 +10,7 @@ from rig_views import BOARD, FISHEYE_220, PINHOLE, RigScene, boards_at, looking_
 from timing import SMALL, best_of, print_table
 
 from camera_models import CameraModel
-from omnilines.calibration.rig import calibrate_rig
+from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.records import Corners
 
 PEER_LIMIT = 0.3

@@ -9,7 +9,7 @@ best, found by trial, it gets segments of every colour channel, all neighbours, 
 views are kept in `--work` (or $OMNILINES_BENCH, or a folder that is removed) and drawn once. Seconds are from the photos to the
 lines: making the views counts, and so does the report of ours.
 
-Scores are those of omnilines.evaluate_scene, over all lines that a method gives and over those of four views or more.
+Scores are those of omnilines.evaluation.scene, over all lines that a method gives and over those of four views or more.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from camera_models.views import axis_from_camera, views
 from omnilines.cli import main as omnilines
 from omnilines.commands.rectify import rectify
 from omnilines.commands.render_scene import render_scene
-from omnilines.evaluate_scene import scene_scores
+from omnilines.evaluation.scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.files.true_edges import Stretches, TrueEdges, read_stretches, read_true_edges
 from omnilines.scenes import SCENES

@@ -24,7 +24,7 @@ from bench_scene_own import CAMERA, LONG_PX, SMALL_CAMERA, run
 from timing import print_table
 
 from camera_models.pose import Pose
-from omnilines.evaluate_scene import aligned_ends, scene_scores
+from omnilines.evaluation.scene import aligned_ends, scene_scores
 from omnilines.files import read_lines, read_poses, write_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.geometry.alignment import similarity_alignment

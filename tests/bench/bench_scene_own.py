@@ -16,7 +16,7 @@ from pathlib import Path
 from timing import print_table
 
 from omnilines.cli import main as omnilines
-from omnilines.evaluate_scene import aligned_ends, scene_scores
+from omnilines.evaluation.scene import aligned_ends, scene_scores
 from omnilines.files import read_lines, read_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.scenes import SCENES

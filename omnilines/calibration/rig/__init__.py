@@ -1,0 +1,1 @@
+"""Cameras that are mounted together, calibrated jointly."""

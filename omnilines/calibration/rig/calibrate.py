@@ -1,0 +1,254 @@
+"""Several cameras that are mounted together, in one joint adjustment: each alone, then where they stand, then all at once."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+
+from camera_models import GeometryError, InputError
+from camera_models.pose import Pose
+from omnilines.calibration.numbering import Numbering
+from omnilines.calibration.rig.adopt import adopted_views, renumbered
+from omnilines.calibration.rig.alone import AUTO, AloneCamera, CameraSetup, alone_camera
+from omnilines.calibration.rig.consensus import reflected
+from omnilines.calibration.rig.finish import RigOutcome, rig_result
+from omnilines.calibration.rig.graph import RigGraph, largest_rig
+from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, settle_rig
+from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.start import (
+    RigStart,
+    ViewNumberings,
+    faces,
+    has_sides,
+    numberings_of,
+    on_other_side,
+    posed_views,
+    rig_start,
+)
+from omnilines.calibration.rig.views import RigViews
+from omnilines.calibration.select import select_model
+from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.views import corner_weights
+from omnilines.least_squares import Progress
+from omnilines.records import Corners
+
+ELSEWHERE = "its board is not where the other cameras see it (wrong frame, detection or numbering)"
+MISFIT = "more than half of its corners do not fit the rig (wrong frame, detection or numbering)"
+
+
+def calibrate_rig(
+    corners: Corners,
+    cameras: Mapping[str, CameraSetup],
+    *,
+    relation: str = "fixed",
+    loss: str = "cauchy",
+    numberings: Mapping[str, Numbering] | None = None,
+    seen_from_front: bool = False,
+    callback: Callable[[str, Progress], None] | None = None,
+) -> RigCalibration:
+    """Calibrate a rig from corners that name camera, frame and board of every view.
+
+    `relation` says how several boards stand to one another (one of rig_views.BOARDS), `numberings` what is known of the numbering
+    of each board (by default that its coordinates may form a lattice), `seen_from_front` that the coordinates are those of the
+    printed side, so that they tell a mirror from a lens. `callback` is told the stage and its progress.
+
+    Raises InputError for a malformed table, and GeometryError where no two cameras hang together or the data leave the rig open.
+    """
+    views = RigViews.of(corners, tuple(cameras), relation)
+    alone, failures = _alone(views, cameras, loss, callback)
+    sides = frozenset(c for c, own in alone.items() if cameras[views.cameras[c]].start is None and has_sides(own.model))
+    options = ViewNumberings(views, numberings or numberings_of(views), sides)
+    posed, numbers = posed_views(options, alone)
+    told: frozenset[int] = frozenset()
+    if seen_from_front:
+        told = sides
+        behind = [c for c in sides if not faces(posed, c)]
+        posed, sides = posed.seen_in_mirrors(behind), frozenset()
+        alone = {c: _turned(own) if c in behind else own for c, own in alone.items()}
+    trusted = all(numbering.trusted for numbering in options.numberings.values())
+    sizes = (len(views.cameras), views.blocks, views.parts)
+    order = sorted(alone, key=lambda c: (c in sides, -int((posed.camera == c).sum())))
+    graph = largest_rig(posed, sizes, sides, views.tied, trusted, order)
+    for c in alone:
+        if not bool(graph.cameras[c]):
+            failures[c] = _why_left_out(views, graph, c)
+    start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, views.tied is not None)
+    _require_rig(views, start, failures)
+    data = _data(views, start, alone)
+    state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target)
+
+    def joint(step: Progress) -> None:
+        if callback is not None:
+            callback("refining the rig", step)
+
+    data, fit, reasons = _settled(data, start, state, options, loss, joint)
+    data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
+    singles = _single_results(views, cameras, failures, alone, loss)
+    signs = _sign_sources(alone, sides, told, graph, cameras)
+    return rig_result(RigOutcome(data, fit, solution, cameras, alone, failures, reasons, signs, singles, loss != "none", notes))
+
+
+def _alone(
+    views: RigViews,
+    cameras: Mapping[str, CameraSetup],
+    loss: str,
+    callback: Callable[[str, Progress], None] | None,
+) -> tuple[dict[int, AloneCamera], dict[int, str]]:
+    """Every camera alone, and why it could not be calibrated for those that could not."""
+    found, failures = {}, {}
+    for c, (name, setup) in enumerate(cameras.items()):
+        corners, numbers, _ = views.of_camera(c)
+
+        def tell(step: Progress, stage: str = f"calibrating {name} alone") -> None:
+            if callback is not None:
+                callback(stage, step)
+
+        try:
+            found[c] = alone_camera(corners, numbers, setup, loss, tell)
+        except (InputError, GeometryError) as error:
+            failures[c] = str(error).rstrip(".")
+    if not found:
+        raise GeometryError(f"No camera of the rig can be calibrated; the first: {next(iter(failures.values()))}.")
+    return found, failures
+
+
+def _turned(own: AloneCamera) -> AloneCamera:
+    everything = torch.ones(len(own.cam_from_board), dtype=torch.bool)
+    return replace(own, model=on_other_side(own.model), cam_from_board=reflected(own.cam_from_board, everything))
+
+
+def _sign_sources(
+    alone: Mapping[int, AloneCamera],
+    sides: frozenset[int],
+    told: frozenset[int],
+    graph: RigGraph,
+    cameras: Mapping[str, CameraSetup],
+) -> dict[int, str]:
+    """What decided the side of every camera for which it was open: tags, the rig, or what was assumed of its first camera."""
+    members = [c for c in alone if bool(graph.cameras[c])]
+    open_rig = sides.issuperset(members)
+    found = dict.fromkeys(told, "tags")
+    for c in sides.intersection(members):
+        settled = bool(graph.told[c]) and (not open_rig or len(set(graph.turned[members].tolist())) > 1)
+        found[c] = "rig" if settled else "mirror" if list(cameras.values())[c].mirror else "assumed"
+    return found
+
+
+def _why_left_out(views: RigViews, graph: RigGraph, camera: int) -> str:
+    members = np.flatnonzero(graph.cameras.numpy())
+    own = np.unique(views.block[views.camera == camera])
+    common = np.intersect1d(own, np.unique(views.block[np.isin(views.camera, members)]))
+    if not len(common):
+        return "it sees the target in no frame in which another camera of the rig does"
+    if camera in graph.open_cameras:
+        return (
+            f"its {len(common)} common frames with the others do not tell how the corners of the plain board are numbered; add "
+            "frames with the board turned otherwise"
+        )
+    return (
+        f"its {len(common)} common frames with the others do not agree on where it stands; check that frames are of the same "
+        "instant and see more of the board in both cameras"
+    )
+
+
+def _single_results(
+    views: RigViews, cameras: Mapping[str, CameraSetup], failures: dict[int, str], alone: Mapping[int, AloneCamera], loss: str
+) -> dict[str, CameraCalibration]:
+    """Calibrations of the cameras that are not of the rig, can be calibrated by themselves and were not given."""
+    found = {}
+    for c in [c for c in failures if c in alone and cameras[views.cameras[c]].start is None]:
+        name, setup = views.cameras[c], cameras[views.cameras[c]]
+        corners, _, _ = views.of_camera(c)
+        try:
+            if setup.model == AUTO:
+                found[name] = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror).result
+            else:
+                found[name] = calibrate_camera(
+                    corners, setup.image_size, setup.model, loss=loss, mirror=setup.mirror, options=setup.options
+                )
+        except (InputError, GeometryError) as error:
+            failures[c] += f"; by itself it cannot be calibrated either: {str(error).rstrip('.')}"
+    return found
+
+
+def _require_rig(views: RigViews, start: RigStart, failures: Mapping[int, str]) -> None:
+    if len(start.cameras) < min(2, len(views.cameras)):
+        name = views.cameras[next(iter(failures))]
+        raise GeometryError(
+            "Cameras that see the target at the same instants were expected, found no two of "
+            f"{', '.join(views.cameras)} that hang together ({name}: {next(iter(failures.values()))}); add frames in which two "
+            "cameras see it, or calibrate each alone."
+        )
+
+
+def _data(views: RigViews, start: RigStart, alone: Mapping[int, AloneCamera]) -> RigData:
+    corners = views.corners
+    relative = np.ones(len(corners))
+    for c in start.cameras:
+        own: Bool[np.ndarray, " n"] = views.camera[corners.view] == c
+        weight = corner_weights(corners, own)
+        if weight is not None:
+            relative[own] = 1 / weight.numpy()
+    members = [alone[c] for c in start.cameras]
+    return _numbered(
+        RigData(
+            views,
+            start.cameras,
+            start.boards,
+            tuple(own.basis for own in members),
+            tuple(own.sigma_px for own in members),
+            relative,
+            corners.board_m.copy(),
+        ),
+        start.board_from_numbered,
+    )
+
+
+def _numbered(data: RigData, motions: Mapping[int, Pose]) -> RigData:
+    """The data with the corners of some views numbered as the rig says."""
+    board_m, view = data.board_m.copy(), data.views.corners.view
+    eye = torch.eye(3, dtype=torch.float64)
+    for v, motion in motions.items():
+        if not (bool((motion.rotation == eye).all()) and not bool(motion.translation.any())):
+            board_m[view == v] = renumbered(data.views.corners.board_m[view == v], motion)
+    return replace(data, board_m=board_m)
+
+
+def _settled(
+    data: RigData,
+    start: RigStart,
+    state: RigState,
+    options: ViewNumberings,
+    loss: str,
+    callback: Callable[[Progress], None],
+) -> tuple[RigData, RigFit, dict[int, str]]:
+    """The robust fit, first of the views that agree with the start, then with those that the fit predicts; and why views of the
+    rig were left out."""
+    views, reasons = data.views, dict[int, str]()
+    chosen = np.array(sorted(start.board_from_numbered))
+    handed = {data.cameras.index(int(views.camera[v])): bool(m.rotation[2, 2] < 0) for v, m in start.board_from_numbered.items()}
+    found: dict[int, Pose] | None = None
+    while True:
+        fit = settle_rig(data, chosen, state, loss, callback)
+        state = fit.state
+        lost = fit.views[(fit.share_kept < 0.5).numpy()] if loss != "none" else chosen[:0]
+        reasons |= dict.fromkeys(lost.tolist(), MISFIT)
+        first, found = found is None, {}
+        if first:
+            candidates = _candidates(data, np.setdiff1d(chosen, lost), chosen)
+            found = adopted_views(data, state, options, handed, candidates.tolist())
+            reasons |= dict.fromkeys(np.setdiff1d(candidates, list(found)).tolist(), ELSEWHERE)
+        if not len(lost) and not found:
+            return data, fit, reasons
+        data = _numbered(data, found)
+        chosen = np.union1d(np.setdiff1d(chosen, lost), np.array(list(found), dtype=chosen.dtype))
+
+
+def _candidates(data: RigData, good: Int[np.ndarray, " g"], tried: Int[np.ndarray, " t"]) -> Int[np.ndarray, " c"]:
+    """Views not tried yet, of members, in frames where good views say where the target is."""
+    views = data.views
+    placed = np.isin(views.block, views.block[good])
+    return np.setdiff1d(np.flatnonzero(placed & np.isin(views.camera, data.cameras) & np.isin(views.part, data.boards)), tried)

@@ -1,0 +1,332 @@
+"""From the joint fit of a rig to its result: covariance of everything, links, views, notes."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel, GeometryError
+from omnilines.calibration.diagnose import coverage_notes, supported_angles_deg
+from omnilines.calibration.intervals import SHARE, few_notes, linear_intervals, stated_variance_px2
+from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
+from omnilines.calibration.rig.joint import RigData, RigFit
+from omnilines.calibration.rig.links import Link, links, weakest_link
+from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
+from omnilines.calibration.rig.systematic import moved_by_radial_shifts
+from omnilines.calibration.robust import REJECT_SIGMA
+from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.views import MANY_REJECTED
+from omnilines.least_squares import Outcome, Solution
+from omnilines.least_squares.variance import VarianceFactor, variance_factor
+from omnilines.records import ViewResult
+
+WORSE_THAN_ALONE = 1.08
+"""A camera whose corners fit the rig worse than this many times as well as alone is named."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigOutcome:
+    """All that the calibration of a rig came to, from which its result is written."""
+
+    data: RigData
+    fit: RigFit
+    """Its kept corners are those of the last fit."""
+    solution: Solution[RigState]
+    setups: Mapping[str, CameraSetup]
+    alone: Mapping[int, AloneCamera]
+    failures: Mapping[int, str]
+    """Cameras that are not of the rig, and why."""
+    reasons: Mapping[int, str]
+    """Views of the rig's cameras that were left out, and why."""
+    sign_sources: Mapping[int, str]
+    """What decided the side of a camera, where that was open."""
+    singles: Mapping[str, CameraCalibration]
+    """Calibrations of the cameras that are not of the rig."""
+    rejects: bool
+    """Whether corners far off were rejected."""
+    notes: tuple[str, ...]
+
+    @property
+    def freedom(self) -> int:
+        """Observations less unknowns."""
+        frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
+        return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
+
+    @cached_property
+    def factor(self) -> VarianceFactor:
+        """Of the whitened residuals; corners with a stated accuracy are never taken to be better than that."""
+        stated = None if self.data.views.corners.sigma_px is None else 1.0
+        return variance_factor(self.solution.cost, self.freedom, stated)
+
+
+def rig_result(outcome: RigOutcome) -> RigCalibration:
+    """Everything about the rig. Raises GeometryError where the corners leave it open."""
+    data, fit, solution = outcome.data, outcome.fit, outcome.solution
+    _refuse_open(outcome)
+    kept_covariance, frame_covariance = _of_estimates(outcome)
+    names, covariance = _covariance(outcome, kept_covariance)
+    count = len(data.cameras)
+    parameters = sum(len(model.parameters) for model in solution.state.models)
+    poses = torch.zeros(6 * count, 6 * count, dtype=torch.float64)
+    poses[6:, 6:] = covariance[parameters : parameters + 6 * (count - 1), parameters : parameters + 6 * (count - 1)]
+    residual = np.full((len(data.views.corners), 2), np.nan)
+    residual[fit.rows] = solution.state.residual_px(fit.points).numpy()
+    kept = np.zeros(len(residual), dtype=bool)
+    kept[fit.rows] = fit.kept.numpy()
+    found = _links(outcome, residual, kept, poses)
+    weakest = weakest_link(found, count)
+    free = covariance[parameters + 6 * (count - 1) :, parameters + 6 * (count - 1) :]
+    boards = torch.zeros(len(data.boards), 6, 6, dtype=torch.float64)
+    if len(free):
+        boards[1:] = torch.stack([free[k : k + 6, k : k + 6] for k in range(0, len(free), 6)])
+    blocks = np.unique(fit.points.frame.numpy())
+    members = _members(outcome, covariance, poses, residual, kept)
+    used = residual[kept]
+    left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
+    return RigCalibration(
+        members,
+        names,
+        covariance.numpy(),
+        tuple(data.views.boards[b] for b in data.boards),
+        solution.state.target_from_board,
+        boards.numpy(),
+        tuple(_block_name(data, block) for block in blocks.tolist()),
+        solution.state.rig_from_target[torch.as_tensor(blocks)],
+        frame_covariance[blocks].numpy(),
+        replace(data.views.corners, board_m=data.board_m),
+        data.views.tied is not None,
+        residual,
+        kept,
+        _views(outcome, residual, kept),
+        found,
+        weakest,
+        left_out,
+        outcome.singles,
+        float(np.sqrt((used**2).mean())),
+        float(np.sqrt((used**2).sum(-1).mean())),
+        solution.iterations,
+        _notes(outcome, members, found, weakest, left_out),
+    )
+
+
+def _refuse_open(outcome: RigOutcome) -> None:
+    if outcome.solution.outcome is not Outcome.DEGENERATE and outcome.freedom > 0:
+        return
+    solution = outcome.solution
+    weight = solution.reduced.matrix.diagonal().clamp_min(0).sqrt()
+    column = int((solution.weakest_direction.abs() * weight).argmax()) if len(weight) else 0
+    raise GeometryError(
+        f"The corners of {len(outcome.fit.views)} views were expected to determine the rig, found that they leave "
+        f"{_column_names(outcome)[column]} open; add frames in which two cameras see the board, at other tilts and places."
+    )
+
+
+def _column_names(outcome: RigOutcome) -> list[str]:
+    """For people: what each kept column of the problem moves most."""
+    data, names = outcome.data, []
+    cameras = [data.views.cameras[c] for c in data.cameras]
+    for camera, model, basis in zip(cameras, outcome.solution.state.models, data.bases, strict=True):
+        names += [f"{model.PARAMETER_NAMES[int(column.abs().argmax())]} of {camera}" for column in basis.mT]
+    names += [f"{twist} of {camera}" for camera in cameras[1:] for twist in TWIST_NAMES]
+    if data.views.tied is None:
+        names += [f"{twist} of board {data.views.boards[b]}" for b in data.boards[1:] for twist in TWIST_NAMES]
+    return names
+
+
+def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tensor, "f 6 6"]]:
+    """Covariance of the kept columns of the problem and of the poses of all frames: the noise of the corners as the residuals
+    show it and, of corners found in photos, what they have in common."""
+    solution = outcome.solution
+    kept = solution.kept_covariance() * outcome.factor.value
+    frames = solution.eliminated_covariance() * outcome.factor.value
+    if outcome.data.views.corners.sigma_px is not None:
+        problem = outcome.data.problem(outcome.fit.points.chosen(outcome.fit.kept))
+        by_kept, by_frames = moved_by_radial_shifts(problem, solution)
+        kept = kept + by_kept.mT @ by_kept
+        frames = frames + (by_frames[..., :, None] * by_frames[..., None, :]).sum(0)
+    return kept, frames
+
+
+def _covariance(outcome: RigOutcome, kept: Float[Tensor, "q q"]) -> tuple[tuple[str, ...], Float[Tensor, "k k"]]:
+    """Of all parameters, camera poses and free boards, and what each row is."""
+    data = outcome.data
+    names: list[str] = []
+    cameras = [data.views.cameras[c] for c in data.cameras]
+    for camera, model in zip(cameras, outcome.solution.state.models, strict=True):
+        names += [f"{camera}.{name}" for name in model.PARAMETER_NAMES]
+    names += [f"{camera}.{name}" for camera in cameras[1:] for name in TWIST_NAMES]
+    if data.views.tied is None:
+        names += [f"{data.views.boards[b]}.{name}" for b in data.boards[1:] for name in TWIST_NAMES]
+    rest = len(names) - sum(len(basis) for basis in data.bases)
+    spread = torch.block_diag(*data.bases, torch.eye(rest, dtype=torch.float64))
+    covariance = spread @ kept @ spread.mT
+    return tuple(names), 0.5 * (covariance + covariance.mT)
+
+
+def _links(
+    outcome: RigOutcome, residual: Float[np.ndarray, "n 2"], kept: np.ndarray, poses: Float[Tensor, "k k"]
+) -> tuple[Link, ...]:
+    views, corners = outcome.data.views, outcome.data.views.corners
+    member = np.full(len(views.cameras), -1)
+    member[list(outcome.data.cameras)] = np.arange(len(outcome.data.cameras))
+    of_row = corners.view[kept]
+    # A corner is known by its board and its place there, to a tenth of a micrometre.
+    place = np.column_stack([views.board[of_row], np.rint(outcome.data.board_m[kept] * 1e7).astype(np.int64)])
+    return links(
+        member[views.camera[of_row]],
+        views.frame[of_row],
+        place,
+        residual[kept],
+        outcome.solution.state.cam_from_rig,
+        poses,
+    )
+
+
+def _members(
+    outcome: RigOutcome,
+    covariance: Float[Tensor, "k k"],
+    poses: Float[Tensor, "m m"],
+    residual: Float[np.ndarray, "n 2"],
+    kept: np.ndarray,
+) -> tuple[RigMember, ...]:
+    data, state = outcome.data, outcome.solution.state
+    corners, found, low = data.views.corners, [], 0
+    for k, c in enumerate(data.cameras):
+        model, name = state.models[k], data.views.cameras[c]
+        high = low + len(model.parameters)
+        own = kept & (data.views.camera[corners.view] == c)
+        squares = float((residual[own] ** 2).sum())
+        angles = supported_angles_deg(model, _extremes(model, torch.as_tensor(corners.pixels[own])))
+        setup = outcome.setups[name]
+        found.append(
+            RigMember(
+                name,
+                model,
+                covariance[low:high, low:high].numpy(),
+                state.cam_from_rig[k],
+                poses[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].numpy(),
+                math.sqrt(squares / (2 * own.sum())),
+                math.sqrt(squares / own.sum()),
+                outcome.alone[c].rms_px_per_point,
+                *angles,
+                outcome.sign_sources.get(c),
+                setup.start is not None and setup.hold,
+                linear_intervals(model.parameters, covariance[low:high, low:high], outcome.factor.sigmas(SHARE)).numpy(),
+            )
+        )
+        low = high
+    return tuple(found)
+
+
+def _extremes(model: CameraModel, pixels: Float[Tensor, "n 2"]) -> Float[Tensor, "m 2"]:
+    """The tenth of the pixels that is nearest to the centre and the tenth that is farthest from it."""
+    order = torch.argsort((pixels - model.centre_px).norm(dim=-1))
+    some = -(-len(order) // 10)
+    return pixels[torch.cat([order[:some], order[-some:]])]
+
+
+def _block_name(data: RigData, block: int) -> str:
+    if not data.views.moving:
+        return data.views.frames[block]
+    frame, board = divmod(block, len(data.views.boards))
+    return f"{data.views.frames[frame]} {data.views.boards[board]}"
+
+
+def _views(outcome: RigOutcome, residual: Float[np.ndarray, "n 2"], kept: np.ndarray) -> tuple[ViewResult, ...]:
+    """What became of every view of the table."""
+    data = outcome.data
+    views, corners = data.views, data.views.corners
+    count = len(corners.view_names)
+    seen = np.bincount(corners.view, minlength=count)
+    used = np.bincount(corners.view[kept], minlength=count)
+    squares = np.bincount(corners.view[kept], (residual[kept] ** 2).sum(-1), count)
+    place = {int(v): k for k, v in enumerate(outcome.fit.views)}
+    poses = outcome.solution.state.cam_from_board(outcome.fit.points)
+    anew = np.bincount(corners.view, (data.board_m != corners.board_m).any(-1), count) > 0
+    found = []
+    for v, (name, image) in enumerate(zip(corners.view_names, corners.images, strict=True)):
+        camera, frame = views.cameras[views.camera[v]], views.frames[views.frame[v]]
+        if v not in place or not used[v]:
+            reason = _reason(outcome, v)
+            found.append(ViewResult(name, image, False, reason, 0, int(seen[v]), camera=camera, frame=frame))
+            continue
+        remarks: tuple[str, ...] = ()
+        if anew[v]:
+            remarks = ("its corners are numbered otherwise than the other cameras say; they were numbered anew",)
+        if seen[v] - used[v] > MANY_REJECTED * seen[v]:
+            remarks += (f"{seen[v] - used[v]} of {seen[v]} corners rejected: they are not where the rig sees them",)
+        rms = float(np.sqrt(squares[v] / used[v]))
+        pose = poses[place[v]]
+        rejected = int(seen[v] - used[v])
+        found.append(ViewResult(name, image, True, None, int(used[v]), rejected, rms, pose, camera, None, remarks, frame))
+    return tuple(found)
+
+
+def _reason(outcome: RigOutcome, view: int) -> str:
+    camera = int(outcome.data.views.camera[view])
+    if camera in outcome.failures:
+        return f"its camera is not of the rig: {outcome.failures[camera]}"
+    if view in outcome.reasons:
+        return outcome.reasons[view]
+    if view in outcome.alone[camera].refusals:
+        return outcome.alone[camera].refusals[view]
+    return "its board is tied to no other board of the rig"
+
+
+def _notes(
+    outcome: RigOutcome,
+    members: tuple[RigMember, ...],
+    found: tuple[Link, ...],
+    weakest: Link | None,
+    left_out: Mapping[str, str],
+) -> tuple[str, ...]:
+    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
+    if weakest is not None:
+        first, second = members[weakest.first].name, members[weakest.second].name
+        notes.append(
+            f"The weakest link of the rig is {first} - {second}: {weakest.corners} common corners in {weakest.frames} frames; "
+            f"their relative rotation is known to {weakest.rotation_sigma_deg:.2g} degrees and their translation to "
+            f"{1e3 * weakest.translation_sigma_m:.2g} mm (one standard deviation)."
+        )
+    for k, member in enumerate(members):
+        if member.rms_px_per_point > WORSE_THAN_ALONE * member.alone_rms_px_per_point:
+            notes.append(
+                f"Camera {member.name} fits the rig worse than alone: {member.rms_px_per_point:.3g} px instead of "
+                f"{member.alone_rms_px_per_point:.3g} px per point; check that all cameras see the same instant and that the "
+                "board is flat."
+            )
+        own = outcome.fit.points.camera[outcome.fit.points.view] == k
+        pixels = outcome.fit.points.pixels[own]
+        notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
+    notes += _noise_notes(outcome, members)
+    lost = ~outcome.fit.kept
+    if outcome.rejects and bool(lost.any()):
+        notes.append(
+            f"{int(lost.sum())} of {len(lost)} corners were rejected: they lie more than {REJECT_SIGMA:g} robust standard "
+            "deviations from where the rig sees them."
+        )
+    if outcome.solution.outcome is not Outcome.CONVERGED:
+        notes.append(outcome.solution.outcome.value)
+    return tuple(notes)
+
+
+def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:
+    """Cameras whose corners are worse than stated, and that there are few."""
+    views, corners = outcome.data.views, outcome.data.views.corners
+    if corners.sigma_px is None:
+        return few_notes(outcome.factor)
+    found = []
+    for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
+        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c) or 1.0)
+        if sigma > stated:
+            found.append(
+                f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "
+                f"{stated:.3g} px that are stated of them (chi-square test): the standard deviations follow the residuals."
+            )
+    return tuple(found)

@@ -1,0 +1,164 @@
+"""The joint fit of a rig: a loss bent at the scale of the data until it is settled which corners to trust, then plain least
+squares."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from omnilines.calibration.redundancy import basis_without, redundant_parameter
+from omnilines.calibration.refine import robust_scale_px
+from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.views import RigViews
+from omnilines.calibration.robust import LEAST_SCALE_PX, PASSES, REJECT_SIGMA, SETTLED
+from omnilines.least_squares import Loss, Outcome, Progress, Solution, solve
+
+AS_GOOD = 1.05
+"""Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
+TOLERANCE = 1e-10
+"""Relative decrease of the cost at which least squares ends: with 20,000 corners that is a thousandth of a standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigData:
+    """The members of a rig, their corners as the rig numbers them, and how good these are."""
+
+    views: RigViews
+    cameras: tuple[int, ...]
+    """Members among the cameras of the table, the rig frame first."""
+    boards: tuple[int, ...]
+    """Members among the boards of a target, that of its frame first."""
+    bases: tuple[Float[Tensor, "_ _"], ...]
+    """Directions along which each member's parameters are refined."""
+    sigma_px: tuple[float, ...]
+    """Standard deviation of each member's corners per axis, alone."""
+    relative: Float[np.ndarray, " n"]
+    """Standard deviation of every corner over the root mean square of those of its camera."""
+    board_m: Float[np.ndarray, "n 3"]
+
+    def points(self, chosen: Int[np.ndarray, " v"]) -> tuple[RigPoints, Int[np.ndarray, " v"], Int[np.ndarray, " n"]]:
+        """The corners of some views in the order of their cameras and views, these views, and their rows in the table."""
+        views, corners = self.views, self.views.corners
+        member = np.full(len(views.cameras), -1)
+        member[list(self.cameras)] = np.arange(len(self.cameras))
+        part = np.full(views.parts, -1)
+        part[list(self.boards)] = np.arange(len(self.boards))
+        ordered = chosen[np.lexsort((part[views.part[chosen]] > 0, member[views.camera[chosen]]))]
+        place = np.full(len(corners.view_names), -1)
+        place[ordered] = np.arange(len(ordered))
+        rows = np.flatnonzero(place[corners.view] >= 0)
+        rows = rows[np.argsort(place[corners.view[rows]], kind="stable")]
+        camera = member[views.camera[ordered]]
+        sigma = np.array(self.sigma_px)[camera[place[corners.view[rows]]]] * self.relative[rows]
+        points = RigPoints(
+            torch.as_tensor(place[corners.view[rows]]),
+            torch.as_tensor(self.board_m[rows]),
+            torch.as_tensor(corners.pixels[rows]),
+            torch.as_tensor(1 / sigma),
+            torch.as_tensor(camera),
+            torch.as_tensor(views.block[ordered]),
+            torch.as_tensor(part[views.part[ordered]]),
+        )
+        return points, ordered, rows
+
+    def problem(self, points: RigPoints) -> RigProblem:
+        """The least-squares problem of some corners."""
+        return RigProblem(points, self.bases, len(self.boards), self.views.tied is None, self.views.blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class RigFit:
+    """A robust fit of some views, and the corners within REJECT_SIGMA of it."""
+
+    points: RigPoints
+    problem: RigProblem
+    """Of these points."""
+    views: Int[np.ndarray, " v"]
+    """Views of the table that `points` hold, in their order there."""
+    rows: Int[np.ndarray, " n"]
+    """Rows of the table that `points` hold."""
+    state: RigState
+    kept: Bool[Tensor, " n"]
+    scale: float
+    """Of the whitened residuals: 1 where corners fit the rig as well as their own camera alone."""
+
+    @property
+    def share_kept(self) -> Float[Tensor, " v"]:
+        """Of every view, the share of its corners that are kept."""
+        views = len(self.points.camera)
+        count = torch.bincount(self.points.view, minlength=views).clamp_min(1)
+        return torch.bincount(self.points.view, self.kept.to(torch.float64), minlength=views) / count
+
+
+def judged(problem: RigProblem, views: Int[np.ndarray, " v"], rows: Int[np.ndarray, " n"], state: RigState) -> RigFit:
+    """The corners near enough to a state."""
+    residual = problem.linearise(state).residual
+    scale = max(robust_scale_px(residual), LEAST_SCALE_PX)
+    return RigFit(problem.points, problem, views, rows, state, residual.norm(dim=-1) <= REJECT_SIGMA * scale, scale)
+
+
+def settle_rig(
+    data: RigData,
+    chosen: Int[np.ndarray, " v"],
+    state: RigState,
+    loss: str,
+    callback: Callable[[Progress], None] | None = None,
+) -> RigFit:
+    """Refine with a loss bent at twice the scale of the residuals until the scale and the set of kept corners settle."""
+    points, views, rows = data.points(chosen)
+    problem = data.problem(points)
+    fit = judged(problem, views, rows, state)
+    for done in range(PASSES):
+        # The first passes only have to bring the scale down.
+        bent = Loss("cauchy" if loss == "none" else loss, 2 * fit.scale)
+        solution = solve(problem, fit.state, bent, tolerance=1e-3 if done == 0 else 1e-4, callback=callback)
+        before, fit = fit, judged(problem, views, rows, solution.state)
+        # Where corners fit the rig as well as their own cameras, nothing more is to be gained.
+        if fit.scale < AS_GOOD or (bool((fit.kept == before.kept).all()) and fit.scale > (1 - SETTLED) * before.scale):
+            break
+    return fit
+
+
+def least_squares_rig(
+    data: RigData, fit: RigFit, loss: str, callback: Callable[[Progress], None] | None = None
+) -> tuple[RigData, RigFit, Solution[RigState], tuple[str, ...]]:
+    """Plain least squares of the kept corners; of all with the loss "none".
+
+    A parameter that others of its camera make up for is held, which a note says and the bases of the data then show.
+    """
+    kept = torch.ones_like(fit.kept) if loss == "none" else fit.kept
+    points, state = fit.points.chosen(kept), fit.state
+    problem = fit.problem if bool(kept.all()) else data.problem(points)
+    notes: list[str] = []
+    while True:
+        solution = solve(problem, state, None, 300, TOLERANCE, callback, damping=1e-8)
+        held = _redundant(data, solution, points) if solution.outcome is Outcome.DEGENERATE else None
+        if held is None:
+            return data, replace(fit, state=solution.state, kept=kept), solution, tuple(notes)
+        member, parameter = held
+        state = solution.state
+        name, value = list(state.models[member].named_parameters().items())[parameter]
+        camera = data.views.cameras[data.cameras[member]]
+        notes.append(
+            f"Camera {camera}: the other parameters can make up for any small change of {name}: it is held at {value:.4g}, "
+            "without a sigma."
+        )
+        bases = [basis_without(basis, parameter) if k == member else basis for k, basis in enumerate(data.bases)]
+        data = replace(data, bases=tuple(bases))
+        problem = data.problem(points)
+
+
+def _redundant(data: RigData, solution: Solution[RigState], points: RigPoints) -> tuple[int, int] | None:
+    """A member and its parameter along which the solution is open although no bearing moves."""
+    low = 0
+    for member, basis in enumerate(data.bases):
+        own = basis @ solution.weakest_direction[low : low + basis.shape[1]]
+        low += basis.shape[1]
+        pixels = points.pixels[points.camera[points.view] == member]
+        found = redundant_parameter(solution.state.models[member], own, pixels) if bool(own.any()) else None
+        if found is not None:
+            return member, found
+    return None

@@ -1,0 +1,46 @@
+"""A run with the same inputs and options as the last does nothing."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from camera_models.formats.disk import write_atomically
+from omnilines.commands.result import CommandResult
+from omnilines.records import Summary
+
+
+class Stamp:
+    """What the last run was made from, with its result."""
+
+    def __init__(self, path: Path, inputs: str) -> None:
+        self.path = path
+        self.inputs = inputs
+
+    def result(self) -> CommandResult | None:
+        """The last result, if it was made from the same inputs and all its files are there as they were written."""
+        try:
+            kept = json.loads(self.path.read_text(encoding="utf-8"))
+            files = {Path(name): size for name, size in kept["files"]}
+            whole = kept["inputs"] == self.inputs and all(file.stat().st_size == size for file, size in files.items())
+            summaries = tuple(
+                Summary(one["title"], tuple(map(tuple, one["rows"])), tuple(one["notes"])) for one in kept["summaries"]
+            )
+            report = Path(kept["report"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        if not whole:
+            return None
+        note = "Inputs and options are those of the last run, and so is the result; nothing was done."
+        return CommandResult(summaries, kept["data"], files=tuple(files), report=report, warnings=(note,))
+
+    def write(self, result: CommandResult) -> None:
+        """Keep a result, after all its files are written."""
+        kept: dict[str, Any] = {
+            "inputs": self.inputs,
+            "files": [(str(file), file.stat().st_size) for file in result.files],
+            "report": str(result.report),
+            "summaries": [asdict(summary) for summary in result.summaries],
+            "data": result.data,
+        }
+        write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")

@@ -1,0 +1,1 @@
+"""The compiled loops of extraction; each has a plain reference in its test."""

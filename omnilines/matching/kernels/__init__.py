@@ -1,0 +1,1 @@
+"""The compiled loops of matching; each has a plain reference in its test."""

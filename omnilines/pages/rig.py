@@ -1,0 +1,295 @@
+"""What the calibration of a rig tells: figures for tables and `--json`, and the sections of its report."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from camera_models.pose import Pose
+from omnilines import report
+from omnilines.calibration.board_shape import AS_DRAWN
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.rig.links import Link
+from omnilines.calibration.rig.result import RigCalibration, RigMember
+from omnilines.calibration.rig.views import views_of
+from omnilines.calibration.single import CameraCalibration
+from omnilines.pages.calibration import (
+    UncertaintyMap,
+    board_curves,
+    projection_curve,
+    supported_circle_px,
+)
+from omnilines.records import Corners, Summary
+from omnilines.report import Section
+from omnilines.report.rig import RigCameraDrawing, RigLinkDrawing, rig_section
+
+PHOTOS_A_CAMERA = 4
+"""Photos of each camera that are shown: those with the largest residuals."""
+
+
+def rig_summaries(result: RigCalibration) -> tuple[Summary, ...]:
+    """The figures, where the cameras are, what ties them together, and the parameters of each."""
+    used = [view for view in result.views if view.used]
+    rows = (
+        ("cameras", ", ".join(member.name for member in result.members)),
+        ("left out", ", ".join(result.left_out) or "none"),
+        ("frames", str(len(result.frames))),
+        ("views used", f"{len(used)} of {len(result.views)}"),
+        ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
+        ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
+        ("rms_px_per_point", f"{result.rms_px_per_point:.4f}"),
+        ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
+    )
+    summaries = [Summary("Calibration of the rig", rows, result.notes)]
+    cameras = tuple((member.name, _camera_text(member)) for member in result.members)
+    summaries.append(Summary("Cameras: RMS px per point in the rig, alone; field of view", cameras))
+    places = tuple((member.name, _place_text(member)) for member in result.members[1:])
+    if places:
+        summaries.append(Summary(f"Cameras in the frame of {result.members[0].name} ± one standard deviation", places))
+        summaries.append(Summary("Pairs that see the target at once", tuple(_link_row(result, link) for link in result.links)))
+    if len(result.boards) > 1:
+        boards = tuple((name, _board_text(result, k)) for k, name in enumerate(result.boards))
+        summaries.append(Summary(f"Boards in the frame of {result.boards[0]} ± one standard deviation", boards))
+    for member in result.members:
+        summaries.append(Summary(f"Parameters of {member.name} ± one standard deviation", _parameters(member)))
+    return tuple(summaries)
+
+
+def _names(result: RigCalibration, link: Link) -> str:
+    return f"{result.members[link.first].name} - {result.members[link.second].name}"
+
+
+def _camera_text(member: RigMember) -> str:
+    text = f"{member.model.NAME}{' (held)' if member.held else ''}: {member.rms_px_per_point:.4f}, "
+    text += f"{member.alone_rms_px_per_point:.4f}; {member.min_angle_deg:.1f} to {member.max_angle_deg:.1f} degrees off axis"
+    return text + (f"; sign of a0: {member.sign_source}" if member.sign_source else "")
+
+
+def _place_text(member: RigMember) -> str:
+    centre = member.cam_from_rig.centre.tolist()
+    sigma = np.sqrt(np.diag(centre_covariance(member.cam_from_rig, member.pose_covariance))).tolist()
+    angle = math.degrees(float(member.cam_from_rig.log()[:3].norm()))
+    turn = math.degrees(float(np.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1].clip(0))))
+    xyz = ", ".join(f"{value:.5f} ± {spread:.2g}" for value, spread in zip(centre, sigma, strict=True))
+    return f"centre {xyz} m; turned by {angle:.3f} ± {turn:.2g} degrees"
+
+
+def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "3 3"]:
+    """Of the camera centre C = -R' t, from that of the left perturbation (rotation, translation): d C = -R' v."""
+    back = -pose.rotation.numpy().T
+    return back @ covariance[3:, 3:] @ back.T
+
+
+def _board_text(result: RigCalibration, board: int) -> str:
+    place = result.target_from_board[board].translation.tolist()
+    sigma = np.sqrt(np.diag(result.board_covariance[board])[3:]).tolist()
+    return ", ".join(f"{value:.5f} ± {spread:.2g}" for value, spread in zip(place, sigma, strict=True)) + " m"
+
+
+def _link_row(result: RigCalibration, link: Link) -> tuple[str, str]:
+    text = (
+        f"{link.corners} common corners in {link.frames} frames; {link.rms_px_per_point:.4f} px; apart "
+        f"{link.baseline_m:.5f} ± {link.baseline_sigma_m:.2g} m; rotation to {link.rotation_sigma_deg:.2g} degrees, translation "
+        f"to {1e3 * link.translation_sigma_m:.2g} mm"
+    )
+    return _names(result, link) + (" (weakest)" if link is result.weakest else ""), text
+
+
+def _parameters(member: RigMember) -> tuple[tuple[str, str], ...]:
+    sigma = member.sigma
+    return tuple(
+        (name, f"{value:.8g} ± {sigma[name]:.2g}" if sigma[name] > 0 else f"{value:.8g} (held)")
+        for name, value in member.model.named_parameters().items()
+    )
+
+
+def rig_data(result: RigCalibration) -> dict[str, Any]:
+    """What `--json` prints; see docs/formats.md."""
+    return {
+        "cameras": {member.name: _camera_data(member) for member in result.members},
+        "left_out": dict(result.left_out),
+        "rms_px_per_axis": result.rms_px_per_axis,
+        "rms_px_per_point": result.rms_px_per_point,
+        "frames": len(result.frames),
+        "links": [
+            {
+                "cameras": [result.members[link.first].name, result.members[link.second].name],
+                "frames": link.frames,
+                "corners": link.corners,
+                "rms_px_per_point": link.rms_px_per_point,
+                "baseline_m": link.baseline_m,
+                "baseline_sigma_m": link.baseline_sigma_m,
+                "rotation_sigma_deg": link.rotation_sigma_deg,
+                "translation_sigma_m": link.translation_sigma_m,
+                "weakest": link is result.weakest,
+            }
+            for link in result.links
+        ],
+        "boards": {
+            name: {
+                "rotation_wxyz": result.target_from_board[k].quaternion.tolist(),
+                "translation_m": result.target_from_board[k].translation.tolist(),
+                "sigma": np.sqrt(np.diag(result.board_covariance[k])).tolist(),
+            }
+            for k, name in enumerate(result.boards)
+        },
+        "views": [
+            {
+                "image": view.image,
+                "camera": view.camera,
+                "frame": view.frame,
+                "used": view.used,
+                "reason": view.reason,
+                "rms_px_per_point": view.rms_px_per_point,
+                "remarks": list(view.remarks),
+            }
+            for view in result.views
+        ],
+        "notes": list(result.notes),
+    }
+
+
+def _camera_data(member: RigMember) -> dict[str, Any]:
+    pose = member.cam_from_rig
+    return {
+        "model": member.model.NAME,
+        "image_size": list(member.model.image_size),
+        "parameters": member.model.named_parameters(),
+        "sigma": member.sigma,
+        "interval_95": dict(zip(member.sigma, member.interval_95.tolist(), strict=True)),
+        "held": member.held,
+        "sign_source": member.sign_source,
+        "rms_px_per_axis": member.rms_px_per_axis,
+        "rms_px_per_point": member.rms_px_per_point,
+        "alone_rms_px_per_point": member.alone_rms_px_per_point,
+        "min_angle_deg": member.min_angle_deg,
+        "max_angle_deg": member.max_angle_deg,
+        "cam_from_rig": {
+            "rotation_wxyz": pose.quaternion.tolist(),
+            "translation_m": pose.translation.tolist(),
+            "sigma": np.sqrt(np.diag(member.pose_covariance)).tolist(),
+        },
+    }
+
+
+def rig_sections(result: RigCalibration, summaries: tuple[Summary, ...], photo_folder: Path | None) -> list[Section]:
+    """All sections, in reading order; photos only where the folder is known."""
+    cameras = [RigCameraDrawing(m.name, m.cam_from_rig.centre.numpy(), field_of_view(m)) for m in result.members]
+    drawn = [
+        RigLinkDrawing(link.first, link.second, ": ".join(_link_row(result, link)), link.corners, link is result.weakest)
+        for link in result.links
+    ]
+    count = len(summaries) - len(result.members)
+    sections = [report.summary_section(*summaries[:count]), rig_section(cameras, drawn, _boards_in_rig(result))]
+    for member in result.members:
+        sections += _camera_sections(*one_camera(result, member), member.name)
+    sections.append(report.views_section(result.views))
+    if photo_folder is not None:
+        curves, shown = [], []
+        for member in result.members:
+            single, corners = one_camera(result, member)
+            worst = sorted(single.views, key=lambda view: -(view.rms_px_per_point or 0.0))[:PHOTOS_A_CAMERA]
+            curves += board_curves(single, corners)
+            shown += [view.image for view in worst]
+        title = "Photos with the largest residuals"
+        sections.append(report.photos_section(photo_folder, curves, images=list(dict.fromkeys(shown)), title=title))
+    return sections
+
+
+def one_camera(result: RigCalibration, member: RigMember) -> tuple[CameraCalibration, Corners]:
+    """A camera of the rig in the form of a camera calibrated alone, with its corners."""
+    own = np.array([view.camera == member.name for view in result.views[: len(result.corners.view_names)]])
+    views = np.flatnonzero(own)
+    rows = np.isin(result.corners.view, views)
+    single = CameraCalibration(
+        member.model,
+        member.covariance,
+        member.rms_px_per_axis,
+        member.rms_px_per_point,
+        result.residual_px[rows],
+        result.kept[rows],
+        tuple(result.views[v] for v in views),
+        member.min_angle_deg,
+        member.max_angle_deg,
+        result.iterations,
+        (),
+        AS_DRAWN,
+        {},
+        member.interval_95,
+    )
+    return single, views_of(result.corners, views, rows)
+
+
+def _camera_sections(single: CameraCalibration, corners: Corners, name: str) -> list[Section]:
+    model, kept = single.model, single.kept
+    pixels = corners.pixels[kept]
+    theta = np.degrees(angles_off_axis(model, torch.as_tensor(pixels)).numpy())
+    circle = supported_circle_px(single)
+    sigmas = np.array(list(single.sigma.values()))
+    angle = single.max_angle_deg
+    sections = [
+        report.parameters_section(
+            model.NAME, model.PARAMETER_NAMES, model.parameters.numpy(), sigmas, title=f"{name}: parameters"
+        ),
+        report.residual_section(
+            pixels,
+            -single.residual_px[kept],
+            model.image_size,
+            corners.view[kept],
+            list(corners.images),
+            theta_deg=theta,
+            title=f"{name}: residuals",
+        ),
+        report.coverage_section(pixels, model.image_size, circle, supported_angle_deg=angle, title=f"{name}: coverage"),
+        report.radial_section(*projection_curve(single), supported_angle_deg=angle, title=f"{name}: projection"),
+    ]
+    if single.covariance.any():
+        found = UncertaintyMap.of(single)
+        sections.insert(
+            3,
+            report.uncertainty_section(
+                found.sigma_px,
+                found.u_px,
+                found.v_px,
+                model.image_size,
+                circle,
+                corners_px=pixels,
+                supported_angle_deg=angle,
+                title=f"{name}: projection uncertainty",
+            ),
+        )
+    return sections
+
+
+def field_of_view(member: RigMember) -> Float[np.ndarray, "n k 3"]:
+    """Curves on the unit sphere of the rig: the rim of what the data support, its inner rim where there is one, and meridians."""
+    axis = member.model.unproject(member.model.centre_px)[0].numpy()
+    sign = 1.0 if axis[2] >= 0 else -1.0
+    phi, low, high = np.linspace(0, 2 * np.pi, 49), math.radians(member.min_angle_deg), math.radians(member.max_angle_deg)
+    rims = [(np.full(49, angle), phi) for angle in ((low, high) if low > 0 else (high,))]
+    meridians = [(np.linspace(low, high, 49), np.full(49, azimuth)) for azimuth in phi[:48:6]]
+    curves = []
+    for theta, azimuth in [*rims, *meridians]:
+        sine = np.sin(theta)
+        curves.append(np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), sign * np.cos(theta)], -1))
+    return np.stack(curves) @ member.cam_from_rig.rotation.numpy()
+
+
+def _boards_in_rig(result: RigCalibration) -> list[tuple[str, Float[np.ndarray, "4 3"]]]:
+    """The rectangle round every board in every frame."""
+    boards = result.corners.boards or (result.boards[0],) * len(result.corners.view_names)
+    of_row = np.array(boards)[result.corners.view]
+    quads = {}
+    for k, name in enumerate(result.boards):
+        rows = of_row == name if (of_row == name).any() else np.ones(len(of_row), dtype=bool)
+        (x0, y0), (x1, y1) = result.corners.board_m[rows, :2].min(0), result.corners.board_m[rows, :2].max(0)
+        corner = torch.tensor([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]], dtype=torch.float64)
+        quads[k] = result.target_from_board[k].transform(corner)
+    found = []
+    for f, frame in enumerate(result.frames):
+        for k, quad in quads.items():
+            found.append((f"frame {frame}, {result.boards[k]}", result.rig_from_target[f].transform(quad).numpy()))
+    return found

@@ -1,0 +1,1 @@
+"""The compiled loops of posing; each has a plain reference in its test."""
