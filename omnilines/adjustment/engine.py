@@ -1,7 +1,7 @@
 """The compiled engine of the common adjustment: lines, and poses where asked, from costs of two residuals each.
 
 Frames are renumbered so that the band of the reduced system is narrow, lines are sorted along them so that neighbours in time are
-neighbours in memory, and observations are sorted by line. See `schur_kernel.py` for the arithmetic.
+neighbours in memory, observations by line. `kernels/schur.py` has the arithmetic.
 """
 
 import math
@@ -18,8 +18,7 @@ from torch import Tensor
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.engine_sandwich import LineSandwich, frame_gains
 from omnilines.adjustment.kernels import covariance as covariance_kernel
-from omnilines.adjustment.kernels import line_step as step_kernel
-from omnilines.adjustment.kernels import schur as schur_kernel
+from omnilines.adjustment.kernels import line_step, schur
 from omnilines.adjustment.kernels.line import (
     MOVING,
     SETTLED,
@@ -108,7 +107,7 @@ class LineEngine:
         pose, moved_pose, lines, into = self._poses(state), self._poses(trial), self._lines(state.chart), self._lines(trial.chart)
         cost = np.empty(self.problem.arcs.tracks)
         of_lines = in_shares(
-            lambda _, low, high: step_kernel.follow_frames(
+            lambda _, low, high: line_step.follow_frames(
                 low, high, self.views, pose, moved_pose, delta, lines, damping, reduction.solved, into, cost
             ),
             self.layout.shares,
@@ -154,7 +153,7 @@ class LineEngine:
         """One step of every line that still moves, in place; how many did."""
         least = (TOLERANCE * float(search.cost.sum()) + EXACT_FIT * self.residuals) / len(search.cost)
         work = (self.views, pose, lines, search, least)
-        return sum(in_shares(lambda _, low, high: step_kernel.step_lines(low, high, *work), self.layout.shares))
+        return sum(in_shares(lambda _, low, high: line_step.step_lines(low, high, *work), self.layout.shares))
 
     def _reduce(self, state: LinesAndPoses, damping: float) -> _Reduction | None:
         """One pass over the lines; None where a line's block is singular."""
@@ -169,7 +168,7 @@ class LineEngine:
         def share(k: int, low: int, high: int) -> int:
             for array in self._sums[k]:
                 array.fill(0.0)
-            return schur_kernel.reduce_lines(
+            return schur.reduce_lines(
                 low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved
             )
 
@@ -213,7 +212,7 @@ class LineEngine:
     def _costs(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates) -> Float[np.ndarray, " t"]:
         """Loss of the observations of each line."""
         cost = np.empty(self.problem.arcs.tracks)
-        in_shares(lambda _, low, high: step_kernel.cost_of_lines(low, high, self.views, pose, lines, cost), self.layout.shares)
+        in_shares(lambda _, low, high: line_step.cost_of_lines(low, high, self.views, pose, lines, cost), self.layout.shares)
         return cost
 
     def _poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:

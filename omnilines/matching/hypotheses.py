@@ -1,4 +1,4 @@
-"""For every arc the 3D line that the other photos agree on, over all arcs of all photos (`voting_kernel`)."""
+"""For every arc the 3D line that the other photos agree on, over all arcs of all photos (`kernels/voting.py`)."""
 
 import os
 from collections.abc import Callable

@@ -73,7 +73,7 @@ def solved(rows: TrackRows, smallest_angle: float, shortest: float, null_space: 
 def status_sums(
     rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, lines: PlueckerLines, mean_normal: Float[Tensor, "t 3"]
 ) -> Float[Tensor, "t 11"]:
-    """The columns of `sums_kernel` but CLEAR and TOUCHED."""
+    """The columns of `kernels/sums.py` but CLEAR and TOUCHED."""
     sums = np.zeros((len(rows.start) - 1, 11))
     spread = NO_NOISE if noise is None else array(noise)
     given = array(lines.direction), array(lines.moment), array(mean_normal)

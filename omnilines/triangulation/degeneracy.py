@@ -57,7 +57,7 @@ FAR = 30.0
 
 
 def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 11"]:
-    """What a status is decided from, in the columns of `sums_kernel`, but CLEAR and TOUCHED.
+    """What a status is decided from, in the columns of `kernels/sums.py`, but CLEAR and TOUCHED.
 
     The residual is the distance of both end bearings from the projection plane of the line or, without arcs, the two components
     of the angle between that plane and the observed one.

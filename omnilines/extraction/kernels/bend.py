@@ -30,7 +30,7 @@ def _left(sums: np.ndarray, begin: int, end: int) -> tuple[float, float, float]:
 @njit(cache=True, nogil=True)
 @no_type_check
 def bend_of(room: np.ndarray, count: int, least: int, sums: np.ndarray) -> tuple[int, float, float]:
-    """The place of an edge in the room of `circle_kernel` before which two circles instead of one leave least of the squares, -1
+    """The place of an edge in the room of `circle.py` before which two circles instead of one leave least of the squares, -1
     where there is none; the ratio F of what is gained to what is left, for a correlation of 1; and how far (px) the circle of
     the longer part passes from the far end of the shorter one.
 

@@ -1,6 +1,6 @@
 """For every arc the 3D line that other photos agree on, compiled.
 
-Each arc that could show the line of an arc gives a pair of depths at its ends (`hypothesis_kernel`). True partners give one pair
+Each arc that could show the line of an arc gives a pair of depths at its ends (`hypothesis.py`). True partners give one pair
 again and again; the others scatter. So each pair votes for all pairs near it, and the one with the most votes is the line.
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
