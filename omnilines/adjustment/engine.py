@@ -168,9 +168,7 @@ class LineEngine:
         def share(k: int, low: int, high: int) -> int:
             for array in self._sums[k]:
                 array.fill(0.0)
-            return schur.reduce_lines(
-                low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved
-            )
+            return schur.reduce_lines(low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved)
 
         if sum(in_shares(share, self.layout.shares)):
             return None

@@ -1,0 +1,61 @@
+"""Options: walked, set by name, and refused where a name or a value is not known."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import pytest
+
+from camera_models import InputError
+from omnilines.options import walk, with_settings
+
+
+class Edges(NamedTuple):
+    """A group."""
+
+    smoothing_px: float = 0.6
+    """Sigma of the smoothing."""
+    rounds: int = 2
+    """Times."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Of a stage."""
+
+    edges: Edges = Edges()
+    scales_px: tuple[float, ...] = (1.0, 2.0)
+    """One after another."""
+    loud: bool = False
+    """Whether it is."""
+
+
+def test_every_option_has_its_name_value_and_sentence() -> None:
+    assert list(walk(Options(), "stage.")) == [
+        ("stage.edges.smoothing_px", 0.6, "Sigma of the smoothing."),
+        ("stage.edges.rounds", 2, "Times."),
+        ("stage.scales_px", (1.0, 2.0), "One after another."),
+        ("stage.loud", False, "Whether it is."),
+    ]
+
+
+def test_settings_replace_what_they_name_and_leave_the_rest() -> None:
+    settings = ["s.edges.smoothing_px=0.9", "s.scales_px=1,2,4", "s.loud=true", "s.edges.rounds=3"]
+    assert with_settings(Options(), settings, "s.") == Options(Edges(0.9, 3), (1.0, 2.0, 4.0), True)
+    assert with_settings(Options(), []) == Options()
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("edges.smothing_px=1", "did you mean edges.smoothing_px"),
+        ("edges.smoothing_px", "NAME=VALUE"),
+        ("edges=1", "NAME=VALUE"),
+        ("edges.rounds=1.5", "a value like 2"),
+        ("edges.smoothing_px=nan", "a value like 0.6"),
+        ("loud=perhaps", "true or false"),
+        ("scales_px=1,x", "a value like"),
+    ],
+)
+def test_what_is_not_known_is_refused(setting: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        with_settings(Options(), [setting])
