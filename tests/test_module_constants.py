@@ -1,8 +1,8 @@
 """Numbers that decide behaviour are options, which users, sweeps and cache keys reach; a module's constants are numerics.
 
-`tests/module_constants/PACKAGE.yaml` names every number that a module of the product holds: under `numerics` what changes no result
-within reason (the layout of arrays, sizes of batches and tables, steps and tolerances of iterations that converge, guards against
-division by zero, constants of mathematics, of formats and of what is drawn), under `behaviour` the rest.
+`tests/module_constants/PACKAGE.yaml` names every number that a module of the product holds: under `numerics` what changes no
+result within reason (the layout of arrays, sizes of batches and tables, steps and tolerances of iterations that converge, guards
+against division by zero, constants of mathematics, of formats and of what is drawn), under `behaviour` the rest.
 """
 
 import ast
