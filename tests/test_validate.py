@@ -16,8 +16,10 @@ from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines import cli
+from omnilines.calibration.options import CalibrationOptions
+from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands.calibrate import calibrate_corners, calibrate_photos, calibration_record
+from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.commands.render import RenderedTargets, render_targets, write_targets
 from omnilines.files import read_corners, read_poses, write_corners
 from omnilines.studies.validation import compare
@@ -83,7 +85,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedTargets, ca
     truth = write_targets(folder, pattern_spec=SPEC, views=8, **options)  # type: ignore[arg-type]
     corners = simulate_corners(truth.model, pattern(SPEC), truth.cam_from_board, 0.1, 0)
     write_corners(folder / "corners.csv", corners)
-    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", model="opencv-fisheye", loss="none")
+    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", CalibrationOptions("opencv-fisheye", loss="none"))
     return truth, camera_models.load(folder / "out/calibration.yaml"), folder / "corners.csv"
 
 
@@ -164,7 +166,7 @@ def test_lines_of_a_wrong_board_do_not_hold(noisy: Noisy, board: MovedBoard, tmp
     truth, _, _ = noisy
     corners = simulate_corners(truth.model, board, truth.cam_from_board, 0.02, 0)
     write_corners(tmp_path / "corners.csv", replace(corners, board_m=truth.pattern.points_m[corners.ids]))
-    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", model="opencv-fisheye")
+    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", CalibrationOptions("opencv-fisheye"))
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")
     checks = {
         check.name: check for check in compare(truth, 190.0, calibration, read_corners(tmp_path / "out/corners.csv")).checks
@@ -244,7 +246,7 @@ def test_photos_of_a_misprinted_board_do_not_hold(tmp_path: Path) -> None:
     for name, photo, _ in photos:
         cv2.imwrite(str(tmp_path / name), photo)
     images = tuple(name for name, _, _ in photos)
-    calibrate_photos([tmp_path / name for name in images], SPEC, tmp_path / "out", model="opencv-fisheye")
+    calibrate_photos([tmp_path / name for name in images], SPEC, tmp_path / "out", CalibrationOptions("opencv-fisheye"))
     poses = Pose.stack([pose for _, _, pose in photos])
     truth = RenderedTargets(model, pattern(SPEC), images, poses, board_angle_rad(190.0), ())
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")

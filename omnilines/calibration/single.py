@@ -112,7 +112,7 @@ def calibrate_camera(
     scale of the data, corners beyond REJECT_SIGMA and views with fewer than half of their corners left are rejected, and the
     kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a `degree`
     that of a polynomial is chosen by held-out views (`calibration.degree`); without `coefficients`, distortion that they do not
-    support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board (`board_shape.REFINABLE`).
+    support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board (`options.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """

@@ -15,17 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from calib_patterns import pattern as parse_pattern
 from camera_models import CameraModel, InputError, save
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.calibration.board_lines import board_lines
+from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.commands.calibrate import calibration_record
 from omnilines.commands.result import CommandResult
 from omnilines.files import (
-    find_photos,
     read_corners,
     read_photo,
     write_corners,
@@ -37,7 +35,7 @@ from omnilines.files import (
 from omnilines.files.folders import output_folder
 from omnilines.least_squares import Progress
 from omnilines.pages.board import board_checks, board_data, board_sections, board_summaries, scene_tables
-from omnilines.pipelines.detect import PhotoCorners, detect_corners
+from omnilines.pipelines.detect import PhotoCorners, detect
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 from omnilines.report import write_report
@@ -96,7 +94,7 @@ def experiment_board(
     folder = output_folder(out)
     files = _write(folder, experiment, inputs, seed)
     progress("writing the report", 0, 0)
-    photo_folder = found.photo_folder if found.photo_folder.is_dir() else None
+    photo_folder = found.photo_folder if found.photo_folder and found.photo_folder.is_dir() else None
     page = write_report(
         folder / "report.html", "Board lines before and after adjustment", board_sections(experiment, photo_folder)
     )
@@ -178,7 +176,7 @@ def _corners_of(data: Path, pattern_spec: str, progress: ProgressCallback) -> Ph
         corners = read_corners(path)
         folder = path.parent / "images"
         return PhotoCorners(corners, _image_size(path, folder / corners.images[0]), (), folder)
-    return detect_corners(find_photos([data]), parse_pattern(pattern_spec), progress=progress)
+    return detect([data], pattern_spec, progress=progress)
 
 
 def _image_size(corners_csv: Path, photo: Path) -> tuple[int, int]:
