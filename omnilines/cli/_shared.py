@@ -1,7 +1,6 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -9,53 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-import typer.core
 
-from camera_models.errors import InputError, OmnilinesError
+from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
+from omnilines.cli.spelling import Application, with_flags
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
-ALIASES = {
-    "camera": "calibration",
-    "start": "calibration",
-    "mirrored": "mirror",
-    "models": "model",
-    "patterns": "pattern",
-    "image_sizes": "image_size",
-}
-"""Parameters of the library that an option of another name gives."""
-_flags: dict[str, str] = {}
-"""The options of the command that runs, by the names of their parameters."""
-
-
-def with_flags(text: str) -> str:
-    """A text of the library, which names parameters as `min_views`, with the options that give them, as --min-views."""
-    return re.sub("`([a-z_]+)`", lambda name: _flags.get(name[1], _flags.get(ALIASES.get(name[1], ""), name[0])), text)
-
-
-class _Command(typer.core.TyperCommand):
-    """A command whose errors name its options."""
-
-    def invoke(self, ctx: Any) -> Any:
-        _flags.clear()
-        _flags.update({parameter.name: parameter.opts[0] for parameter in self.params if parameter.name})
-        try:
-            return super().invoke(ctx)
-        except OmnilinesError as error:
-            raise type(error)(with_flags(str(error))) from error
-
-
-class _Application(typer.Typer):
-    """All commands of which are of that class."""
-
-    def command(self, name: str | None = None, **options: Any) -> Callable[[Any], Any]:
-        return super().command(name, cls=_Command, **options)
-
-
-app = _Application(
+app = Application(
     name="omnilines",
     help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
     no_args_is_help=True,
@@ -63,8 +25,8 @@ app = _Application(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-render_app = _Application(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
-experiment_app = _Application(help="The dissertation's experiments.", no_args_is_help=True)
+render_app = Application(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
+experiment_app = Application(help="The dissertation's experiments.", no_args_is_help=True)
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
@@ -85,13 +47,11 @@ FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view of the c
 Views = Annotated[int, typer.Option("--views", help="Number of photos.")]
 NoiseGrey = Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")]
 BlurPx = Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
-
-
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="An option of a stage by its name; docs/options.md lists them."),
+    typer.Option("--set", help="An option by its name, such as scene.min_views=3; may be given again.", show_default=False),
 ]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
 def _print_version(wanted: bool | None) -> None:
