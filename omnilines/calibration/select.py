@@ -119,7 +119,7 @@ def select_model(
     if len(common.views) < LEAST_VIEWS:
         raise InputError(
             f"At least {LEAST_VIEWS} usable views were expected to choose a camera model by held-out views, found "
-            f"{len(common.views)}; add photos or name a model with --model."
+            f"{len(common.views)}; add photos or name a `model`."
         )
     trials = [
         _trial(candidate, fit, judge, usable, common) if isinstance(fit, Settled) else Trial(candidate, str(fit))

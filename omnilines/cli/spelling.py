@@ -13,7 +13,6 @@ ALIASES = {
     "mirrored": "mirror",
     "models": "model",
     "patterns": "pattern",
-    "image_sizes": "image_size",
 }
 """Parameters of the library that an option of another name gives."""
 _flags: dict[str, str] = {}

@@ -157,7 +157,7 @@ class RigResult:
 
 def calibrate_rig(
     corners: RigCorners | Corners,
-    image_sizes: Mapping[str, tuple[int, int]] | tuple[int, int] | None = None,
+    image_size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None,
     options: CalibrationOptions = CalibrationOptions(),
     *,
     models: Mapping[str, str] | None = None,
@@ -170,7 +170,7 @@ def calibrate_rig(
     """Calibrate cameras that are mounted together, of any models, in one joint adjustment.
 
     `corners` are what `detect_rig` found: then the rig leads to corners and boards that were missed, and is calibrated once more.
-    Or they are a table whose views name camera (and frame, board); then `image_sizes` are needed, one (width, height) or by
+    Or they are a table whose views name camera (and frame, board); then `image_size` is needed, one (width, height) or by
     camera. `models` are those of single cameras, by name; fields of the options, of all cameras, may be given by name. Several
     boards are "fixed" to each other, "known" (their coordinates have one frame) or "moving" by themselves. `start` are known
     cameras by name to begin from; `hold` holds their parameters.
@@ -178,7 +178,7 @@ def calibrate_rig(
     Raises InputError for options that do not fit, and GeometryError where no two cameras hang together or the data leave the rig
     open.
 
-        >>> found = ol.detect_rig("rig/", "aprilgrid:3x3:60mm:0.3:36h11")
+        >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> result = ol.calibrate_rig(found, model="opencv-fisheye")
         >>> list(result.cameras), result.rms_px_per_axis < 0.1
         (['left', 'right'], True)
@@ -189,9 +189,9 @@ def calibrate_rig(
     """
     setup = RigSetup(replace(options, **fields), models or {}, boards, start or {}, hold)
     if not isinstance(corners, RigCorners):
-        if image_sizes is None:
-            raise InputError("`image_sizes` were expected beside a table of corners, found none; give (width, height) by camera.")
-        corners = RigCorners.of_table(corners, {"": image_sizes} if isinstance(image_sizes, tuple) else image_sizes)
+        if image_size is None:
+            raise InputError("`image_size` was expected beside a table of corners, found none; give (width, height).")
+        corners = RigCorners.of_table(corners, {"": image_size} if isinstance(image_size, tuple) else image_size)
     if corners.cameras:
         setup.require_photos()
     found, result = corners, _fitted(corners, setup, progress)

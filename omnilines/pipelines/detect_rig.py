@@ -78,7 +78,7 @@ class RigCorners:
         missing = [name for name in sizes if name not in found]
         if missing:
             raise InputError(
-                f"`image_sizes` were expected for every camera of {source}, found none for '{missing[0]}'; give one for all, or "
+                f"`image_size` was expected for every camera of {source}, found none for '{missing[0]}'; give one for all, or "
                 f"{missing[0]}=WIDTHxHEIGHT."
             )
         _require_inside(corners, cameras, found, source)
@@ -107,7 +107,7 @@ def _require_inside(corners: Corners, cameras: Sequence[str], sizes: Mapping[str
         width, height = sizes[cameras[view]]
         raise InputError(
             f"{source}: every corner was expected inside the image of {width}x{height} px of {cameras[view]}, found ({u:g}, "
-            f"{v:g}) in view {corners.view_names[view]}; check `image_sizes` (width x height)."
+            f"{v:g}) in view {corners.view_names[view]}; check `image_size` (width x height)."
         )
 
 
@@ -161,7 +161,7 @@ def detect_rig(
     are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by default of any), they are
     read as mirror images; with `mirrored` all are. Raises InputError where no camera sees a target.
 
-        >>> found = ol.detect_rig("rig/", "aprilgrid:3x3:60mm:0.3:36h11")
+        >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> found.image_sizes, found.corners.frames[:2]
         ({'left': (640, 480), 'right': (640, 480)}, ('0', '1'))
     """
