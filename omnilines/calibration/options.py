@@ -29,6 +29,8 @@ class CalibrationOptions:
     """Whether the camera looks into a mirror (a0 < 0)."""
     refine_board: tuple[str, ...] = ()
     """What is estimated of the board: "aspect", "flatness" or both."""
+    searches: int = 3
+    """Times at most that the camera is sent out for corners that were missed in its photos."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
@@ -60,6 +62,7 @@ class CalibrationFields(TypedDict, total=False):
     loss: str
     mirror: bool
     refine_board: tuple[str, ...]
+    searches: int
 
 
 def require_refinable(names: Sequence[str]) -> None:
