@@ -155,7 +155,7 @@ def test_a_rig_from_folders_and_arrays_of_each_camera(rendered: Path, tmp_path: 
     np.testing.assert_array_equal(begun.cameras["left"].parameters, result.cameras["left"].parameters)
     with pytest.raises(ol.InputError, match="`models`: cameras among left, right were expected, found 'middle'"):
         ol.calibrate_rig(found, models={"middle": "pinhole"})
-    with pytest.raises(ol.InputError, match="`boards` known was expected with a corners.csv"):
+    with pytest.raises(ol.InputError, match=r"`boards` known was expected with a corners\.csv"):
         ol.calibrate_rig(found, boards="known")
     page = result.report(tmp_path / "report.html").read_text()
     assert "left: parameters" in page and ">Photos with the largest residuals<" not in page

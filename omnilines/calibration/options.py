@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from camera_models import InputError, model_class
-from omnilines.least_squares import Loss
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts held-out views best."""
@@ -34,6 +33,9 @@ class CalibrationOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
+        # Loaded with the first options and not with their class, whose defaults the help of the command line shows.
+        from omnilines.least_squares import Loss
+
         if self.model != AUTO:
             model_class(self.model)
         elif self.of_model:
