@@ -21,13 +21,13 @@ CURVE_PX = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)
 _ON, _OFF = "on a true edge", "on none"
 
 
-def scene_validation_summaries(validation: SceneValidation, scene: str, seed: int) -> tuple[Summary, ...]:
+def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ...]:
     """The setting, the arcs, the lines and their uncertainty."""
     truth, rebuilt, scores, arcs = validation.truth, validation.rebuilt, validation.scores, validation.arcs
-    width, height = truth.model.image_size
+    width, height = truth.camera.image_size
     setting = (
-        ("scene", f"{scene}, seed {seed}, {len(truth.edges)} edges"),
-        ("camera", f"{truth.model.NAME}, {width}x{height} px, {len(truth.poses)} photos"),
+        ("scene", f"{truth.name}, seed {truth.seed}, {len(truth.edges)} edges"),
+        ("camera", f"{truth.camera.NAME}, {width}x{height} px, {len(truth.poses)} photos"),
         ("median distance of the edges", f"{validation.distance_m:.2f} m, where a pixel is {1e3 * validation.pixel_m:.3g} mm"),
     )
     extracted = (
@@ -67,14 +67,14 @@ def scene_validation_summaries(validation: SceneValidation, scene: str, seed: in
     )
 
 
-def scene_validation_data(validation: SceneValidation, scene: str, seed: int) -> dict[str, Any]:
+def scene_validation_data(validation: SceneValidation) -> dict[str, Any]:
     """For `--json`."""
     truth, rebuilt, scores, arcs = validation.truth, validation.rebuilt, validation.scores, validation.arcs
     return {
-        "scene": scene,
-        "model": truth.model.NAME,
-        "image_size": list(truth.model.image_size),
-        "seed": seed,
+        "scene": truth.name,
+        "model": truth.camera.NAME,
+        "image_size": list(truth.camera.image_size),
+        "seed": truth.seed,
         "photos": len(truth.poses),
         "distance_m": validation.distance_m,
         "pixel_m": validation.pixel_m,

@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models import Calibration, GeometryError, load
 from omnilines.adjustment.lines import motion_across
-from omnilines.commands.render_scene import RenderedScene
 from omnilines.evaluation.arcs import LEAST_PX, ArcScores, arc_scores
 from omnilines.evaluation.scene import LEAST_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.render import RenderedScene
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
 
 TOLERANCE_PX = 1.5
@@ -234,8 +234,8 @@ def _pixel_at_edges(truth: RenderedScene) -> tuple[float, float]:
     poses = truth.poses.cam_from_world[torch.as_tensor(view)]
     points = (poses.rotation @ torch.as_tensor(middle)[..., None])[..., 0] + poses.translation
     with torch.no_grad():
-        pixels, seen = truth.model.project(points)
-        by_pixel = truth.model.unproject_jacobian(pixels)
+        pixels, seen = truth.camera.project(points)
+        by_pixel = truth.camera.unproject_jacobian(pixels)
     # The solid angle of a pixel is the area that its two steps span on the sphere.
     angle = torch.linalg.cross(by_pixel[..., 0], by_pixel[..., 1]).norm(dim=-1).sqrt()
     distance = points.norm(dim=-1)
