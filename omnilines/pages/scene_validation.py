@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from omnilines import report
-from omnilines.evaluation.arcs import LEAST_PX
-from omnilines.evaluation.scene import LEAST_CONTRAST, LEAST_VIEWS, scene_scores
+from omnilines.evaluation.arcs import MIN_PX
+from omnilines.evaluation.scene import MIN_CONTRAST, MIN_VIEWS, scene_scores
 from omnilines.geometry.line import end_radius_sigmas
 from omnilines.records import Summary
 from omnilines.report import Section
@@ -56,7 +56,7 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
         (f"lines within {1e3 * validation.tolerance_m:.3g} mm, as sigma_m predicts", _percent(validation.expected_precision)),
     )
     note = (
-        f"Length counts that at least {LEAST_VIEWS} photos see, with {LEAST_CONTRAST:g} grey levels or more and {LEAST_PX:g} px "
+        f"Length counts that at least {MIN_VIEWS} photos see, with {MIN_CONTRAST:g} grey levels or more and {MIN_PX:g} px "
         f"or more. A line is within a distance when nine tenths of its length are. The last distance is {TOLERANCE_PX:g} pixels."
     )
     return (
@@ -157,7 +157,7 @@ def _by_distance(validation: SceneValidation) -> Section:
     """Strict precision and recall against the distance."""
     truth = validation.truth
     thresholds = [share * validation.pixel_m for share in CURVE_PX]
-    scores = scene_scores(validation.rebuilt.lines.ends_m, truth.edges, truth.stretches, thresholds, least_px=LEAST_PX)
+    scores = scene_scores(validation.rebuilt.lines.ends_m, truth.edges, truth.stretches, thresholds, min_px=MIN_PX)
     x = 1e3 * np.array(thresholds)
     return report.curve_section(
         "Precision and recall",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from jaxtyping import UInt8
@@ -79,6 +79,19 @@ class RenderOptions:
                 f"A blur and a noise of at least 0 and a vignetting of 0 to 1 were expected, found {self.blur_px:g}, "
                 f"{self.noise_grey:g} and {self.vignetting:g}; change the one out of range."
             )
+
+
+class RenderFields(TypedDict, total=False):
+    """Fields of `RenderOptions` that a call may give by name."""
+
+    fov_deg: float | None
+    views: int
+    size_px: tuple[int, int]
+    noise_grey: float
+    blur_px: float
+    vignetting: float
+    mirror: bool
+    seed: int
 
 
 class RenderedPhotos(Mapping[str, Photo]):
@@ -208,22 +221,26 @@ def render(
     *,
     poses: Pose | None = None,
     progress: ProgressCallback = silent,
+    **fields: Unpack[RenderFields],
 ) -> RenderedTargets | RenderedScene:
     """Photos of a target (`checkerboard:8x6:30mm`, or a pattern) or of a scene (`room`, `plain-room`, `flat`, `street`, `books`,
     or polygons), with the camera, the poses and the truth; nothing is written before `save`.
 
-    >>> import omnilines as ol
-    >>> options = ol.RenderOptions(fov_deg=190, views=3, size_px=(320, 240))
-    >>> rendered = ol.render("checkerboard:8x6:30mm", "scaramuzza", options)
-    >>> {name: photo.shape for name, photo in rendered.photos.items()}
-    {'view00.png': (240, 320), 'view01.png': (240, 320), 'view02.png': (240, 320)}
-    >>> len(rendered.corners), rendered.poses.cam_from_world.translation.shape
-    (144, torch.Size([3, 3]))
-
     `model` is the name of a camera model, of which a camera with the imperfections of a real one is drawn, or a camera. `poses`,
-    cam_from_world of each photo with a target as the world, are drawn unless given. Raises InputError for options out of range
-    and GeometryError where the camera cannot see the target or the scene has no room.
+    cam_from_world of each photo with a target as the world, are drawn unless given. Fields of the options may be given by name.
+
+    Raises InputError for options out of range and GeometryError where the camera cannot see the target or the scene has no room.
+
+        >>> rendered = ol.render("checkerboard:8x6:30mm", "scaramuzza", fov_deg=190.0, views=3, size_px=(640, 480))
+        >>> {name: photo.shape for name, photo in rendered.photos.items()}
+        {'view00.png': (480, 640), 'view01.png': (480, 640), 'view02.png': (480, 640)}
+        >>> rendered.camera.NAME, len(rendered.corners), tuple(rendered.poses.cam_from_world.translation.shape)
+        ('scaramuzza', 144, (3, 3))
+        >>> room = ol.render("room", views=1, size_px=(160, 120))
+        >>> room.edges.ends_m.shape[1:], len(room.stretches) > 100
+        ((2, 3), True)
     """
+    options = replace(options, **fields)
     if isinstance(shown, Pattern) or (isinstance(shown, str) and ":" in shown):
         return render_targets(shown, model, options, poses=poses)
     return render_scene(shown, model, options, poses=poses, progress=progress)
