@@ -1,6 +1,7 @@
 """omnilines rectify: views against photos rendered directly with the camera and pose that the command states."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -102,10 +103,10 @@ def test_colmap_model_has_the_same_cameras(rendered, tmp_path) -> None:
 
 
 def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
-    scene, folder = rendered
+    _, folder = rendered
     (tmp_path / "in" / "left").mkdir(parents=True)
     for name in ("view00.png", "view01.png"):
-        (tmp_path / "in" / "left" / name).write_bytes((scene.files[0].parent / name).read_bytes())
+        (tmp_path / "in" / "left" / name).write_bytes((Path(folder) / name).read_bytes())
     calibration = ["--calibration", f"{folder}/calibration.yaml"]
     assert run("rectify", str(tmp_path / "in"), *calibration, "--size", "100x80", "--out", str(tmp_path / "out")) == 0
     assert (tmp_path / "out/left/view01.png").exists()

@@ -149,6 +149,6 @@ def _number(value: float) -> str:
 
 
 def _value(value: Any) -> str:
-    return (
-        ", ".join(map(_value, value)) if isinstance(value, tuple) else f"{value:.4g}" if isinstance(value, float) else str(value)
-    )
+    if isinstance(value, tuple):
+        return ", ".join(map(_value, value))
+    return _number(value) if isinstance(value, float) else str(value)
