@@ -2,7 +2,7 @@
 
 from omnilines.files.corners import is_corners_table, is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.files.lines import read_lines, write_covariance, write_lines
-from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
+from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo, write_png
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
@@ -26,6 +26,7 @@ __all__ = [
     "write_covariance",
     "write_lines",
     "write_ply",
+    "write_png",
     "write_poses",
     "write_segments",
 ]
