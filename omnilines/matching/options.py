@@ -144,7 +144,7 @@ class StartOptions(NamedTuple):
 class ResectionOptions(NamedTuple):
     """The pose of a photo from known lines."""
 
-    reaches_rad: tuple[float, ...] = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12, 0.0))
+    reaches_rad: tuple[float, ...] = tuple(map(math.radians, (2.0, 1.0, 0.5, 0.25, 0.12, 0.0)))
     """Arcs are given to lines that lie so near, one after the other; in the end, to those as near as their noise allows."""
     reach_sigmas: float = 3.0
     """A reach is so many standard deviations of what is left of the error of the pose."""
