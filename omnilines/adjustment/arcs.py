@@ -10,8 +10,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.costs._cost import ArcNodes
-from omnilines.costs.taylor_kriegman import NODES
+from omnilines.costs._cost import NODES, ArcNodes
 from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
 from omnilines.records import ImagePoses, Segments
 
