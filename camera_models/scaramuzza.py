@@ -70,6 +70,7 @@ class Scaramuzza(CameraModel):
         centre: Float[Tensor, "2"],
         image_size: tuple[int, int],
         mirror: bool = False,
+        *,
         degree: int = 4,
         **options: Any,
     ) -> "Scaramuzza":

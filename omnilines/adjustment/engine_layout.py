@@ -69,7 +69,7 @@ class Layout:
             rows[here] = (form.rows(bearings) if mix is None else mix[own] @ bearings).numpy()
             if form.spread is not None:
                 spread[here] = form.spread(arcs.by_pixel[own], arcs.covariance_px2[own])[:, :, upper[0], upper[1]].numpy()
-        return Views(self.lines, self.start, self.frame, rows, spread, kind, scale)
+        return Views(order=self.lines, start=self.start, frame=self.frame, rows=rows, spread=spread, kind=kind, scale=scale)
 
 
 def layout(problem: LineProblem) -> Layout:
@@ -84,7 +84,16 @@ def layout(problem: LineProblem) -> Layout:
         found = _sorted(arcs, order, free)
     lines, start, observations, pattern, frame = found
     rank = np.searchsorted(problem.free.numpy(), order[:free].numpy())
-    return Layout(order, rank, pattern, lines, start, torch.from_numpy(observations), frame, _shares(start))
+    return Layout(
+        frames=order,
+        rank=rank,
+        pattern=pattern,
+        lines=lines,
+        start=start,
+        observations=torch.from_numpy(observations),
+        frame=frame,
+        shares=_shares(start),
+    )
 
 
 def _sorted(

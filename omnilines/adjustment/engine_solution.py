@@ -60,15 +60,15 @@ class LineSolution:
             return None
         engine, prior = self.engine, self.engine.prior_blocks(self.state)
         return LineSandwich(
-            engine.layout,
-            engine.views,
-            self.scatter[engine.layout.observations].numpy(),
-            None if prior is None else self.unit * prior,
-            engine.poses(self.state),
-            engine.lines(self.state.chart),
-            self.reduction.solved,
-            self.reduction.system,
-            self._inverse,
+            layout=engine.layout,
+            views=engine.views,
+            scatter=self.scatter[engine.layout.observations].numpy(),
+            of_prior=None if prior is None else self.unit * prior,
+            pose=engine.poses(self.state),
+            lines=engine.lines(self.state.chart),
+            solved=self.reduction.solved,
+            system=self.reduction.system,
+            inverse=self._inverse,
         )
 
     def absorbed(self, parameters: int) -> float:
@@ -122,7 +122,9 @@ class LineSolution:
         own = np.zeros((len(blocks), 4, 4))
         own[:, *np.tril_indices(4)] = solved.factors[chosen]
         roots = np.linalg.inv(own).transpose(0, 2, 1)
-        gains = frame_gains(engine.layout, engine.views, engine.poses(self.state), engine.lines(self.state.chart), solved, chosen)
+        gains = frame_gains(
+            engine.layout, engine.views, engine.poses(self.state), engine.lines(self.state.chart), solved, blocks=chosen
+        )
         if self._sandwich is not None:
             joint = self._sandwich.joint(chosen, roots, gains)
         else:
@@ -150,4 +152,13 @@ def line_solution(
     gauge = engine.problem.gauge(found.state)
     weakest = torch.from_numpy(engine.layout.back(direction.reshape(-1, 6)).flatten())
     end = replace(found, outcome=outcome)
-    return LineSolution(end, gauge, smallest, weakest, engine, reduction, scatter, unit)
+    return LineSolution(
+        end=end,
+        gauge=gauge,
+        smallest_eigenvalue=smallest,
+        weakest_direction=weakest,
+        engine=engine,
+        reduction=reduction,
+        scatter=scatter,
+        unit=unit,
+    )

@@ -127,7 +127,15 @@ def adjust_lines(
     plain = LineProblem(arcs, WHITENED, freedom, state)
     if prior is None:
         _require_scale(plain, state)
-    task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None, cautious, options)
+    task = Task(
+        arcs=arcs,
+        cost=cost,
+        freedom=freedom,
+        loss=loss,
+        layout=layout_that_fits(plain) if is_compiled(plain, state) else None,
+        cautious=cautious,
+        options=options,
+    )
 
     def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
         return _minimum(task, start, weighed, max_iterations, callback, place=place)

@@ -46,6 +46,7 @@ class LineProblem:
         freedom: Freedom,
         state: LinesAndPoses,
         prior: PosePrior | None = None,
+        *,
         mix: Float[Tensor, "n 2 2"] | None = None,
     ) -> None:
         """`prior` is in the unit of the cost (`PosePrior.weighing`). With `mix` residuals are mix @ (V . Mh) instead of the

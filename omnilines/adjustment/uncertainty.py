@@ -52,7 +52,7 @@ class Task:
 
     def weights(self, state: LinesAndPoses, level: float, informing: Bool[Tensor, " n"] | None = None) -> Weighting:
         """What the arcs weigh at a state for noise of this level."""
-        return weighting(self.cost, self.arcs, state.normals(self.arcs), self.loss, level, informing)
+        return weighting(self.cost, self.arcs, state.normals(self.arcs), self.loss, level, fitting=informing)
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _equations(
     task: Task, state: LinesAndPoses, weights: Weighting, prior: PosePrior | None
 ) -> tuple[LineProblem, GeneralSolution | LineSolution]:
     """The weighted equations at a state."""
-    problem = LineProblem(task.arcs, WHITENED, task.freedom, state, prior, weights.mix)
+    problem = LineProblem(task.arcs, WHITENED, task.freedom, state, prior, mix=weights.mix)
     if task.layout is not None:
         engine = LineEngine(problem, Loss(), task.layout)
         return problem, line_solution(engine, engine.minimise(state, 0), weights.scatter, weights.unit)

@@ -70,6 +70,7 @@ def weighting(
     normal: Float[Tensor, "n 3"],
     loss: Loss,
     level: float,
+    *,
     fitting: Bool[Tensor, " n"] | None = None,
 ) -> Weighting:
     """The weights at a state with these plane normals. Arcs that are not `fitting` weigh what the loss gives them where they
@@ -95,7 +96,7 @@ def weighting(
     mix = vectors @ torch.diag_embed(response.sqrt()) @ vectors.mT / end_sigma_rad(arcs, unit_normal)[:, None, :]
     share = float(values.sum()) ** 2 / (values.numel() * float(values.square().sum()))
     excess = float(second[fitting].mean() / first[fitting].mean() ** 2)
-    return Weighting(mix, spread, unit, level**2 * float(values.sum()), share, excess)
+    return Weighting(mix=mix, scatter=spread, unit=unit, expected=level**2 * float(values.sum()), share=share, excess=excess)
 
 
 def _expectations(weights: Float[Tensor, "n 2"], loss: Loss, level: float) -> tuple[Tensor, Tensor]:

@@ -173,12 +173,12 @@ def _trial(
     translation[common.views] = solution.state.cam_from_board.translation
     state = CameraAndBoards(model, Pose(rotation, translation))
     return Trial(
-        candidate,
-        None,
-        RobustFit(state, common.rows, judge.scale_px, judge.limit_px),
-        grows_beyond(model, common.points.pixels, thresholds.held_out.beyond_factor),
-        (solution.cost / len(common.points.view)) ** 0.5,
-        held_out(problem, solution.state),
+        candidate=candidate,
+        failure=None,
+        fit=RobustFit(state, common.rows, judge.scale_px, judge.limit_px),
+        monotone=grows_beyond(model, common.points.pixels, thresholds.held_out.beyond_factor),
+        in_sample_px=(solution.cost / len(common.points.view)) ** 0.5,
+        error=held_out(problem, solution.state),
     )
 
 

@@ -193,7 +193,9 @@ def robust_camera(
     robust_loss = "cauchy" if loss == "none" else loss
     smooth, in_order = smooth_corners(points, thresholds.screening)
     clean = points.chosen(smooth)
-    task = RobustTask(points, clean, weight, robust_loss, thresholds.robust, callback)
+    task = RobustTask(
+        points=points, clean=clean, weight=weight, loss=robust_loss, thresholds=thresholds.robust, callback=callback
+    )
     found: list[RobustFit] = []
     for start in ranked_starts(clean, in_order, kind, thresholds)[: thresholds.start.most_starts]:
         found.append(robust_fit(task, start.state, least_passes=least_passes))

@@ -54,7 +54,14 @@ class UsableCorners:
         views = [v for v in range(len(corners.view_names)) if v not in refusals]
         require_views(len(views), len(corners.view_names), refusals, thresholds.least_views)
         rows = np.isin(corners.view, views)
-        return UsableCorners(corners, refusals, views, rows, board_points(corners, rows, views), corner_weights(corners, rows))
+        return UsableCorners(
+            corners=corners,
+            refusals=refusals,
+            views=views,
+            rows=rows,
+            points=board_points(corners, rows, views),
+            weight=corner_weights(corners, rows),
+        )
 
 
 def unusable_views(corners: Corners, least_corners: int, rows: Bool[np.ndarray, " n"] | None = None) -> dict[int, str]:
@@ -122,7 +129,9 @@ def view_results(
     place = {v: k for k, v in enumerate(views)}
     results = []
     for v, (name, image) in enumerate(zip(corners.view_names, corners.images, strict=True)):
-        result = ViewResult(name, image, v in place, refusals.get(v), 0, int(seen[v]))
+        result = ViewResult(
+            name=name, image=image, used=v in place, reason=refusals.get(v), corners_used=0, corners_rejected=int(seen[v])
+        )
         if v in place:
             rejected = int(seen[v] - used[v])
             remarks: tuple[str, ...] = ()

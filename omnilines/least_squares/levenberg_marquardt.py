@@ -303,4 +303,14 @@ def _finish(problem: Problem[S], found: Minimum[S], reduced: Reduced) -> Solutio
         direction = basis @ vectors[:, 0] if len(values) else reduced.right_side
     if smallest < LEAST_EIGENVALUE:
         outcome = Outcome.DEGENERATE
-    return Solution(found.state, outcome, found.cost, found.initial_cost, found.iterations, reduced, gauge, smallest, direction)
+    return Solution(
+        state=found.state,
+        outcome=outcome,
+        cost=found.cost,
+        initial_cost=found.initial_cost,
+        iterations=found.iterations,
+        reduced=reduced,
+        gauge=gauge,
+        smallest_eigenvalue=smallest,
+        weakest_direction=direction,
+    )

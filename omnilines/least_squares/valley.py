@@ -95,7 +95,15 @@ class _Stop(Generic[S]):
         values, vectors = torch.linalg.eigh(reduced.matrix * scale[:, None] * scale)
         way = vectors[:, 0] * (1.0 if float(vectors[:, 0] / scale @ before) >= 0 else -1.0)
         slope = -2 * float(scale * way @ reduced.right_side)
-        return _Stop(state, cost, reduced, scale * way, way / scale, slope, max(float(values[0]), 0.0))
+        return _Stop(
+            state=state,
+            cost=cost,
+            reduced=reduced,
+            direction=scale * way,
+            held=way / scale,
+            slope=slope,
+            curvature=max(float(values[0]), 0.0),
+        )
 
     def length(self, rise: float) -> float:
         """The h at which the cost has risen by so much."""

@@ -40,15 +40,15 @@ class PosedViews:
     def chosen(self, views: Int[Tensor, " w"]) -> "PosedViews":
         """Some of the views."""
         return PosedViews(
-            self.camera[views],
-            self.frame[views],
-            self.board[views],
-            self.corners[views],
-            self.cam_from_board[views],
-            self.patch_m[views],
-            self.pitch_m[views],
-            self.board_from_numbered[views],
-            self.allowed[views],
+            camera=self.camera[views],
+            frame=self.frame[views],
+            board=self.board[views],
+            corners=self.corners[views],
+            cam_from_board=self.cam_from_board[views],
+            patch_m=self.patch_m[views],
+            pitch_m=self.pitch_m[views],
+            board_from_numbered=self.board_from_numbered[views],
+            allowed=self.allowed[views],
         )
 
     def as_numbered(self) -> "PosedViews":

@@ -253,7 +253,18 @@ def _views(outcome: RigOutcome, residual: Float[np.ndarray, "n 2"], kept: np.nda
         camera, frame = views.cameras[views.camera[v]], views.frames[views.frame[v]]
         if v not in place or not used[v]:
             reason = _reason(outcome, v)
-            found.append(ViewResult(name, image, False, reason, 0, int(seen[v]), camera=camera, frame=frame))
+            found.append(
+                ViewResult(
+                    name=name,
+                    image=image,
+                    used=False,
+                    reason=reason,
+                    corners_used=0,
+                    corners_rejected=int(seen[v]),
+                    camera=camera,
+                    frame=frame,
+                )
+            )
             continue
         remarks: tuple[str, ...] = ()
         if anew[v]:
@@ -263,7 +274,22 @@ def _views(outcome: RigOutcome, residual: Float[np.ndarray, "n 2"], kept: np.nda
         rms = float(np.sqrt(squares[v] / used[v]))
         pose = poses[place[v]]
         rejected = int(seen[v] - used[v])
-        found.append(ViewResult(name, image, True, None, int(used[v]), rejected, rms, pose, camera, None, remarks, frame))
+        found.append(
+            ViewResult(
+                name=name,
+                image=image,
+                used=True,
+                reason=None,
+                corners_used=int(used[v]),
+                corners_rejected=rejected,
+                rms_px_per_point=rms,
+                cam_from_board=pose,
+                camera=camera,
+                leverage=None,
+                remarks=remarks,
+                frame=frame,
+            )
+        )
     return tuple(found)
 
 

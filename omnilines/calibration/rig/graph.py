@@ -254,7 +254,15 @@ class RigGrowth:
             pose, support_of_best, agrees_with = mean, mean_support, mean_agrees[0]
         else:
             agrees_with = agrees[best]
-        return _Proposal(pose, support_of_best, int(agrees_with.sum()), len(views), rival, turned, mirrored)
+        return _Proposal(
+            pose=pose,
+            support=support_of_best,
+            views=int(agrees_with.sum()),
+            of=len(views),
+            rival=rival,
+            turned=turned,
+            mirrored=mirrored,
+        )
 
     def _with_side(self, best: _Proposal, found: Sequence[_Proposal]) -> _Proposal:
         """Whether the other side of the camera is agreed with clearly less; the one that was assumed where it is not."""

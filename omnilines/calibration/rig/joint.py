@@ -52,13 +52,13 @@ class RigData:
         camera = member[views.camera[ordered]]
         sigma = np.array(self.sigma_px)[camera[place[corners.view[rows]]]] * self.relative[rows]
         points = RigPoints(
-            torch.as_tensor(place[corners.view[rows]]),
-            torch.as_tensor(self.board_m[rows]),
-            torch.as_tensor(corners.pixels[rows]),
-            torch.as_tensor(1 / sigma),
-            torch.as_tensor(camera),
-            torch.as_tensor(views.block[ordered]),
-            torch.as_tensor(part[views.part[ordered]]),
+            view=torch.as_tensor(place[corners.view[rows]]),
+            board_m=torch.as_tensor(self.board_m[rows]),
+            pixels=torch.as_tensor(corners.pixels[rows]),
+            weight=torch.as_tensor(1 / sigma),
+            camera=torch.as_tensor(camera),
+            frame=torch.as_tensor(views.block[ordered]),
+            board=torch.as_tensor(part[views.part[ordered]]),
         )
         return points, ordered, rows
 
@@ -101,7 +101,15 @@ def judged(
     """The corners near enough to a state."""
     residual = problem.linearise(state).residual
     scale = max(robust_scale_px(residual, thresholds.many_unknowns_share), LEAST_SCALE_PX)
-    return RigFit(problem.points, problem, views, rows, state, residual.norm(dim=-1) <= thresholds.reject_sigma * scale, scale)
+    return RigFit(
+        points=problem.points,
+        problem=problem,
+        views=views,
+        rows=rows,
+        state=state,
+        kept=residual.norm(dim=-1) <= thresholds.reject_sigma * scale,
+        scale=scale,
+    )
 
 
 def robust_rig_fit(

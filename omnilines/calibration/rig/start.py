@@ -52,15 +52,15 @@ def posed_views(options: ViewNumberings, alone: Mapping[int, AloneCamera]) -> tu
     most = max(len(motion) for motion in motions)
     place = torch.arange(most)
     found = PosedViews(
-        torch.as_tensor(views.camera[numbers]),
-        torch.as_tensor(views.block[numbers]),
-        torch.as_tensor(views.part[numbers]),
-        torch.as_tensor(np.bincount(views.corners.view, minlength=len(views.camera))[numbers]),
-        Pose(torch.cat([pose.rotation for pose in poses]), torch.cat([pose.translation for pose in poses])),
-        torch.as_tensor(options.patch_m[numbers]),
-        torch.tensor(options.pitch_m, dtype=torch.float64)[torch.as_tensor(views.board[numbers])],
-        Pose.stack([motion[place.clamp_max(len(motion) - 1)] for motion in motions]),
-        torch.stack([place < len(motion) for motion in motions]),
+        camera=torch.as_tensor(views.camera[numbers]),
+        frame=torch.as_tensor(views.block[numbers]),
+        board=torch.as_tensor(views.part[numbers]),
+        corners=torch.as_tensor(np.bincount(views.corners.view, minlength=len(views.camera))[numbers]),
+        cam_from_board=Pose(torch.cat([pose.rotation for pose in poses]), torch.cat([pose.translation for pose in poses])),
+        patch_m=torch.as_tensor(options.patch_m[numbers]),
+        pitch_m=torch.tensor(options.pitch_m, dtype=torch.float64)[torch.as_tensor(views.board[numbers])],
+        board_from_numbered=Pose.stack([motion[place.clamp_max(len(motion) - 1)] for motion in motions]),
+        allowed=torch.stack([place < len(motion) for motion in motions]),
     )
     return found, numbers
 
@@ -163,12 +163,12 @@ def rig_start(
     chosen = torch.nonzero(graph.numbering >= 0).flatten()
     motions = posed.board_from_numbered[chosen, graph.numbering[chosen]]
     return RigStart(
-        tuple(cameras),
-        tuple(boards),
-        tuple(own),
-        in_rig @ first.inverse(),
-        board.inverse() @ on_target,
-        first @ target @ board,
-        graph.frames,
-        {int(numbers[v]): motions[k] for k, v in enumerate(chosen.tolist())},
+        cameras=tuple(cameras),
+        boards=tuple(boards),
+        models=tuple(own),
+        cam_from_rig=in_rig @ first.inverse(),
+        target_from_board=board.inverse() @ on_target,
+        rig_from_target=first @ target @ board,
+        placed=graph.frames,
+        board_from_numbered={int(numbers[v]): motions[k] for k, v in enumerate(chosen.tolist())},
     )
