@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from calib_patterns import Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Pattern
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError, save
 from camera_models.formats.calibration_data import ViewRecord
 from camera_models.formats.disk import write_atomically

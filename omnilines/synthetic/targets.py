@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models import CameraModel, InputError, model_class
