@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from calib_patterns import Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Pattern
 from camera_models import Calibration, CameraEstimate, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
 from omnilines.calibration.board_shape import BoardShape

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from calib_patterns._pattern import Detection, Pattern
+from calib_patterns import Detection, Pattern
 from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks

@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from calib_patterns import Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Pattern
 from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
