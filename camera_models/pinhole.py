@@ -62,6 +62,7 @@ class Pinhole(CameraModel):
         centre: Float[Tensor, "2"],
         image_size: tuple[int, int],
         mirror: bool = False,
+        *,
         coefficients: int = 5,
         **options: Any,
     ) -> "Pinhole":

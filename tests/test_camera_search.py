@@ -10,8 +10,7 @@ import pytest
 import torch
 import yaml
 
-from calib_patterns import pattern
-from calib_patterns._pattern import Detection, Pattern
+from calib_patterns import Detection, Pattern, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import graded_background, render_target
 from calib_patterns.tangent_views import HALF_ANGLE_RAD, detect_in_views, places_of_interest, tangent_view

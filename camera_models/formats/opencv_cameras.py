@@ -39,7 +39,7 @@ def matrix_of(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> 
 
 
 def camera_of(
-    kind: str, matrix: list[float], distortion: list[float], xi: float | None, size: tuple[int, int], where: str
+    kind: str, matrix: list[float], distortion: list[float], xi: float | None, size: tuple[int, int], *, where: str
 ) -> tuple[CameraModel, str | None]:
     """The camera of K and D, and a note; more coefficients than the model has must be zero, fewer are filled up with zeros."""
     form = next(form for form in FORMS if form.name == kind)

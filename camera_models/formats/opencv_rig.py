@@ -45,7 +45,7 @@ def read_rig(data: Mapping[str, Any], image_size: tuple[int, int] | None) -> Con
     for index, name in enumerate(names):
         size = size_of(sizes[index], image_size)
         matrix = matrices[9 * index : 9 * index + 9]
-        cameras[name], note = camera_of(kinds[index], matrix, distortions[index], None, size, f"camera {name}")
+        cameras[name], note = camera_of(kinds[index], matrix, distortions[index], None, size, where=f"camera {name}")
         notes += [note] if note else []
         if len(rotations) == 9 * count:
             turn = np.reshape(rotations[9 * index : 9 * index + 9], (3, 3))

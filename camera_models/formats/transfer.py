@@ -180,7 +180,7 @@ def _fits(
 
 def _of_other_model(estimate: CameraEstimate, model: CameraModel) -> CameraEstimate:
     """What is still true of a camera after another model was fitted to it; how well the first fitted its data is not."""
-    sign = estimate.sign_source if model.NAME == "scaramuzza" else None
+    sign = estimate.sign_source if model.AXIS_SIGN_OPEN else None
     return CameraEstimate(max_angle_deg=estimate.max_angle_deg, min_angle_deg=estimate.min_angle_deg, sign_source=sign)
 
 

@@ -1,5 +1,6 @@
 """Commands on cameras: calibrate, convert, validate."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -168,18 +169,16 @@ def validate(
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
+        from omnilines.pipelines.render import RenderOptions
+
+        options = RenderOptions(fov_deg, views, image_size, noise, blur, mirror=mirror, seed=seed)
         if scene is not None:
             from omnilines.commands.validate_scene import validate_scene
 
-            return validate_scene(
-                out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
-                seed=seed, mirror=mirror, progress=progress,
-            )  # fmt: skip
-        from omnilines.commands.validate import validate
+            return validate_scene(out, scene, model, options, progress=progress)
+        from omnilines.commands.validate import TARGET, validate
 
-        return validate(
-            out, model=model, fov_deg=190.0 if fov_deg is None else fov_deg, views=views, size=image_size, noise=noise,
-            blur=blur, seed=seed, pattern_spec=pattern or "checkerboard:8x6:30mm", progress=progress,
-        )  # fmt: skip
+        options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
+        return validate(out, pattern or TARGET, model, options, progress=progress)
 
     run(command, as_json)

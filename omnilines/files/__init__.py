@@ -12,6 +12,7 @@ from omnilines.files.photos import (
     photo_folder,
     photos_of,
     read_photo,
+    write_png,
 )
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
@@ -41,6 +42,7 @@ __all__ = [
     "write_covariance",
     "write_lines",
     "write_ply",
+    "write_png",
     "write_poses",
     "write_segments",
 ]

@@ -1,4 +1,4 @@
-"""Photos on disk: finding them in folders, naming them as the tables do, reading them."""
+"""Photos on disk: finding them in folders, naming them as the tables do, reading and writing them."""
 
 import contextlib
 import os
@@ -12,9 +12,10 @@ from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import UInt
+from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
+from camera_models.formats.disk import write_atomically
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 
@@ -164,6 +165,12 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
     return pixels
+
+
+def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
+    """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
+    encoded = cv2.imencode(".png", photo)[1]
+    write_atomically(path, encoded.tobytes())
 
 
 _stderr_is_taken = threading.Lock()

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from camera_models import Scaramuzza
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
@@ -64,7 +63,7 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
     median, largest = UncertaintyMap.of(result).figures
     model = result.model
     rows = (
-        ("model", f"{model.NAME} of degree {model.degree}" if isinstance(model, Scaramuzza) else model.NAME),
+        ("model", model.label),
         ("views used", f"{len(used)} of {len(result.views)}"),
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
         ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),

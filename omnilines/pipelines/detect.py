@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from calib_patterns import Detection, Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Detection, Pattern
 from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models.pose import Pose
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.pipelines.detect import PhotoCorners, search_again
