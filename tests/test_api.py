@@ -22,6 +22,7 @@ from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models.pose import Pose
 from omnilines.cli import main
+from omnilines.options import with_settings
 
 VERBS = "detect detect_rig calibrate calibrate_rig convert".split()
 RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions".split()
@@ -137,6 +138,21 @@ def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     titles = [re.findall(r"<h2[^>]*>([^<]*)</h2>", result.report(tmp_path / "report.html").read_text())
               for result in (from_files, whole)]  # fmt: skip
     assert [title for title in titles[0] if title != "Photos"] == titles[1] and len(titles[0]) == len(titles[1]) + 1
+
+
+def test_thresholds_are_options(rendered: Path) -> None:
+    """They reach what they decide: by `--set` they come as options too."""
+    found = ol.detect(rendered / "board", BOARD)
+    default = ol.CalibrationOptions("opencv-fisheye", searches=0)
+    strict = with_settings(default, ["calibration.robust.reject_sigma=2"], "calibration.")
+    kept = [int(ol.calibrate(found, options=options).fit.kept.sum()) for options in (default, strict)]
+    assert kept[1] < kept[0] - 10
+    many = with_settings(default, ["views.least_views=9"])
+    with pytest.raises(ol.InputError, match="at least 9, found 8"):
+        ol.calibrate(found, options=many)
+    cameras = {"left": rendered / "rig" / "left", "right": rendered / "rig" / "right"}
+    with pytest.raises((ol.InputError, ol.GeometryError), match="at least 9, found 8"):
+        ol.calibrate_rig(ol.detect_rig(cameras, BOARD), options=many)
 
 
 def test_a_rig_from_folders_and_arrays_of_each_camera(rendered: Path, tmp_path: Path) -> None:

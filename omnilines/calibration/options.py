@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from camera_models import InputError, model_class
+from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts held-out views best."""
@@ -13,8 +14,9 @@ REFINABLE = ("aspect", "flatness")
 
 
 @dataclass(frozen=True)
-class CalibrationOptions:
-    """What can be asked of a calibration. Raises InputError where it cannot work, before any photo is looked at."""
+class CalibrationOptions(CalibrationThresholds):
+    """What can be asked of a calibration, and its thresholds. Raises InputError where it cannot work, before any photo is looked
+    at."""
 
     model: str = "scaramuzza"
     """Name of a camera model, or "auto": fit all and take the one that predicts held-out views best."""

@@ -218,5 +218,6 @@ def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> R
         loss=setup.options.loss,
         numberings=found.numberings,
         seen_from_front=found.seen_from_front,
+        thresholds=setup.options,
         callback=tell,
     )
