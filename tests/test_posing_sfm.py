@@ -14,8 +14,9 @@ from omnilines.commands.render_scene import VIGNETTING, write_png
 from omnilines.files import read_photo
 from omnilines.geometry.alignment import similarity_alignment
 from omnilines.posing import sfm
-from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
+from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
+from omnilines.posing.options import MatchOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import doubt, sfm_poses
 from omnilines.records import ImagePoses
@@ -180,13 +181,14 @@ def test_matches_near_the_epipolar_circle_are_the_true_ones():
 
 def test_of_many_photos_each_is_compared_with_those_that_look_alike():
     rng = np.random.default_rng(0)
-    count = MOST_EXHAUSTIVE + 20
+    options = MatchOptions()
+    count = options.max_exhaustive + 20
     themes = rng.uniform(0, 100, (2, 40, 128))
     own = [np.clip(themes[k % 2] + 5 * rng.normal(size=(40, 128)), 0, 255).astype(np.uint8) for k in range(count)]
     none = torch.zeros(40, 3, dtype=torch.float64)
     photos = [Features(none, torch.zeros(40, 2, 3, dtype=torch.float64), none[:, 0], torch.as_tensor(d)) for d in own]
     pairs = pairs_to_compare(photos, 0)
-    assert len(pairs) <= NEIGHBOURS * count
+    assert len(pairs) <= options.neighbours * count
     assert sum((i - j) % 2 == 0 for i, j in pairs) > 0.95 * len(pairs)
     assert pairs_to_compare(photos[:4], 0) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
 
