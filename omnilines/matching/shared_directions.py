@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models.pose import Pose, rotation_from_vector
+from camera_models.rotations import mean_rotation
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.options import MatchingOptions
 from omnilines.matching.photo_starts import meeting_directions
@@ -200,11 +201,6 @@ def _common_turn(rotations: Float[torch.Tensor, "k 3 3"], given: Float[torch.Ten
     if not len(rotations):
         return torch.eye(3, dtype=torch.float64)
     turns = rotations.mT @ given
-    mean = _nearest_rotation(turns.sum(0))
+    mean = mean_rotation(turns)
     near = (turns * mean).sum((-1, -2)).argsort(descending=True)[: (len(turns) + 1) // 2]
-    return _nearest_rotation(turns[near].sum(0))
-
-
-def _nearest_rotation(matrix: Float[torch.Tensor, "3 3"]) -> Float[torch.Tensor, "3 3"]:
-    u, _, vt = torch.linalg.svd(matrix)
-    return u @ torch.diag(torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ vt))], dtype=torch.float64)) @ vt
+    return mean_rotation(turns[near])

@@ -193,7 +193,7 @@ def adjust_points(
 ) -> Adjusted:
     """Poses and points with the least robust cost near a start; every point needs two observations."""
     engine = PointEngine(seen, frames, len(start.points), options.loss_scale)
-    found = minimise(engine, start, MAX_ITERATIONS, TOLERANCE)
+    found = minimise(engine, start, MAX_ITERATIONS, tolerance=TOLERANCE)
     norm = engine.norms(found.state)
     scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free), options.gross_sigmas)
     covariance = np.full((len(start.rig_from_world), 6, 6), np.nan)

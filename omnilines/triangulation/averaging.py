@@ -18,6 +18,7 @@ from torch import Tensor
 
 from camera_models.errors import InputError
 from camera_models.pose import quaternion_from_rotation, rotation_from_vector
+from camera_models.rotations import mean_rotation
 from omnilines.geometry.line import PlueckerLines
 from omnilines.triangulation.degeneracy import assess, gather
 from omnilines.triangulation.frames import TrackGroup, solvable_groups, track_frames
@@ -175,11 +176,8 @@ def _chordal_mean(
     rotations: Float[Tensor, "g m 3 3"], angles: Float[Tensor, "g m"], weight: Float[Tensor, "g m"]
 ) -> tuple[Float[Tensor, "g 3 3"], Float[Tensor, " g"]]:
     """3.51 to 3.53. On SO(2) the projection of the sum of rotations is the angle of the sum of their unit vectors."""
-    u, _, vt = torch.linalg.svd((rotations * weight[..., None, None]).sum(1))
-    sign = torch.ones_like(u[..., 0])
-    sign[..., 2] = torch.linalg.det(u) * torch.linalg.det(vt)
     angle = torch.atan2((weight * angles.sin()).sum(-1), (weight * angles.cos()).sum(-1))
-    return (u * sign[..., None, :]) @ vt, angle
+    return mean_rotation(rotations, weight), angle
 
 
 def _mean_shift(
