@@ -15,6 +15,7 @@ from omnilines.files import read_photo, write_png
 from omnilines.posing import sfm
 from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
+from omnilines.posing.kernels.match import best_near
 from omnilines.posing.options import MatchOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import doubt, sfm_poses
@@ -176,6 +177,52 @@ def test_matches_near_the_epipolar_circle_are_the_true_ones():
     behind = Pose(relative.rotation, -relative.translation)
     wrong = {tuple(p) for p in matched_near(a, b, behind, 4 * float(a.sigma_rad.median())).tolist()}
     assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def plain_near(
+    alike: np.ndarray, a: np.ndarray, b: np.ndarray, b_from_a: Pose, tolerance: float, least: float
+) -> tuple[np.ndarray, ...]:
+    """Best, how alike it is and the second best, and back, from the cosines of all descriptors of features on a half circle."""
+    far = a @ b_from_a.rotation.numpy().T
+    towards = np.broadcast_to(unit(b_from_a.translation.numpy()), far.shape)
+    normal = unit(np.cross(far, towards))
+    whole = np.arccos(np.clip((far * towards).sum(-1), -1.0, 1.0))
+    sideways = np.cross(normal, far)
+    angle = np.arctan2(sideways @ b.T, far @ b.T)
+    near = (np.abs(normal @ b.T) < tolerance) & (angle > -tolerance) & (angle < whole[:, None] + tolerance) & (alike > least)
+    seen = np.where(near, alike, least)
+    ordered = np.sort(np.concatenate([seen, np.full((len(a), 1), least)], 1), 1)
+    best = np.where(near.any(1), seen.argmax(1), -1)
+    return best, ordered[:, -1], ordered[:, -2], np.where(near.any(0), seen.argmax(0), -1)
+
+
+def test_the_compiled_search_along_half_circles_finds_what_all_pairs_have():
+    rng = np.random.default_rng(8)
+    a, b = unit(rng.standard_normal((300, 3))), unit(rng.standard_normal((400, 3)))
+    words = rng.integers(0, 256, (30, 128))
+    one, other = (
+        np.clip(words[rng.integers(0, 30, len(rays))] + rng.normal(0.0, 40.0, (len(rays), 128)), 0, 255).astype(np.uint8)
+        for rays in (a, b)
+    )
+    b_from_a = Pose.exp(torch.as_tensor(rng.standard_normal(6)))
+    tolerance, least = 0.1, 0.85
+    lengths = [np.linalg.norm(words_of.astype(np.float64), axis=-1) for words_of in (one, other)]
+    alike = one.astype(np.float64) @ other.T.astype(np.float64) / lengths[0][:, None] / lengths[1]
+    expected = plain_near(alike, a, b, b_from_a, tolerance, least)
+    far = a @ b_from_a.rotation.numpy().T
+    towards = unit(b_from_a.translation.numpy())
+    whole = np.arccos(np.clip(far @ towards, -1.0, 1.0))
+    circles = far, unit(np.cross(far, towards)), whole, np.ascontiguousarray(b.T)
+    found = best_near(one, lengths[0], other, lengths[1], *circles, tolerance, least)
+    for values, plain in zip((found[0], found[3]), (expected[0], expected[3]), strict=True):
+        np.testing.assert_array_equal(values, plain)
+    for values, plain in zip(found[1:3], expected[1:3], strict=True):
+        np.testing.assert_allclose(values, plain, rtol=1e-6)
+    assert int((expected[0] >= 0).sum()) > 100 and int((expected[2] > least).sum()) > 10 and (expected[0] < 0).any()
 
 
 def test_of_many_photos_each_is_compared_with_those_that_look_alike():
