@@ -85,12 +85,12 @@ def photo_poses(
         frames = instants(names) if cameras.rig else None
         return sfm_poses(names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed)
     if source == "boards":
-        return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress)
+        return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress=progress)
     if source.startswith(PREFIX):
         arcs_of = {found.photo.name: found for found in arcs}
         return poses_from_rectangles(
-            names, read, lambda name: sides_of(arcs_of[name], cameras), cameras, camera_of, cameras.estimates,
-            parse_rectangle(source), seed=seed, progress=progress,
+            names, read, lambda name: sides_of(arcs_of[name], cameras), cameras, camera_of, estimates=cameras.estimates,
+            rectangle=parse_rectangle(source), seed=seed, progress=progress,
         )  # fmt: skip
     return _without_photos(source, names, cameras, camera_of)
 
