@@ -17,7 +17,7 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
-from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors, symmetric_form
+from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors
 from omnilines.geometry.line import PlueckerLines
 from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
 from omnilines.records import ImagePoses
@@ -60,7 +60,7 @@ def test_pixels_that_the_estimate_does_not_see_count_as_wrong() -> None:
 
 @pytest.mark.parametrize("model", [SLANTED, *Scaramuzza.examples()])
 def test_the_symmetric_form_is_the_same_camera_turned_about_its_axis(model: Scaramuzza) -> None:
-    turned = symmetric_form(model)
+    turned = model.calibrated_form()
     named = turned.named_parameters()
     assert named["e"] == pytest.approx(named["d"], abs=1e-15)
     rng = np.random.default_rng(0)
@@ -72,12 +72,12 @@ def test_the_symmetric_form_is_the_same_camera_turned_about_its_axis(model: Scar
     angles = np.arctan2(new[both, 1], new[both, 0]) - np.arctan2(old[both, 1], old[both, 0])
     off = np.abs(np.exp(1j * angles) - np.exp(1j * angles[0]))
     assert off.max() < 1e-9
-    assert symmetric_form(turned).parameters.tolist() == pytest.approx(turned.parameters.tolist(), rel=1e-12)
+    assert turned.calibrated_form().parameters.tolist() == pytest.approx(turned.parameters.tolist(), rel=1e-12)
 
 
 def test_errors_of_parameters_follow_chi_square() -> None:
     """Draws from a known covariance along the estimated directions: the mean is q, and the limit is passed once in 1000."""
-    truth = symmetric_form(SLANTED)
+    truth = SLANTED.calibrated_form()
     basis = truth.calibration_basis().numpy()
     q = basis.shape[1]
     rng = np.random.default_rng(3)

@@ -31,8 +31,8 @@ from omnilines.studies.line_study import (
     KNOWN,
     POSES,
     TRIANGULATION,
+    refined_start,
     run_study,
-    settled_poses,
     study_checks,
 )
 from omnilines.synthetic.lines import LineWorld, circle_world, room_world
@@ -249,17 +249,17 @@ def test_triangulation_follows_the_noise_and_poses_the_disturbance() -> None:
         assert float(disturbed.rms_3d_m.mean()) > 5 * float(half.rms_3d_m.mean())
 
 
-def test_settled_poses_bring_lost_lines_back() -> None:
+def test_a_refined_start_brings_lost_lines_back() -> None:
     """1 degree and 5 cm put lines of the short baseline behind its cameras; poses refined with the others find them again."""
     world = circle_world("short", 0)
     lost = regained = 0
     for seed in range(3):
         arcs = arcs_from_segments(world.segments(0.5, seed), world.poses(), {"cam0": world.camera}).arcs
         disturbed = perturbed_poses(world.cam_from_world, 1.0, 0.05, seed)
-        settled = settled_poses(arcs, disturbed)
+        refined = refined_start(arcs, disturbed)
         known = [
             triangulate("dual", PlaneObservations.from_arcs(arcs.bearings, poses[arcs.image], arcs.track, 40)).known
-            for poses in (disturbed, settled)
+            for poses in (disturbed, refined)
         ]
         lost += int((~known[0]).sum())
         regained += int((known[1] & ~known[0]).sum())

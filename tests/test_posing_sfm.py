@@ -10,8 +10,8 @@ import torch
 from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
+from camera_models.rotations import similarity_alignment
 from omnilines.files import read_photo, write_png
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.posing import sfm
 from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder

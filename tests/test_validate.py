@@ -16,8 +16,10 @@ from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines import cli
+from omnilines.calibration.options import CalibrationOptions
+from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands.calibrate import calibrate_corners, calibrate_photos, calibration_record
+from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.files import read_corners, read_poses, write_corners
 from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
 from omnilines.records import ImagePoses
@@ -95,7 +97,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedTargets, ca
     truth = render_targets(SPEC, options=RenderOptions(fov_deg=190.0, views=8, size_px=SIZE, seed=2))
     corners = simulate_corners(truth.camera, pattern(SPEC), truth.cam_from_board, 0.1, 0)
     write_corners(folder / "corners.csv", corners)
-    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", model="opencv-fisheye", loss="none")
+    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", CalibrationOptions("opencv-fisheye", loss="none"))
     return truth, camera_models.load(folder / "out/calibration.yaml"), folder / "corners.csv"
 
 
@@ -177,7 +179,7 @@ def test_lines_of_a_wrong_board_do_not_hold(noisy: Noisy, board: MovedBoard, tmp
     truth, _, _ = noisy
     corners = simulate_corners(truth.camera, board, truth.cam_from_board, 0.02, 0)
     write_corners(tmp_path / "corners.csv", replace(corners, board_m=truth.pattern.points_m[corners.ids]))
-    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", model="opencv-fisheye")
+    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", CalibrationOptions("opencv-fisheye"))
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")
     checks = {check.name: check for check in compare(truth, calibration, read_corners(tmp_path / "out/corners.csv")).checks}
     assert not checks[LINES_CHECK].holds and checks[LINES_CHECK].value > 3 * checks[LINES_CHECK].limit
@@ -253,7 +255,9 @@ def test_photos_of_a_misprinted_board_do_not_hold(tmp_path: Path) -> None:
     options = RenderOptions(fov_deg=190.0, views=8, size_px=SIZE, seed=3)
     misprinted = render_targets(WRONG_BOARDS["a column 2 mm off"], options=options)
     misprinted.save(tmp_path)
-    calibrate_photos([tmp_path / name for name in misprinted.photos], SPEC, tmp_path / "out", model="opencv-fisheye")
+    calibrate_photos(
+        [tmp_path / name for name in misprinted.photos], SPEC, tmp_path / "out", CalibrationOptions("opencv-fisheye")
+    )
     truth = replace(misprinted, pattern=pattern(SPEC))
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")
     checks = compare(truth, calibration, read_corners(tmp_path / "out/corners.csv")).checks

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from camera_models import save
-from omnilines.commands.calibrate import calibration_record
+from omnilines.calibration.record import calibration_record
 from omnilines.commands.result import CommandResult
 from omnilines.files import write_corners, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.folders import output_folder
@@ -42,7 +42,7 @@ def experiment_board(
     inputs = {"data": data, "pattern": pattern_spec, "perturb_deg": options.perturb_deg, "perturb_m": options.perturb_m}
     files = _write(folder, experiment, inputs, options.seed)
     progress("writing the report", 0, 0)
-    photo_folder = found.photo_folder if found.photo_folder.is_dir() else None
+    photo_folder = found.photo_folder if found.photo_folder and found.photo_folder.is_dir() else None
     sections = board_sections(experiment, photo_folder)
     page = write_report(folder / "report.html", "Board lines before and after adjustment", sections)
     warnings = tuple(f"{view.image}: {view.reason}" for view in calibration.views if not view.used) + experiment.notes

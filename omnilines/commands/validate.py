@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from camera_models import load
+from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.commands.reconstruct import write_scene
 from omnilines.commands.result import CommandResult
@@ -50,7 +51,7 @@ def validate(
     truth = render_targets(pattern_spec, model, options)
     shown = truth.save(folder / PHOTOS, progress)
     photos = [folder / PHOTOS / name for name in truth.photos]
-    calibrated = calibrate_photos(photos, pattern_spec, folder, model=model, progress=progress)
+    calibrated = calibrate_photos(photos, pattern_spec, folder, CalibrationOptions(model), progress=progress)
     progress("rebuilding lines", 0, 0)
     corners = read_corners(folder / "corners.csv")
     validation = compare(truth, load(folder / "calibration.yaml"), corners)

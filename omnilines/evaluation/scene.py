@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from camera_models import InputError
+from camera_models.rotations import similarity_alignment
 from omnilines.files.true_edges import Stretches, TrueEdges
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 
 THRESHOLDS_M = (0.001, 0.005, 0.010)

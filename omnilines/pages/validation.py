@@ -8,9 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models import Scaramuzza
 from omnilines import report
-from omnilines.evaluation.cameras import symmetric_form
 from omnilines.records import Polyline, Summary
 from omnilines.report import Section
 from omnilines.studies.validation import Validation
@@ -53,9 +51,8 @@ def validation_summaries(validation: Validation) -> tuple[Summary, ...]:
 
 
 def parameter_rows(validation: Validation) -> tuple[tuple[str, str], ...]:
-    """Each parameter with its standard deviation and its true value; Scaramuzza's in the form that calibration holds."""
-    true = validation.truth.camera
-    true = symmetric_form(true) if isinstance(true, Scaramuzza) else true
+    """Each parameter with its standard deviation and its true value; all in the form that calibration holds."""
+    true = validation.truth.camera.calibrated_form()
     sigma = validation.calibration.estimates["cam0"].sigma or {}
     z = dict(zip(validation.parameters.names, validation.parameters.z.tolist(), strict=True))
     pairs = zip(validation.model.named_parameters().items(), true.named_parameters().values(), strict=True)

@@ -9,8 +9,8 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from jaxtyping import UInt8
 
+from calib_patterns import Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError, save

@@ -13,16 +13,15 @@ from typing import Any
 
 import torch
 
-from calib_patterns import pattern as parse_pattern
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
-from omnilines.files import find_photos, read_corners, read_photo
+from omnilines.files import read_corners, read_photo
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners, detect_corners
+from omnilines.pipelines.detect import PhotoCorners, detect
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 from omnilines.studies.board_figures import BoardExperiment, measure
@@ -70,8 +69,8 @@ def board_corners(data: str | Path, pattern_spec: str, progress: ProgressCallbac
     if path.name.endswith(".csv") and path.is_file():
         corners = read_corners(path)
         folder = path.parent / "images"
-        return PhotoCorners(corners, _image_size(path, folder / corners.images[0]), (), folder)
-    return detect_corners(find_photos([given]), parse_pattern(pattern_spec), progress=progress)
+        return PhotoCorners(corners, _image_size(path, folder / corners.images[0]), photo_folder=folder)
+    return detect([given], pattern_spec, progress=progress)
 
 
 def _image_size(corners_csv: Path, photo: Path) -> tuple[int, int]:

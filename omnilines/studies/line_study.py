@@ -14,6 +14,8 @@ from torch import Tensor
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
+from omnilines.adjustment.start import no_chart, poses_by_lines
+from omnilines.adjustment.state import LinesAndPoses
 from omnilines.costs import COSTS
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
@@ -168,7 +170,7 @@ class _Level:
         adjusted: dict[str, list[tuple[PlueckerLines, Tensor, Pose]]] = {cost: [] for cost in self.costs}
         for trial, (arcs, given) in enumerate(self._each(cam_from_world)):
             tell(trial)
-            start = settled_poses(arcs, given) if poses == ESTIMATED else given
+            start = refined_start(arcs, given) if poses == ESTIMATED else given
             first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, start))
             inner, tracks = drop_unknown(arcs, first.known)
             for cost, kept in adjusted.items():
@@ -237,19 +239,7 @@ def _reached(done: Adjusted) -> bool:
     return done.outcome in (Outcome.CONVERGED, Outcome.STALLED)
 
 
-def settled_poses(arcs: Arcs, disturbed: Pose) -> Pose:
-    """Poses refined with the half of the lines of each photo that fit them best, so that all lines can be triangulated from them.
-
-    Raises GeometryError where the disturbed poses determine no line.
-    """
+def refined_start(arcs: Arcs, disturbed: Pose) -> Pose:
+    """Disturbed poses refined by START_SHARE of the lines of each photo. Raises GeometryError where they determine no line."""
     first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, disturbed))
-    residual = torch.where(first.known, torch.nan_to_num(first.residual_rad, nan=math.inf), math.inf)
-    # Photo by photo, the best lines first; a photo that sees few lines keeps its own half of them.
-    order = residual[arcs.track].argsort(stable=True)
-    order = order[arcs.image[order].argsort(stable=True)]
-    count = torch.bincount(arcs.image, minlength=arcs.images)
-    rank = torch.arange(len(arcs)) - (count.cumsum(0) - count)[arcs.image[order]]
-    best = torch.zeros_like(first.known)
-    best[arcs.track[order[rank < START_SHARE * count[arcs.image[order]]]]] = True
-    inner, tracks = drop_unknown(arcs, best & first.known)
-    return adjust_lines(inner, first.lines[tracks], disturbed).state.cam_from_world
+    return poses_by_lines(arcs, first, LinesAndPoses(disturbed, no_chart()), best_share=START_SHARE).cam_from_world

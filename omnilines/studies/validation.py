@@ -7,15 +7,14 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
-from omnilines.calibration.intervals import DETECTOR_FLOOR_PX
-from omnilines.calibration.refine import NORMAL_MAD
-from omnilines.calibration.robust import REJECT_SIGMA
+from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
+from omnilines.least_squares.variance import NORMAL_MAD
 from omnilines.pipelines.render import RenderedTargets
 from omnilines.records import Check, Corners, ImagePoses
 
@@ -148,7 +147,7 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
         scene = reconstruct_lines(board.segments, poses, calibration, cost=COST, loss="cauchy")
         rows = scene.table.rows
         off = np.abs(scene.residual_px) / _stated_px(corners)[ends[rows]]
-        outlying = off > REJECT_SIGMA * NORMAL_MAD * np.nanmedian(off)
+        outlying = off > RobustThresholds().reject_sigma * NORMAL_MAD * np.nanmedian(off)
         if not outlying.any():
             break
         fewer = kept.copy()
@@ -165,7 +164,7 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
 def _stated_px(corners: Corners) -> Float[np.ndarray, " n"]:
     """Standard deviation of each corner as the detector states it, and no better than detectors are."""
     assert corners.sigma_px is not None
-    return np.maximum(corners.sigma_px, DETECTOR_FLOOR_PX)
+    return np.maximum(corners.sigma_px, NoiseThresholds().corner_floor_px)
 
 
 def _board_segments(corners: Corners, kept: Bool[np.ndarray, " n"]) -> tuple[BoardLines, Int[np.ndarray, "s 2"]]:

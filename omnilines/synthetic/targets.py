@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models import CameraModel, InputError, model_class
 from camera_models.pose import Pose
 from omnilines.records import Corners

@@ -21,8 +21,8 @@ from courtyard import read_courtyard
 
 from camera_models import load
 from camera_models.formats import read as read_calibration
+from camera_models.rotations import similarity_alignment
 from omnilines.files import find_photos, read_photo
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.pipelines.render import RenderOptions, render_scene
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import sfm_poses

@@ -24,10 +24,10 @@ from bench_scene_own import CAMERA, LONG_PX, SMALL_CAMERA, run
 from timing import print_table
 
 from camera_models.pose import Pose
+from camera_models.rotations import similarity_alignment
 from omnilines.evaluation.scene import aligned_ends, scene_scores
 from omnilines.files import read_lines, read_poses, write_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 from omnilines.scenes import SCENES
 
