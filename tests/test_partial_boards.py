@@ -10,7 +10,7 @@ from ov_plane import read_split
 from scipy.special import ndtr
 from tag_views import View, views
 
-from calib_patterns import Detection, pattern
+from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.grid_checks import flaw_of, good_corners
 from calib_patterns.kernels.saddle_fit import BUFFER_ROWS, JACOBIAN, LEFT, linearised
@@ -21,6 +21,7 @@ from calib_patterns.saddle import fit_corners, fit_saddles
 from calib_patterns.saddle_points import lattices, saddle_points
 from camera_models.opencv_fisheye import OpenCVFisheye
 
+OPTIONS = DetectionOptions()
 SPEC = "checkerboard:8x6:30mm"
 BOARD = pattern(SPEC)
 COLUMNS, ROWS = 8, 6
@@ -76,7 +77,7 @@ def test_clutter_is_no_board() -> None:
     for scale in (3.0, 5.0, 8.0):
         texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), scale)
         grey = np.clip(128 + 45 * texture / texture.std(), 0, 255).astype(np.uint8)
-        assert len(saddle_points(grey).pixels) > 50
+        assert len(saddle_points(grey, OPTIONS.saddles).pixels) > 50
         found, reason = BOARD.detect(grey)
         assert len(found) == 0 and reason is not None
         lost += 1
@@ -157,7 +158,7 @@ def test_tags_inside_squares_do_not_move_corners(square_px: float) -> None:
         soft = cv2.GaussianBlur(board_with_tags(seed), (0, 0), 1.2 / scale)
         image = cv2.warpAffine(soft, matrix, (400, 320), borderValue=128.0) + rng.normal(0.0, 1.5, (320, 400))
         search = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-        found, flaw = visible_part(search, search, np.ones(2), 8, 7, False)
+        found, flaw = visible_part(search, search, np.ones(2), 8, 7, OPTIONS, mirrored=False)
         assert found is not None and flaw is None and len(found) == 56
         truth = drawn @ matrix[:, :2].T + matrix[:, 2]
         errors.append(np.linalg.norm(found.pixels[:, None] - truth, axis=-1).min(1))
@@ -170,7 +171,7 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     flat = cv2.resize(square, None, fx=30, fy=30, interpolation=cv2.INTER_NEAREST)
     shear = np.array([[0.9, 0.75, 40.0], [0.1, 0.8, 30.0]])
     image = cv2.GaussianBlur(cv2.warpAffine(flat, shear, (800, 480), flags=cv2.INTER_AREA, borderValue=128), (0, 0), 0.8)
-    grid = lattices(saddle_points(image), 9, 3)[0]
+    grid = lattices(saddle_points(image, OPTIONS.saddles), 9, 3, OPTIONS.saddles)[0]
     x, y = np.meshgrid(np.arange(1, 14), np.arange(1, 12))
     truth = (np.stack([x, y], -1) * 30 - 0.5).reshape(-1, 2) @ shear[:, :2].T + shear[:, 2]
     distance = np.linalg.norm(grid.pixels[:, None] - truth, axis=-1)
@@ -242,9 +243,9 @@ def test_a_grid_that_goes_on_beyond_any_side(nx: int, ny: int) -> None:
         image = cv2.GaussianBlur(cv2.resize(flat, None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST), (0, 0), 0.8)
         x, y = np.meshgrid(np.arange(nx) + left, np.arange(ny) + top)
         grid = (np.stack([x, y], -1) + 2) * 24.0 - 0.5
-        fit = fit_saddles(image, grid, 0.3)
+        fit = fit_saddles(image, grid, 0.3, OPTIONS)
         assert np.linalg.norm(fit.pixels - grid, axis=-1).max() < 0.02
-        flaw = flaw_of(image, fit, good_corners(fit))
+        flaw = flaw_of(image, fit, good_corners(fit, OPTIONS.fit.max_sigma_px), OPTIONS)
         assert (flaw is None) == (side == 4) and (flaw is None or "go on beyond it" in flaw)
         checked += 1
     assert checked == 5
@@ -263,7 +264,7 @@ def test_a_blurred_bent_edge_is_where_it_was() -> None:
     # Along +x the circle below bends towards +v; along +y the circle on the right bends towards +u.
     bend = 30.0**2 / radius
     second = np.array([[[0.0, bend], [bend, 0.0]]])
-    fit = fit_corners(image, np.array([[20.0, 20.0]]), 30.0 * np.eye(2)[None], second, start_blur_px=2.0)
+    fit = fit_corners(image, np.array([[20.0, 20.0]]), 30.0 * np.eye(2)[None], second, OPTIONS.fit, start_blur_px=2.0)
     assert fit.converged.all()
     np.testing.assert_allclose(fit.pixels, [[centre, centre]], atol=0.003)
     np.testing.assert_allclose(fit.blur_px, math.sqrt(blur_px**2 + 1 / 12), rtol=0.02)

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from calib_patterns import Detection, Pattern
-from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
@@ -153,19 +152,20 @@ def search_again(
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
     """What tells of a wrong count of corners: three photos or more that all show the same smaller grid."""
-    if not isinstance(pattern, Checkerboard) or corners.ids is None or len(corners.images) < 3:
+    grid = pattern.plain_grid
+    if grid is None or corners.ids is None or len(corners.images) < 3:
         return None
     extents = {
-        (int(np.ptp(ids % pattern.nx)) + 1, int(np.ptp(ids // pattern.nx)) + 1)
+        (int(np.ptp(ids % grid.columns)) + 1, int(np.ptp(ids // grid.columns)) + 1)
         for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
     }
     counts = {tuple(sorted(extent)) for extent in extents}
-    if len(counts) > 1 or counts == {tuple(sorted((pattern.nx, pattern.ny)))}:
+    if len(counts) > 1 or counts == {tuple(sorted((grid.columns, grid.rows)))}:
         return None
-    seen, asked = "{}x{}".format(*next(iter(extents))), f"{pattern.nx}x{pattern.ny}"
+    seen, asked = "{}x{}".format(*next(iter(extents))), f"{grid.columns}x{grid.rows}"
     return (
         f"All {len(corners.images)} photos show {seen} inner corners of a board of {asked}: if that is the whole board, give "
-        f"checkerboard:{seen} with its square."
+        f"{pattern.NAME}:{seen} with its square."
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from calib_patterns import Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
@@ -145,7 +144,7 @@ def rig_from_photos(
                 notes.append(f"Camera {camera}: {error}")
     if not found:
         raise InputError(f"A pattern was expected in the photos of some camera in {folder}, found none; {notes[-1]}")
-    plain = any(isinstance(board, Checkerboard) for board in boards)
+    plain = any(board.plain_grid is not None for board in boards)
     return replace(
         source_of(found, folder, several),
         numberings={board.specification if several else ONE_BOARD: _numbering(board) for board in boards},
@@ -183,7 +182,7 @@ def source_of(found: Sequence[CameraPhotos], folder: Path, several_boards: bool)
 def _look(
     camera: str, photos: Sequence[PhotoRef], pattern: Pattern, may_be_mirror: bool, mirror: bool, progress: ProgressCallback
 ) -> CameraPhotos:
-    plain = isinstance(pattern, Checkerboard)
+    plain = pattern.plain_grid is not None
     try:
         found, mirrored = detect_corners(photos, pattern, mirrored=mirror, progress=progress), mirror
     except InputError:
@@ -196,7 +195,7 @@ def _look(
 
 def _numbering(pattern: Pattern) -> Numbering:
     """Tags name every corner; the squares of a plain board only have two colours."""
-    if not isinstance(pattern, Checkerboard):
+    if pattern.plain_grid is None:
         return Numbering()
     lattice = Lattice.of(pattern.points_m)
     return Numbering(lattice, coloured=True, trusted=False)
