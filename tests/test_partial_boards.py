@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 import torch
 from ov_plane import read_split
-from scipy.special import ndtr
 from tag_views import View, views
 
 from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.grid_checks import flaw_of, good_corners
-from calib_patterns.kernels.saddle_fit import BUFFER_ROWS, JACOBIAN, LEFT, linearised
-from calib_patterns.kernels.saddle_window import GREY, PARAMETERS, ROW_LENGTH, U, V
 from calib_patterns.partial import visible_part
 from calib_patterns.rendering import render_target
 from calib_patterns.saddle import fit_corners, fit_saddles
@@ -179,47 +176,6 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     design = np.concatenate([place, np.ones((len(place), 1))], 1)
     assert len(grid.places) > 100 and distance.min(1).max() < 1.0
     np.testing.assert_allclose(design @ np.linalg.lstsq(design, grid.places, rcond=None)[0], grid.places, atol=1e-6)
-
-
-def saddle_image(p: np.ndarray, curvature: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The model as saddle.py states it, with the shift that blur along bent edges causes, in 64 bits."""
-    du, dv, gain = u - p[0], v - p[1], abs(p[6])
-    w_1, w_2 = np.exp(p[4:6])
-    along_1, across_1 = np.cos(p[2]) * du + np.sin(p[2]) * dv, np.cos(p[2]) * dv - np.sin(p[2]) * du
-    along_2, across_2 = np.cos(p[3]) * du + np.sin(p[3]) * dv, np.cos(p[3]) * dv - np.sin(p[3]) * du
-    h_1 = across_1 - 0.5 * curvature[0] * (along_1**2 + w_2**2)
-    h_2 = across_2 - 0.5 * curvature[1] * (along_2**2 + w_1**2)
-    side = -1.0 if p[6] < 0 else 1.0
-    one_way = ndtr((h_1 - gain) / w_1) * ndtr((-side * h_2 - gain) / w_2)
-    other_way = ndtr((-h_1 - gain) / w_1) * ndtr((side * h_2 - gain) / w_2)
-    return (1.0 + p[8] * du + p[9] * dv) * (p[7] + p[10] * side * (1.0 - 2.0 * (one_way + other_way)))
-
-
-def test_compiled_derivatives_are_those_of_the_model() -> None:
-    """What is left, its sum of squares and the derivatives, which are those of the model by central differences, for both signs
-    of the gain and edges from sharp to blurred."""
-    rng = np.random.default_rng(1)
-    u, v = (values.ravel().astype(float) for values in np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))
-    grey = rng.uniform(40, 200, u.shape)
-    curvature = np.array([0.01, -0.015])
-    rows = np.zeros((BUFFER_ROWS, ROW_LENGTH))
-    rows[U, : len(u)], rows[V, : len(u)], rows[GREY, : len(u)] = u, v, grey
-    compared = 0
-    for gain in (0.3, -0.3):
-        for log_blur in (-1.2, 0.1, 1.0):
-            at = np.array([0.3, -0.2, 0.1, 1.4, log_blur, log_blur - 0.3, gain, 110.0, 0.004, -0.006, 60.0])
-            cost = linearised(at, curvature, rows.reshape(-1), len(u))
-            left = grey - saddle_image(at, curvature, u, v)
-            np.testing.assert_allclose(rows[LEFT, : len(u)], left, atol=1e-6)
-            np.testing.assert_allclose(cost, left @ left, rtol=1e-8)
-            for k in range(PARAMETERS):
-                step = np.zeros(PARAMETERS)
-                step[k] = 1e-5
-                ahead, behind = (saddle_image(at + sign * step, curvature, u, v) for sign in (1, -1))
-                truth = (ahead - behind) / 2e-5
-                np.testing.assert_allclose(rows[JACOBIAN + k, : len(u)], truth, atol=5e-6 * np.abs(truth).max())
-                compared += 1
-    assert compared == 6 * PARAMETERS
 
 
 def test_a_board_that_goes_on_is_refused() -> None:
