@@ -79,7 +79,7 @@ def row(folder: Path, way: str, off_deg: float, off_m: float, seed: int, more: l
     seconds = sum(os.times()[:4]) - start
     lines, poses = read_lines(out / "lines.csv"), read_poses(out / "poses.csv")
     ends = aligned_ends(lines.ends_m[lines.known], poses, truth)
-    every, long = (scene_scores(ends, edges, stretches, least_views=LEAST_VIEWS, least_px=least) for least in (0.0, LONG_PX))
+    every, long = (scene_scores(ends, edges, stretches, min_views=LEAST_VIEWS, min_px=least) for least in (0.0, LONG_PX))
     off = 1e3 * centre_errors_m(poses, truth)
     return [
         label,
