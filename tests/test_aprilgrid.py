@@ -148,8 +148,8 @@ def test_another_family_of_tags_is_refused() -> None:
                 board.points_m[[18, 19, 26, 27], :2], truth[np.array([18, 19, 26, 27]) + 2 * shift], np.full(4, 0.7)
             )
             assert len(grow_corners(image, other.corner_kind(OPTIONS.fit), seeds, OPTIONS)) > 20
-            assert len(other._grown(image, seeds)) == 0
-            assert (len(board._grown(image, seeds)) > 20) == (shift == 0)
+            assert len(other._grown(image, seeds, OPTIONS)) == 0
+            assert (len(board._grown(image, seeds, OPTIONS)) > 20) == (shift == 0)
             refused += 1
     assert refused == 6
 
