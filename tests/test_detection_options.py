@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import calib_patterns
+import omnilines as ol
 from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.guided_part import guided_search_of_part
 from calib_patterns.rendering import render_target
 from calib_patterns.tangent_views import detect_in_views
-from camera_models import OpenCVFisheye
+from camera_models import InputError, OpenCVFisheye
 from camera_models.pose import Pose
 from omnilines.options import walk, with_settings
 
@@ -74,6 +75,14 @@ def test_guided_search_and_views_take_options_too() -> None:
     assert len(guided_search_of_part(image, board, LENS, pose, part, nowhere).detection) == 20
     assert len(detect_in_views(image, board, LENS)) == 40
     assert len(detect_in_views(image, board, LENS, options=DetectionOptions(min_corners=41))) == 0
+
+
+def test_the_verb_keeps_its_options_for_what_the_camera_leads_to() -> None:
+    options = with_settings(DetectionOptions(), ["sharpness.min_photos=2"])
+    found = ol.detect({"one": view(PLAIN)[0]}, PLAIN, camera=LENS, options=options)
+    assert found.options == options and len(found.corners.pixels) == 40
+    with pytest.raises(InputError, match="found in none"):
+        ol.detect({"one": view(PLAIN)[0]}, PLAIN, options=with_settings(options, ["search.side_px=24"]))
 
 
 def test_the_package_says_what_it_exports() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_patterns import Pattern
+from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering
@@ -152,6 +152,7 @@ def detect_rig(
     *,
     mirrored: bool = False,
     perhaps_mirrored: Sequence[str] | None = None,
+    options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
@@ -174,7 +175,8 @@ def detect_rig(
         perhaps = perhaps_mirrored is None or camera in perhaps_mirrored
         for board in boards:
             try:
-                found.append(CameraCorners(camera, _look(own, board, perhaps, mirrored, progress)))
+                looked = _look(own, board, perhaps, mirrored, options, progress)
+                found.append(CameraCorners(camera, looked))
             except InputError as error:
                 notes.append(f"Camera {camera}: {error}")
     folder = Path(photos) if isinstance(photos, str | Path) else None
@@ -230,15 +232,20 @@ def corners_of_cameras(found: Sequence[CameraCorners], several_boards: bool) -> 
 
 
 def _look(
-    photos: Sequence[Photo], pattern: Pattern, perhaps_mirrored: bool, mirrored: bool, progress: ProgressCallback
+    photos: Sequence[Photo],
+    pattern: Pattern,
+    perhaps_mirrored: bool,
+    mirrored: bool,
+    options: DetectionOptions,
+    progress: ProgressCallback,
 ) -> PhotoCorners:
     try:
-        return detect(photos, pattern, mirrored=mirrored, progress=progress)
+        return detect(photos, pattern, mirrored=mirrored, options=options, progress=progress)
     except InputError:
         # Tags are not read in a mirror image; the corners of a plain board are found either way.
         if pattern.plain_grid is not None or not perhaps_mirrored or mirrored:
             raise
-        return detect(photos, pattern, mirrored=True, progress=progress)
+        return detect(photos, pattern, mirrored=True, options=options, progress=progress)
 
 
 def _numbering(pattern: Pattern) -> Numbering:
