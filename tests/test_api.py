@@ -25,7 +25,7 @@ from omnilines.cli import main
 from omnilines.options import with_settings
 
 VERBS = "detect detect_rig calibrate calibrate_rig convert".split()
-RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions".split()
+RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions DetectionOptions".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
     *("load", "save", "read_corners", "read_rig_corners", "read_poses", "read_segments", "read_lines"),
