@@ -211,8 +211,8 @@ def test_a_model_that_cannot_hold_the_camera_is_named_and_the_rest_goes_on():
     two = (Candidate("opencv-fisheye", {}), Candidate("scaramuzza", {"degree": 4}))
     selection = select_model(corners, SIZE, mirror=True, candidates=two)
     assert selection.chosen.candidate.model == "scaramuzza"
-    assert "found --mirror" in (selection.trials[0].failure or "")
-    with pytest.raises(InputError, match="found --mirror"):
+    assert "found `mirror`" in (selection.trials[0].failure or "")
+    with pytest.raises(InputError, match="found `mirror`"):
         select_model(corners, SIZE, mirror=True, candidates=two[:1])
 
 

@@ -63,7 +63,7 @@ def rig_data(calibration: Calibration, forms: list[Form]) -> dict[str, Any]:
         if form.name == OMNIDIR:
             raise InputError(
                 f"OpenCV's files of more than two cameras hold pinhole and fisheye cameras, found {name} of the model unified; "
-                "give a folder, which gets a file for each camera, or --model."
+                "give a folder, which gets a file for each camera, or `model`."
             )
         fx, fy, cx, cy, *rest = form.values(model)
         matrices.append(matrix_of(fx, fy, cx, cy))

@@ -85,7 +85,7 @@ def _forms(target: CalibrationFormat, allowed: Sequence[Form], model: str | None
     if not forms:
         known = listed(dict.fromkeys(form.model for form in allowed))
         raise InputError(
-            f"{target.TITLE} was expected to hold --model {model}, found that it holds {known}; choose one of these."
+            f"{target.TITLE} was expected to hold `model` {model}, found that it holds {known}; choose one of these."
         )
     return forms
 
@@ -173,8 +173,8 @@ def _fits(
             return found
     raise InputError(
         f"{target.TITLE} was expected to hold camera {name} ({camera.NAME}) or a camera model near it, found that "
-        f"{target.why_not(camera) or 'it does not'} ({', '.join(reasons) or 'and nothing can be fitted'}); give a smaller --fov "
-        "or another format."
+        f"{target.why_not(camera) or 'it does not'} ({', '.join(reasons) or 'and nothing can be fitted'}); give a smaller "
+        "`fov_deg` or another format."
     )
 
 

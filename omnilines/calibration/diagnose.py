@@ -110,7 +110,7 @@ def rejection_notes(
         return ()
     return (
         f"{100 * lost[0]:.0f} percent of the corners in the outer third were rejected and {100 * lost[1]:.1f} percent of the "
-        f"others: the {model.NAME} model does not follow this lens to the rim; try --model auto.",
+        f"others: the {model.NAME} model does not follow this lens to the rim; try model auto.",
     )
 
 

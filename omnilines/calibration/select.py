@@ -121,7 +121,7 @@ def select_model(
     if len(common.views) < thresholds.held_out.least_views:
         raise InputError(
             f"At least {thresholds.held_out.least_views} usable views were expected to choose a camera model by held-out views, "
-            f"found {len(common.views)}; add photos or name a model."
+            f"found {len(common.views)}; add photos or name a `model`."
         )
     trials = [
         _trial(candidate, fit, judge, usable, common, thresholds=thresholds)

@@ -107,7 +107,7 @@ def calibrate_camera(
     the kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a
     `degree` that of a polynomial is chosen by held-out views (`calibration.variants`); without `coefficients`, distortion that
     they do not support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board
-    (`board_shape.REFINABLE`).
+    (`options.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """

@@ -114,5 +114,5 @@ def _refuse_wide_angles(angle: float, model: str) -> None:
     if angle > limit + math.radians(2):
         raise GeometryError(
             f"Camera model {model} holds angles below {math.degrees(limit):.0f} degrees off axis, found corners at about "
-            f"{math.degrees(angle):.0f} degrees; use --model scaramuzza or opencv-fisheye."
+            f"{math.degrees(angle):.0f} degrees; use `model` scaramuzza or opencv-fisheye."
         )

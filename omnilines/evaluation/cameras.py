@@ -15,9 +15,10 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError
 from camera_models._arrays import as_tensor
 from camera_models.pose import hat
+from camera_models.rotations import common_rotation
 from omnilines.adjustment.accuracy import AlignedLines, align_lines
 from omnilines.adjustment.lines import Adjusted, motion_across
-from omnilines.geometry.sphere import angle_between, common_rotation
+from omnilines.geometry.sphere import angle_between
 
 GRID_POINTS = 160
 """Pixels along the longer side of the image at which bearings are compared."""

@@ -14,6 +14,7 @@ from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
+from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
 
@@ -151,6 +152,13 @@ def calibration_data(result: CameraCalibration, selection: Selection | None) -> 
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def write_calibration_page(result: CalibrationResult, path: str | Path) -> Path:
+    """Write the page of a calibration and return its path."""
+    summaries = calibration_summaries(result.fit, result.selection)
+    sections = calibration_sections(result.fit, result.found.corners, summaries, result.found.photo_folder)
+    return report.write_report(path, f"Calibration of one {result.camera.NAME} camera", sections)
 
 
 def calibration_sections(

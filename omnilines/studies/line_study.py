@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -15,20 +16,26 @@ from omnilines.adjustment.arcs import Arcs, arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.start import no_chart, poses_by_lines
 from omnilines.adjustment.state import LinesAndPoses
-from omnilines.commands.experiment import perturbed_poses
 from omnilines.costs import COSTS
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
 from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Check
 from omnilines.studies.line_errors import Bound, aligned_rms_m, cramer_rao_bound
 from omnilines.synthetic.lines import LineWorld
+from omnilines.synthetic.poses import perturbed_poses
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 
 KNOWN, ESTIMATED = "known", "estimated"
 """The poses are the true ones and stay; or they are disturbed, and adjusted together with the lines."""
 POSES = (KNOWN, ESTIMATED)
+SETTING = {KNOWN: "poses known", ESTIMATED: "poses disturbed, then estimated"}
 TRIANGULATION, ADJUSTMENT = "triangulation", "adjustment"
+EFFICIENT = "whitened"
+"""The cost that is expected to attain the bound."""
+COMPLETE_SHARE = 0.98
+"""Of the trials, those that have to end with every line."""
 MAX_ITERATIONS = 300
 """A line that 3 px of noise barely determine may need more than the usual 100."""
 START_SHARE = 0.5
@@ -122,6 +129,21 @@ def run_study(
             if costs:
                 figures += level.adjustments(poses, start, tell)
     return Study(world, noise_px, trials, bounds, tuple(figures))
+
+
+def study_checks(study: Study, allowance: float) -> tuple[Check, ...]:
+    """The efficient cost is at the bound, by `allowance` or two standard errors, and the adjustment ends with every line."""
+    checks = []
+    for poses in POSES:
+        figures = study.of(poses, ADJUSTMENT, EFFICIENT)
+        ratio, error = study.over_bound(*figures)
+        if math.isfinite(ratio):
+            limit = 1 + max(allowance, 2 * error)
+            checks.append(Check(f"3D error over the bound, {EFFICIENT} cost, {SETTING[poses]}", ratio, limit, "", ratio <= limit))
+        share = float(np.mean([float(f.complete.double().mean()) for f in figures]))
+        name = f"share of trials that end with every line, {SETTING[poses]}"
+        checks.append(Check(name, share, COMPLETE_SHARE, "", share >= COMPLETE_SHARE))
+    return tuple(checks)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.intervals import stated_variance_px2
+from omnilines.calibration.options import AUTO
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
 from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
 from omnilines.calibration.screening import smooth_corners
@@ -27,8 +28,6 @@ from omnilines.least_squares import Progress
 from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
 
-AUTO = "auto"
-"""In the place of a model's name: fit all and take the one that predicts views best."""
 LEAST_SIGMA_PX = 1e-4
 """Corners are never weighted as better than this: of exact ones, rounding alone would decide the weights."""
 

@@ -11,8 +11,9 @@ from jaxtyping import Bool, Int
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.calibration.numbering import Numbering
+from omnilines.calibration.options import AUTO
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
-from omnilines.calibration.rig.alone import AUTO, AloneCamera, CameraSetup, alone_camera
+from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
 from omnilines.calibration.rig.consensus import reflected
 from omnilines.calibration.rig.finish import RigOutcome, rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig

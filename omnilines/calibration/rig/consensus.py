@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from camera_models.rotations import mean_rotation
 from omnilines.calibration.thresholds import RigThresholds
 
 _CHUNK = 2_000_000
@@ -111,6 +112,4 @@ def _unit(points: Tensor) -> Tensor:
 def mean_pose(poses: Pose, weight: Float[Tensor, " n"]) -> Pose:
     """Weighted mean of poses that are near each other: the chordal mean of their rotations, the mean of their centres."""
     total = weight.sum()
-    u, _, vt = torch.linalg.svd((weight[:, None, None] * poses.rotation).sum(0))
-    turn = torch.diag(torch.stack([*torch.ones(2, dtype=torch.float64), torch.linalg.det(u @ vt)]))
-    return Pose(u @ turn @ vt, (weight[:, None] * poses.translation).sum(0) / total)
+    return Pose(mean_rotation(poses.rotation, weight), (weight[:, None] * poses.translation).sum(0) / total)

@@ -19,8 +19,9 @@ from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
 from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors
 from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
 from omnilines.records import ImagePoses
-from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.synthetic.targets import board_angle_rad, example_camera, simulate_corners
 
 SIZE = (640, 480)
 BOARD = pattern("checkerboard:8x6:30mm")
@@ -201,8 +202,6 @@ def test_what_a_model_cannot_hold_is_refused() -> None:
         example_camera("scaramuzza", 190.0, SIZE, -1)
     with pytest.raises(InputError, match="40x40"):
         example_camera("scaramuzza", 190.0, (20, 20), 0)
-    with pytest.raises(InputError, match="At least 1 view"):
-        next(render_board_photos(FISHEYE, BOARD, 0, 0, 1.0))
 
 
 def test_simulated_corners_have_the_noise_asked_for() -> None:
@@ -216,14 +215,15 @@ def test_simulated_corners_have_the_noise_asked_for() -> None:
 
 
 def test_photos_are_named_in_order_and_differ_by_seed() -> None:
-    def draw(seed: int) -> list[tuple[str, np.ndarray, Pose]]:
-        return list(render_board_photos(FISHEYE, BOARD, 2, seed, math.radians(60.0)))
+    def draw(seed: int) -> RenderedTargets:
+        return render_targets(BOARD, FISHEYE, RenderOptions(views=2, seed=seed), max_angle_deg=60.0)
 
     first, again, other = draw(0), draw(0), draw(1)
-    assert [name for name, _, _ in first] == ["view00.png", "view01.png"]
-    assert all((a[1] == b[1]).all() for a, b in zip(first, again, strict=True))
-    assert any((a[1] != b[1]).any() for a, b in zip(first, other, strict=True))
-    assert first[0][1].shape == (480, 640) and not torch.equal(first[0][2].translation, other[0][2].translation)
+    assert list(first.photos) == ["view00.png", "view01.png"]
+    assert all((first.photos[name] == again.photos[name]).all() for name in first.photos)
+    assert any((first.photos[name] != other.photos[name]).any() for name in first.photos)
+    assert first.photos["view00.png"].shape == (480, 640)
+    assert not torch.equal(first.cam_from_board.translation, other.cam_from_board.translation)
 
 
 @pytest.mark.slow
