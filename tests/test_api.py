@@ -139,6 +139,28 @@ def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     assert [title for title in titles[0] if title != "Photos"] == titles[1] and len(titles[0]) == len(titles[1]) + 1
 
 
+def test_a_rig_from_folders_and_arrays_of_each_camera(rendered: Path, tmp_path: Path) -> None:
+    """Photos by camera are those of one folder; so is the rig."""
+    right = {f"{k}.png": cv2.imread(str(rendered / "rig" / "right" / f"{k}.png"), cv2.IMREAD_UNCHANGED) for k in range(8)}
+    found = ol.detect_rig({"left": rendered / "rig" / "left", "right": right}, [BOARD])
+    same = ol.detect_rig(rendered / "rig", BOARD)
+    assert found.corners.images == same.corners.images and found.corners.frames == same.corners.frames
+    np.testing.assert_array_equal(found.corners.pixels, same.corners.pixels)
+    assert found.photo_folder is None and same.photo_folder == rendered / "rig"
+    result = ol.calibrate_rig(found, model="opencv-fisheye")
+    centre = result.rig["right"].cam_from_rig.centre.numpy()
+    covariance = result.fit.member("right").pose_covariance[3:, 3:]
+    assert np.abs(centre - [0.1, 0, 0]).max() < 5.0 * math.sqrt(np.linalg.eigvalsh(covariance)[-1]) < 0.001
+    begun = ol.calibrate_rig(found.corners, (640, 480), start=result.cameras, hold=True)
+    np.testing.assert_array_equal(begun.cameras["left"].parameters, result.cameras["left"].parameters)
+    with pytest.raises(ol.InputError, match="`models`: cameras among left, right were expected, found 'middle'"):
+        ol.calibrate_rig(found, models={"middle": "pinhole"})
+    with pytest.raises(ol.InputError, match=r"`boards` known was expected with a corners\.csv"):
+        ol.calibrate_rig(found, boards="known")
+    page = result.report(tmp_path / "report.html").read_text()
+    assert "left: parameters" in page and ">Photos with the largest residuals<" not in page
+
+
 def test_what_calls_can_get_wrong(rendered: Path) -> None:
     found = ol.detect(rendered / "board", BOARD)
     cases = (

@@ -22,8 +22,6 @@ from omnilines.records import Corners, ViewResult
 
 GUIDE = "scaramuzza"
 """The model that leads to more corners where the user has not chosen one: it fits lenses of every width, and mirrors."""
-SEARCHES = 3
-"""Times at most that a camera is sent out for more corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,7 @@ def _guided(
     """The corners of photos with those that the camera leads to, and the calibration of them where it has been made already."""
     found, result = first, None
     guide = replace(options, model=GUIDE) if options.model == AUTO else options
-    for done in range(SEARCHES):
+    for done in range(options.searches):
         result = _fitted(found, guide, progress)
         poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
         # A photo that shows nothing to the first camera shows nothing to the next one.
