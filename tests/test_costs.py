@@ -76,7 +76,7 @@ def test_derivative_by_the_bearings_is_that_of_differences(name):
 
 
 def test_unknown_cost_is_refused():
-    with pytest.raises(InputError, match="one of sector, whitened, taylor-kriegman, bartoli-sturm, found 'huber'"):
+    with pytest.raises(InputError, match=f"one of {', '.join(NAMES)}, found 'huber'"):
         cost_function("huber", observed(CAMERAS["pinhole"]))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from camera_models import InputError, model_class
+from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts held-out views best."""
@@ -30,6 +31,8 @@ class CalibrationOptions:
     """What is estimated of the board: "aspect", "flatness" or both."""
     searches: int = 3
     """Times at most that the camera is sent out for corners that were missed in its photos."""
+    thresholds: CalibrationThresholds = CalibrationThresholds()
+    """What decides which corners and views are good, how a fit starts, and what is named."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
@@ -65,6 +68,7 @@ class CalibrationFields(TypedDict, total=False):
     mirror: bool
     refine_board: tuple[str, ...]
     searches: int
+    thresholds: CalibrationThresholds
 
 
 def require_refinable(names: Sequence[str]) -> None:
