@@ -14,9 +14,8 @@ from camera_models.pose import Pose
 from omnilines.files import PhotoRef
 from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
-from omnilines.pipelines.line_poses import poses_by_lines
-from omnilines.pipelines.photo_arcs import FoundArcs
-from omnilines.pipelines.viewed_arcs import viewed_arcs
+from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
+from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
 from omnilines.synthetic.lines import room_world
@@ -85,7 +84,7 @@ def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) ->
         known = lines_of_tracks(matched.arcs, matched.tracks.track, len(matched.tracks))
         for photo in found[-2:]:
             alone = viewed_arcs([photo], image_poses([photo.photo.name], [Pose.identity()], [photo.camera]), calibration)
-            assert placed_anywhere(alone.widened(matched.slack_px), known, 0) is None
+            assert placed_anywhere(alone.widened(matched.tolerance_px), known, 0) is None
     between = placed.cam_from_world[-1] @ placed.cam_from_world[-2].inverse()
     expected = IN_RIG[1] @ IN_RIG[0].inverse()
     torch.testing.assert_close(between.rotation, expected.rotation, rtol=0.0, atol=1e-12)

@@ -1,7 +1,7 @@
 """From a table of matched segments with poses and cameras to a line scene: triangulate, adjust, state the uncertainty."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,7 +41,7 @@ REFINABLE = ("lines", "poses", "intrinsics", "rig")
 
 
 @dataclass(frozen=True)
-class LineScene:
+class AdjustedScene:
     """Adjusted lines and poses, and the same lines as they were triangulated."""
 
     lines: Lines
@@ -87,7 +87,7 @@ def reconstruct_lines(
     cautious: bool = False,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
-) -> LineScene:
+) -> AdjustedScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `triangulation_options` are those of the method's function, `cautious` is that of `adjust_lines`. `rig` is that of the
@@ -140,7 +140,7 @@ def reconstruct_lines(
     used[member] = first.known[arcs.track[member]]
     if refine_poses or refine_rig:
         poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
-    return LineScene(
+    return AdjustedScene(
         lines,
         poses,
         before,
@@ -259,10 +259,14 @@ def _unit(cost: str, arcs: Arcs, state: LinesAndPoses) -> float:
 def parse_refine(text: str) -> tuple[str, ...]:
     """What is refined, from a list such as `lines,poses`. Raises InputError on anything else."""
     parts = tuple(part.strip() for part in text.split(",") if part.strip())
-    unknown = [part for part in parts if part not in REFINABLE]
-    if unknown or "lines" not in parts:
-        raise InputError(
-            f"--refine was expected to be lines, with any of poses, intrinsics and rig, found '{text}'; give a list such as "
-            "lines,poses."
-        )
+    check_refine(parts)
     return parts
+
+
+def check_refine(parts: Sequence[str]) -> None:
+    """Raises InputError where something else than lines, with any of `REFINABLE`, is to be refined."""
+    if "lines" not in parts or any(part not in REFINABLE for part in parts):
+        raise InputError(
+            f"`refine` was expected to be lines, with any of poses, intrinsics and rig, found '{','.join(parts)}'; give a list "
+            "such as lines,poses."
+        )

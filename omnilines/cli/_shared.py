@@ -11,6 +11,7 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
+from omnilines.cli.spelling import with_flags
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -46,6 +47,10 @@ FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view of the c
 Views = Annotated[int, typer.Option("--views", help="Number of photos.")]
 NoiseGrey = Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")]
 BlurPx = Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="An option by its name, such as scene.min_views=3; may be given again.", show_default=False),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
@@ -120,7 +125,7 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:
-        typer.echo(f"note: {warning}", err=True)
+        typer.echo(f"note: {with_flags(warning)}", err=True)
     if as_json:
         checks = [vars(check) for check in result.checks]
         report = str(result.report) if result.report else None

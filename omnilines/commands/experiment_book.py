@@ -22,7 +22,7 @@ from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.commands.result import CommandResult
 from omnilines.costs import COSTS
 from omnilines.evaluation.arcs import arc_scores
-from omnilines.files import PhotoRef, find_photos, write_lines, write_ply, write_poses
+from omnilines.files import write_lines, write_ply, write_poses
 from omnilines.files.folders import output_folder
 from omnilines.geometry.line import PlueckerLines
 from omnilines.pages.book import (
@@ -40,9 +40,8 @@ from omnilines.pages.book import (
     rms_of_each,
 )
 from omnilines.pages.distances import figures_of, json_rows, write_distance_figures
-from omnilines.pipelines.photo_arcs import find_arcs
-from omnilines.pipelines.photo_poses import photo_poses
-from omnilines.pipelines.viewed_arcs import segments_of
+from omnilines.pipelines.arcs import extract, in_order, segments_of
+from omnilines.pipelines.poses import estimate_poses
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.rectangle import PREFIX
 from omnilines.progress import ProgressCallback, silent
@@ -89,8 +88,8 @@ def experiment_book(
         folder / "photos", scene="books", model=model, fov_deg=fov_deg, views=views, size=size, noise=noise, blur=0.5, seed=seed,
         progress=progress,
     )  # fmt: skip
-    photos, cameras = find_photos([folder / "photos"]), load(folder / "photos" / "calibration.yaml")
-    posed, segments = _found(rendered, photos, cameras, lines, folder, seed, progress)
+    cameras = load(folder / "photos" / "calibration.yaml")
+    posed, segments = _found(rendered, cameras, lines, folder, seed, progress)
     world_from_sheet = _world_from_sheet(rendered, posed)
     rng = generator(seed, "picked by hand")
     picked = replace(
@@ -110,7 +109,6 @@ def experiment_book(
 
 def _found(
     rendered: RenderedScene,
-    photos: list[PhotoRef],
     cameras: Calibration,
     lines: int,
     folder: Path,
@@ -118,11 +116,10 @@ def _found(
     progress: ProgressCallback,
 ) -> tuple[ImagePoses, Segments]:
     """Poses from the sheet, and the arcs of the longest edges that all of these photos show, a track each."""
-    camera_of = {photo.name: "cam0" for photo in photos}
-    arcs = find_arcs(photos, cameras, camera_of, None, folder / "work", progress)
+    arcs = extract(folder / "photos", cameras, work=folder / "work", progress=progress)
     source = f"{PREFIX}{1e3 * SHEET.width_m:g}x{1e3 * SHEET.height_m:g}mm"
-    poses = photo_poses(source, photos, cameras, camera_of, folder / "work", arcs=arcs, seed=seed, progress=progress).poses
-    segments = segments_of(arcs, poses)
+    poses = estimate_poses(arcs, cameras, source, seed=seed, work=folder / "work", progress=progress).poses
+    segments = segments_of(in_order(arcs.photos, poses))
     scores = arc_scores(rendered.model, rendered.poses, rendered.edges, rendered.stretches, segments)
     ends = segments.endpoints_px
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)

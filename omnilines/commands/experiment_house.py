@@ -11,7 +11,7 @@ import torch
 
 from omnilines import report
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.commands.result import CommandResult
 from omnilines.costs import COSTS
 from omnilines.files import read_vgg_lines, read_vgg_points, write_lines, write_ply, write_poses
@@ -51,7 +51,7 @@ def experiment_house(
     figures = _triangulations(FROM_MATRICES, house, house.poses, averaging or {})
     progress("finding poses from point matches", 0, 0)
     figures += _triangulations(FROM_MATCHES, house, poses_of_matches(house, read_vgg_points(data)), averaging or {})
-    scenes: dict[str, LineScene] = {}
+    scenes: dict[str, AdjustedScene] = {}
     for done, (cost, _) in enumerate(COSTS):
         progress("adjusting lines and poses", done, len(COSTS))
         scenes[cost] = reconstruct_lines(house.segments, house.poses, house.cameras, cost=cost, refine_poses=True)
@@ -144,7 +144,7 @@ def _summaries(house: MatchedLines, figures: list[DistanceFigures]) -> tuple[Sum
 
 
 def _sections(
-    summaries: tuple[Summary, ...], checks: tuple[Check, ...], figures: list[DistanceFigures], scene: LineScene
+    summaries: tuple[Summary, ...], checks: tuple[Check, ...], figures: list[DistanceFigures], scene: AdjustedScene
 ) -> list[report.Section]:
     quantity = "orthogonal distance of an end point (px)"
     by_stage = {stage: {f.method: f.distance_px for f in figures if f.stage == stage} for stage in (FROM_MATRICES, ADJUSTMENT)}

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from camera_models import load
 from omnilines.commands.calibrate import calibrate_photos
-from omnilines.commands.reconstruct import write_scene
 from omnilines.commands.render import write_targets
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
 from omnilines.files.folders import output_folder
 from omnilines.pages.validation import validation_data, validation_sections, validation_summaries
+from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.validation import compare
@@ -70,7 +70,10 @@ def validate(
     validation = compare(truth, fov_deg, load(folder / "calibration.yaml"), corners)
     scene = validation.scene
     inputs = {"photos": folder / PHOTOS, "model": model, "fov_deg": fov_deg, "views": views, "noise": noise, "blur": blur}
-    tables = write_scene(folder, scene, validation.board.segments, validation.calibration, {**inputs, "seed": seed})
+    rebuilt = Scene(
+        scene, validation.board.segments, refined_calibration(scene, validation.calibration), {**inputs, "seed": seed}
+    )  # fmt: skip
+    tables = rebuilt.save(folder)
     progress("writing the report", 0, 0)
     summaries = validation_summaries(validation, fov_deg, seed)
     sections = validation_sections(validation, summaries, folder / PHOTOS)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from omnilines.commands.reconstruct_photos import reconstruct_photos
+from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.render_scene import write_scene
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PHOTOS
@@ -12,6 +12,7 @@ from omnilines.pages.scene_validation import (
     scene_validation_sections,
     scene_validation_summaries,
 )
+from omnilines.pipelines.options import SceneOptions
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.scene_validation import compare_scene, read_rebuilt
@@ -59,7 +60,7 @@ def validate_scene(
     )
     photos = [folder / PHOTOS / name for name in truth.poses.images]
     tables = [folder / PHOTOS / name for name in ("calibration.yaml", "poses.csv")]
-    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, seed=seed, progress=progress)
+    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, SceneOptions(seed=seed), progress=progress)
     progress("comparing with the truth", 0, 0)
     validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
     summaries = scene_validation_summaries(validation, scene, seed)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from camera_models import CameraModel
 from omnilines import report
-from omnilines.adjustment.scene import LineScene
+from omnilines.adjustment.scene import AdjustedScene
 from omnilines.commands.render_scene import RenderedScene
 from omnilines.pages.distances import NUMBERS, DistanceFigures
 from omnilines.posing.rectangle import Rectangle
@@ -35,8 +35,8 @@ class BookSetting:
     poses: ImagePoses
     segments: Segments
     figures: tuple[DistanceFigures, ...]
-    before: LineScene
-    after: LineScene
+    before: AdjustedScene
+    after: AdjustedScene
     pose_errors: Float[np.ndarray, "n 3"]
     """Of each photo: turn (degrees), shift of the camera (m), and both over what is stated, RMS of six."""
 

@@ -44,7 +44,7 @@ SAME = 0.1
 
 
 @dataclass(frozen=True)
-class PhotoArcs:
+class BearingArcs:
     """Arcs of one photo."""
 
     ends: Float[np.ndarray, "n 2 3"]
@@ -88,7 +88,7 @@ class _Fits:
     """Whether others fit, but are too small or too oblique."""
 
 
-def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | str:
+def find_rectangle(arcs: BearingArcs, rectangle: Rectangle) -> FoundRectangle | str:
     """The sheet, or one sentence why there is none."""
     ends, noise, inside = _turned(arcs)
     cycle = np.array(_cycles(_successors(ends)), dtype=np.int64).reshape(-1, 4)
@@ -122,7 +122,7 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
     return FoundRectangle(fits.pose[best], fits.covariance[best], chi_square, fits.corners[best], outshone, misfit)
 
 
-def _turned(arcs: PhotoArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
+def _turned(arcs: BearingArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
     """The arcs of enough contrast with their brighter side towards V1 x V2, the longest, and the logarithm of its grey level."""
     grey = arcs.colours.mean(-1)
     step = grey[:, 0] - grey[:, 1]
