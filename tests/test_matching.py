@@ -399,9 +399,7 @@ def test_wrong_options_and_photos_are_refused_in_one_sentence() -> None:
         {"tolerance_px": -1.0},
         {"tolerance_px": float("nan")},
     ):
-        with pytest.raises(
-            InputError, match="`min_views` of 3 or more, 2 neighbours of a photo and a `tolerance_px` above 0, found"
-        ):
+        with pytest.raises(InputError, match="`min_views` of 3 or more, 2 neighbours of a photo and a `tol"):
             match_arcs(arcs, **options)
     with pytest.raises(GeometryError, match="in at least 3 photos with poses were expected to match lines, found 2;"):
         match_arcs(arcs.rows(np.flatnonzero(arcs.image < 2)))
