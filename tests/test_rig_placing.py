@@ -16,6 +16,7 @@ from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
 from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
 from omnilines.synthetic.lines import room_world
@@ -75,7 +76,7 @@ def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) ->
     found, last = found_in(scene, few), INSTANTS - 1
     poses = known_poses(found, scene.poses, list(range(last)))
     matched = match_arcs(viewed_arcs(found, poses, calibration))
-    placed = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    placed = poses_by_lines(found, poses, matched, calibration, SceneOptions(), lambda *told: None)
     assert placed is not None and placed.frames is not None
     assert placed.images[:-2] == poses.images and placed.frames[-2:] == (f"{last:03d}",) * 2
     degrees, metres = errors(placed, found, scene.poses, last)
@@ -102,7 +103,7 @@ def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None
     poses = known_poses(found, off, list(range(INSTANTS)))
     matched = match_arcs(viewed_arcs(found, poses, calibration))
     assert errors(poses, found, scene.poses, 2)[1] > 0.05
-    mended = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    mended = poses_by_lines(found, poses, matched, calibration, SceneOptions(), lambda *told: None)
     assert mended is not None
     degrees, metres = errors(mended, found, scene.poses, 2)
     assert degrees < 0.2 and metres < 0.01

@@ -14,7 +14,7 @@ from camera_models.pose import Pose
 from omnilines.files import PhotoRef
 from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.better_poses import better_poses
-from omnilines.pipelines.options import RoughPoseOptions
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
@@ -60,7 +60,7 @@ def better(exact: MatchingScene, given: Pose, from_photos) -> PhotoPoses:
 
 
 def options(from_photos) -> dict:
-    return {"seed": 0, "from_photos": from_photos, "options": RoughPoseOptions(), "progress": silent}
+    return {"from_photos": from_photos, "options": SceneOptions(), "progress": silent}
 
 
 def test_good_poses_stay_as_they_are(exact: MatchingScene) -> None:

@@ -22,7 +22,7 @@ from omnilines.pipelines.frame import (
     parse_known_distance,
     scene_frame,
 )
-from omnilines.pipelines.options import FrameOptions
+from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import unit_of_table
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
@@ -47,7 +47,7 @@ def room(tmp_path_factory):
 
 
 def framed(lines, poses, families, source, unit, known):
-    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, options=FrameOptions())
+    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, options=SceneOptions())
 
 
 def found_by_sfm(room) -> PhotoPoses:

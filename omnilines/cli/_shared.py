@@ -11,13 +11,13 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
-from omnilines.cli.spelling import with_flags
+from omnilines.cli.spelling import Application, with_flags
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
-app = typer.Typer(
+app = Application(
     name="omnilines",
     help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
     no_args_is_help=True,
@@ -25,8 +25,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-render_app = typer.Typer(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
-experiment_app = typer.Typer(help="The dissertation's experiments.", no_args_is_help=True)
+render_app = Application(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
+experiment_app = Application(help="The dissertation's experiments.", no_args_is_help=True)
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
@@ -131,7 +131,7 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
         report = str(result.report) if result.report else None
         files = [str(path) for path in result.files]
         data = {**result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
-        typer.echo(json.dumps(data, indent=2, allow_nan=False))
+        typer.echo(with_flags(json.dumps(data, indent=2, allow_nan=False)))
     else:
         _print_tables(result)
     if not result.holds:

@@ -8,11 +8,11 @@ from jaxtyping import Bool
 
 from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
-from omnilines.extraction.extract import LEAST_PX
-from omnilines.files import read_photo
+from omnilines.extraction import ExtractionOptions
+from omnilines.files import photos_of, read_photo
 from omnilines.files.folders import output_folder
 from omnilines.pages.arcs import arcs_data, arcs_summary, write_pictures
-from omnilines.pipelines.arcs import cameras_of_photos, photo_refs
+from omnilines.pipelines.arcs import cameras_of_photos
 from omnilines.pipelines.arcs import extract as pipeline
 from omnilines.progress import ProgressCallback, silent
 
@@ -25,17 +25,18 @@ def extract(
     out: Path,
     *,
     mask: Path | None = None,
+    options: ExtractionOptions = ExtractionOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write the arcs seen in photos to `out/segments.csv` and a picture of each photo with its arcs to `out/pictures`.
 
     The white pixels of the image `mask` are looked at. Raises InputError as `pipelines.arcs.extract` does.
     """
-    cameras, refs = load(calibration), photo_refs(photos)
+    cameras, refs = load(calibration), photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras)
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     folder = output_folder(out)
-    arcs = pipeline(photos, cameras, mask=keep, least_px=LEAST_PX, progress=progress)
+    arcs = pipeline(refs, cameras, mask=keep, options=options, progress=progress)
     files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
     notes = tuple(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items())
     return CommandResult((arcs_summary(arcs, files[0]),), arcs_data(arcs), files=files, warnings=notes)

@@ -9,9 +9,12 @@ from camera_models import Calibration, InputError, load
 from omnilines.commands.extract import read_mask
 from omnilines.commands.result import CommandResult
 from omnilines.commands.resume import Stamp
+from omnilines.extraction import ExtractionOptions
 from omnilines.files import (
-    PhotoRef,
+    Photo,
+    find_photos,
     is_corners_table,
+    photo_folder,
     read_corners,
     read_poses,
     read_segments,
@@ -22,7 +25,7 @@ from omnilines.files.folders import output_folder
 from omnilines.files.recording import rerun_module, write_recording
 from omnilines.pages.scene import scene_data, scene_sections, scene_summary
 from omnilines.pipelines.adjust import adjust
-from omnilines.pipelines.arcs import cameras_of_photos, extract, photo_folder, photo_refs
+from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
@@ -47,6 +50,7 @@ def reconstruct_photos(
     out: Path,
     options: SceneOptions = SceneOptions(),
     *,
+    extraction: ExtractionOptions = SHORT_ARCS,
     segments: Path | None = None,
     pattern: str | None = None,
     scale_from: str | None = None,
@@ -65,7 +69,7 @@ def reconstruct_photos(
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
     input, and GeometryError naming the stage where no line is left.
     """
-    refs, cameras = photo_refs(photos), load(calibration)
+    refs, cameras = find_photos(photos), load(calibration)
     camera_of = cameras_of_photos(refs, cameras)
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
     given = _given(segments, mask, refs, camera_of)
@@ -79,18 +83,20 @@ def reconstruct_photos(
     if recording:
         rerun_module()
     files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
-    wanted = repr((options, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
+    wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
     if done is not None:
         return done
     if distance is not None and not from_photos(poses):
-        require_poses(distance, estimate_poses(photos, cameras, poses))
+        require_poses(distance, estimate_poses(refs, cameras, poses))
     work = folder / WORK
     if given is None:
-        arcs = extract(photos, cameras, mask=keep, work=work, progress=progress)
+        arcs = extract(
+            refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, progress=progress
+        )
     else:
-        arcs = given_arcs(given, photos, cameras, name=str(segments), progress=progress)
+        arcs = given_arcs(given, refs, cameras, appearance=options.matching.appearance, name=str(segments), progress=progress)
     posed = estimate_poses(arcs, cameras, poses, pattern=pattern, seed=options.seed, work=work, progress=progress)
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
@@ -126,7 +132,7 @@ def reconstruct_segments(
     return _written(output_folder(out), scene, False, False, progress)
 
 
-def _given(segments: Path | None, mask: Path | None, photos: Sequence[PhotoRef], camera_of: Mapping[str, str]) -> Segments | None:
+def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], camera_of: Mapping[str, str]) -> Segments | None:
     """A user's own segments, where there are some."""
     if segments is None:
         return None

@@ -11,7 +11,7 @@ from jaxtyping import Float, Shaped, UInt8
 
 from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
-from omnilines.files import PhotoRef, read_photo
+from omnilines.files import Photo
 from omnilines.files.folders import output_folder
 from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
@@ -73,7 +73,7 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
     def draw(found: FoundArcs) -> Path:
         """The picture of one photo."""
         path = folder / _picture_name(found.photo)
-        picture = draw_arcs(read_photo(found.photo.path), arcs.cameras[found.camera], found)
+        picture = draw_arcs(found.photo.read(), arcs.cameras[found.camera], found)
         output_folder(path.parent)
         write_atomically(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
         return path
@@ -81,7 +81,7 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
     return tuple(on_all_cores(draw, arcs.used, "drawing arcs", progress))
 
 
-def _picture_name(photo: PhotoRef) -> str:
+def _picture_name(photo: Photo) -> str:
     return f"{PurePosixPath(photo.name).with_suffix('')}.jpg"
 
 

@@ -74,6 +74,7 @@ def adjust(
         pose_sigma=pose_sigma,
         robust=robust,
         loss=options.loss,
+        options=options.adjustment,
         device=options.device,
         callback=tell,
     )

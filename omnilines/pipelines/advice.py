@@ -10,11 +10,12 @@ import torch
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
-from omnilines.matching.placing import ABOVE_CHANCE, LEAST_SCORE, lines_of_others, lines_of_tracks
+from omnilines.matching.options import MatchingOptions
+from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
-from omnilines.pipelines.options import AdviceOptions
+from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
 from omnilines.records import PhotoCount
 
@@ -40,25 +41,25 @@ def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[P
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(
-    scene: KeptLines, refined: bool, min_views: int, options: AdviceOptions, progress: ProgressCallback
-) -> tuple[str, ...]:
+def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) -> tuple[str, ...]:
     """Few sentences on the photos and the stage at which most arcs are lost, each with what to do.
 
     Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
     pose is at fault. With poses refined that was done before.
     """
-    weak = weak_photos(scene.photos, options.hardly_explained)
+    weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
     names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
-    better = {} if refined else _better_poses(scene, names, options.start_rad, progress)
+    better = {} if refined else _better_poses(scene, names, options, progress)
     return (
         *_wrong_poses(scene, weak, better),
         *_apart(scene, weak, better, refined),
-        *_whole(scene, refined, min_views, options),
+        *_whole(scene, refined, options.min_views, options.advice),
     )
 
 
-def _better_poses(scene: KeptLines, names: Sequence[str], start_rad: float, progress: ProgressCallback) -> dict[str, BetterPose]:
+def _better_poses(
+    scene: KeptLines, names: Sequence[str], options: SceneOptions, progress: ProgressCallback
+) -> dict[str, BetterPose]:
     if not names:
         return {}
     poses, matched = scene.scene.poses, scene.matched
@@ -68,19 +69,21 @@ def _better_poses(scene: KeptLines, names: Sequence[str], start_rad: float, prog
     for done, name in enumerate(names):
         progress("looking into weak photos", done, len(names))
         row = poses.images.index(name)
-        better = _better_pose(arcs.of_photo(row), lines_of_others(known, arcs, matched.tracks, np.array([row])), start_rad)
+        others = lines_of_others(known, arcs, matched.tracks, np.array([row]))
+        better = _better_pose(arcs.of_photo(row), others, options.advice.start_rad, options.matching)
         if better is not None:
             found[name] = better
     return found
 
 
-def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float) -> BetterPose | None:
+def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float, matching: MatchingOptions) -> BetterPose | None:
     """Another pose within some degrees of that of the one photo of `arcs` that explains far more; None where there is none."""
     turns = start_rad * torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]).to(torch.float64)
     starts = Pose.exp(torch.cat([turns, torch.zeros_like(turns)], -1)) @ Pose.stack([arcs.poses[0]] * len(turns))
-    placed = [refined_by_lines(arcs.with_poses(starts[k : k + 1]), known) for k in range(len(starts))]
+    placed = [refined_by_lines(arcs.with_poses(starts[k : k + 1]), known, matching) for k in range(len(starts))]
     best: PlacedByLines | None = max((one for one in placed if one is not None), key=lambda one: one.score, default=None)
-    if best is None or best.score < max(LEAST_SCORE, ABOVE_CHANCE * explained_by_lines(arcs, known).score):
+    its = matching.placing
+    if best is None or best.score < max(its.min_score, its.above_chance * explained_by_lines(arcs, known, matching).score):
         return None
     turn = (best.pose @ arcs.poses.inverse()).log()[0, :3].norm()
     return BetterPose(float(turn), float((best.pose.centre - arcs.poses.centre).norm()), best.score)

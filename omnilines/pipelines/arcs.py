@@ -15,18 +15,19 @@ from jaxtyping import Bool, Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.formats.disk import write_atomically
-from omnilines.extraction import extract_arcs
-from omnilines.files import PhotoRef, find_photos, read_photo, write_segments
+from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.options import AppearanceOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Segments
 
-SHORT_PX = 13.0
-"""Arcs as short as this are used for lines: other photos confirm them or not."""
+SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
+"""Shorter arcs than by default are used for lines: other photos confirm them or not."""
 MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.files.photos")
 """Whose source decides what the arcs of a photo are, beside this module."""
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
@@ -36,7 +37,7 @@ _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
 class FoundArcs:
     """The arcs of one photo, the longest first."""
 
-    photo: PhotoRef
+    photo: Photo
     camera: str
     endpoints_px: Float[np.ndarray, "n 2 2"]
     """(row, end, (u, v))."""
@@ -100,19 +101,21 @@ class PhotoArcs:
 
 
 def extract(
-    photos: str | Path | Sequence[str | Path],
+    photos: Photos,
     camera: CameraModel | Calibration,
     *,
     mask: Bool[np.ndarray, "h w"] | None = None,
-    least_px: float = SHORT_PX,
+    options: ExtractionOptions = SHORT_ARCS,
+    appearance: AppearanceOptions = AppearanceOptions(),
     work: str | Path | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoArcs:
-    """The arcs of straight lines in photos (files, or folders of them), on all cores, one photo per core in memory.
+    """The arcs of straight lines in photos (a folder, files, or names with arrays), on all cores, one photo per core in memory.
 
     Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is
-    looked at. Arcs are kept in the folder `work`, where one is given, and read from there by another run that would find the
-    same. A photo that cannot be read or has not the size of its camera is skipped with its reason.
+    looked at. `appearance` is which pixels beside an arc are its colours. Arcs are kept in the folder `work`, where one is given,
+    and read from there by another run that would find the same. A photo that cannot be read or has not the size of its camera is
+    skipped with its reason.
 
     Raises InputError where there is no photo, none can be used, or the mask has not the size of the camera.
 
@@ -120,18 +123,18 @@ def extract(
         arcs.segments.endpoints_px, arcs.segments.covariance_px2
     """
     cameras = calibration_of(camera)
-    refs = photo_refs(photos)
+    refs = photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras)
     if mask is not None:
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
-    kept = None if work is None else output_folder(Path(work) / "arcs")
+    wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(Path(work) / "arcs"))
 
-    def look(photo: PhotoRef) -> FoundArcs:
+    def look(photo: Photo) -> FoundArcs:
         """The arcs of one photo, or why it has none."""
         name = camera_of[photo.name]
         least_rad = math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
         try:
-            arrays = _kept_or_found(photo, cameras[name], mask, least_rad, least_px, kept)
+            arrays = _kept_or_found(photo, cameras[name], least_rad, wanted)
         except InputError as error:
             return skipped(photo, name, str(error))
         pixels, covariance, length, colours = (arrays[key] for key in _ARRAYS)
@@ -139,7 +142,7 @@ def extract(
 
     found = on_all_cores(look, refs, "extracting arcs", progress)
     require_any(found, "photos and calibration")
-    return PhotoArcs(tuple(found), cameras, (), {"photos": photo_folder(refs), "least_px": least_px})
+    return PhotoArcs(tuple(found), cameras, (), {"photos": photo_folder(refs), "extraction": options})
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
@@ -147,28 +150,19 @@ def calibration_of(camera: CameraModel | Calibration) -> Calibration:
     return camera if isinstance(camera, Calibration) else Calibration({"cam0": camera})
 
 
-def photo_refs(photos: str | Path | Sequence[str | Path]) -> list[PhotoRef]:
-    """The photos of one path or of several."""
-    return find_photos([photos] if isinstance(photos, str | Path) else photos)
-
-
-def photo_folder(photos: Sequence[PhotoRef]) -> Path:
-    """The folder that the photos' names are relative to."""
-    return photos[0].path.parents[len(photos[0].name.split("/")) - 1]
-
-
-def cameras_of_photos(photos: Sequence[PhotoRef], cameras: Calibration) -> dict[str, str]:
+def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str, str]:
     """Of each photo, by name, the only camera, or the one that a folder of its path is named like; raises InputError where none
     is."""
     if len(cameras) == 1:
         return dict.fromkeys((photo.name for photo in photos), next(iter(cameras)))
     found = {}
     for photo in photos:
-        folders = [part for part in reversed(photo.path.parent.parts) if part in cameras]
+        parent = photo.path.parent if isinstance(photo, PhotoRef) else Path(photo.name).parent
+        folders = [part for part in reversed(parent.parts) if part in cameras]
         if not folders:
             raise InputError(
                 f"The photo {photo.name} was expected in a folder named like one of the cameras {', '.join(cameras)}, found "
-                f"{photo.path.parent}; move it, or give the calibration of its camera alone."
+                f"{parent}; move it, or give the calibration of its camera alone."
             )
         found[photo.name] = folders[0]
     return found
@@ -184,7 +178,7 @@ def check_mask(mask: Bool[np.ndarray, "h w"], cameras: Sequence[CameraModel]) ->
             )
 
 
-def skipped(photo: PhotoRef, camera: str, reason: str) -> FoundArcs:
+def skipped(photo: Photo, camera: str, reason: str) -> FoundArcs:
     """A photo that cannot be used, and why."""
     none = np.zeros((0, 2, 2))
     return FoundArcs(photo, camera, none, np.zeros((0, 2, 2, 2)), np.zeros(0), np.zeros((0, 2, 3)), reason)
@@ -196,51 +190,51 @@ def require_any(found: Sequence[FoundArcs], what: str) -> None:
         raise InputError(f"No photo of {len(found)} can be used (first reason: {found[0].reason}); check {what}.")
 
 
-def _kept_or_found(
-    photo: PhotoRef,
-    model: CameraModel,
-    mask: Bool[np.ndarray, "h w"] | None,
-    least_angle_rad: float,
-    least_px: float,
-    folder: Path | None,
-) -> dict[str, np.ndarray]:
+@dataclass(frozen=True)
+class _Wanted:
+    """What is looked for in photos."""
+
+    mask: Bool[np.ndarray, "h w"] | None
+    options: ExtractionOptions
+    appearance: AppearanceOptions
+    folder: Path | None
+    """Where arcs are kept."""
+
+
+def _kept_or_found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
     """The arrays of one photo, from the folder where they are there; they are kept in it."""
-    if folder is None:
-        return _found(photo, model, mask, least_angle_rad, least_px)
+    if wanted.folder is None or not isinstance(photo, PhotoRef):
+        return _found(photo, model, least_angle_rad, wanted)
     try:
         content = photo.path.read_bytes()
     except OSError as error:
         raise InputError(f"{photo.path} cannot be read ({error.strerror}).") from error
-    path = folder / f"{_fingerprint(content, model, mask, least_angle_rad, least_px)}.npz"
+    path = wanted.folder / f"{_fingerprint(content, model, least_angle_rad, wanted)}.npz"
     known = _read(path)
     if known is None:
-        known = _found(photo, model, mask, least_angle_rad, least_px)
+        known = _found(photo, model, least_angle_rad, wanted)
         buffer = io.BytesIO()
         np.savez(buffer, **known)  # type: ignore[arg-type]
         write_atomically(path, buffer.getvalue())
     return known
 
 
-def _fingerprint(
-    content: bytes, model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float, least_px: float
-) -> str:
+def _fingerprint(content: bytes, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> str:
     """Of all that the arcs of a photo depend on."""
     what = hashlib.sha256(content)
-    parameters = repr((model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad, least_px))
-    what.update(f"{revision(*MADE_BY, __name__)} {parameters}".encode())
-    if mask is not None:
-        what.update(np.packbits(mask).tobytes())
+    camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad)
+    what.update(f"{revision(*MADE_BY, __name__)} {(camera, wanted.options, wanted.appearance)!r}".encode())
+    if wanted.mask is not None:
+        what.update(np.packbits(wanted.mask).tobytes())
     return what.hexdigest()[:32]
 
 
-def _found(
-    photo: PhotoRef, model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float, least_px: float
-) -> dict[str, np.ndarray]:
-    image = read_photo(photo.path)
-    found = extract_arcs(image, model, mask, least_angle_rad, least_px)
+def _found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
+    image = photo.read()
+    found = extract_arcs(image, model, wanted.mask, least_angle_rad, wanted.options)
     bearings, seen = model.unproject(found.endpoints_px)
     usable = seen.all(-1)
-    colours = side_colours(image, model, bearings[usable])
+    colours = side_colours(image, model, bearings[usable], wanted.appearance)
     arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
     return dict(zip(_ARRAYS, arrays, strict=True))
 

@@ -19,7 +19,7 @@ from omnilines.matching.match import Evidence, Matched, evidence_of_poses
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
 from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
-from omnilines.pipelines.options import RoughPoseOptions
+from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import instants
 from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.photo_poses import PhotoPoses, align_to, image_poses
@@ -32,19 +32,21 @@ def better_poses(
     posed: PhotoPoses,
     cameras: Calibration,
     *,
-    seed: int,
     from_photos: Callable[[], PhotoPoses],
-    options: RoughPoseOptions,
+    options: SceneOptions,
     progress: ProgressCallback,
 ) -> PhotoPoses:
     """The given poses, or better ones of the same world with a note that says so; `from_photos` is structure from motion."""
     progress("judging the poses", 0, 0)
+    limits = options.rough_poses
 
     def evidence(poses: ImagePoses) -> Evidence:
-        return evidence_of_poses(viewed_arcs(found, poses, cameras), seed)
+        return evidence_of_poses(viewed_arcs(found, poses, cameras), options.seed, options.matching)
 
     def turned(poses: ImagePoses) -> ImagePoses:
-        return replace(poses, cam_from_world=turned_poses(viewed_arcs(found, poses, cameras))[0], covariance=None)
+        return replace(
+            poses, cam_from_world=turned_poses(viewed_arcs(found, poses, cameras), options.matching)[0], covariance=None
+        )
 
     given, notes = posed.poses, list(posed.notes)
     try:
@@ -54,23 +56,23 @@ def better_poses(
         return posed
     trial = turned(given)
     its = evidence(trial)
-    if its.gain > options.min_gain * held.gain:
+    if its.gain > limits.min_gain * held.gain:
         degrees = np.degrees(_angles_rad(given.cam_from_world, trial.cam_from_world))
         best, held = trial, its
         notes.append(
             "The given poses were turned by the directions that lines share, by "
             f"{np.median(degrees):.2g} degrees (median), {degrees.max():.2g} at most."
         )
-    if held.beyond_chance and held.tolerance_px < options.rough_px:
+    if held.beyond_chance and held.tolerance_px < limits.rough_px:
         return replace(posed, poses=best, notes=tuple(notes))
     try:
-        trial, joined = _in_the_world_of(best, from_photos().poses, options.outlying)
+        trial, joined = _in_the_world_of(best, from_photos().poses, limits.outlying)
     except GeometryError as error:
         notes.append(f"Lines hardly agree under the given poses, and the photos themselves give none: {error}")
         return replace(posed, poses=best, notes=tuple(notes))
     # Features tell places well, and directions tell rotations better.
     trial = turned(trial)
-    if evidence(trial).gain > options.min_gain * held.gain:
+    if evidence(trial).gain > limits.min_gain * held.gain:
         best = trial
         notes.append(
             f"Lines hardly agree under the given poses: {joined} of {len(trial)} photos were placed by features, in the world of "
@@ -108,7 +110,12 @@ def _chosen(poses: ImagePoses, names: Sequence[str]) -> ImagePoses:
 
 
 def poses_by_lines(
-    found: Sequence[FoundArcs], poses: ImagePoses, matched: Matched, cameras: Calibration, seed: int, progress: ProgressCallback
+    found: Sequence[FoundArcs],
+    poses: ImagePoses,
+    matched: Matched,
+    cameras: Calibration,
+    options: SceneOptions,
+    progress: ProgressCallback,
 ) -> ImagePoses | None:
     """The poses with those of photos that were mended or had none; None where no photo moved.
 
@@ -119,12 +126,14 @@ def poses_by_lines(
     bodies = _posed_bodies(poses)
 
     def against_others(body: Int[np.ndarray, " m"]) -> float:
-        return explained_share(arcs.of_photos(body), lines_of_others(known, arcs, matched.tracks, body))
+        return explained_share(arcs.of_photos(body), lines_of_others(known, arcs, matched.tracks, body), options.matching)
 
     typical = float(np.median(on_all_cores(against_others, bodies, "comparing photos with the lines of others", progress)))
 
     def mended(body: Int[np.ndarray, " m"]) -> Pose | None:
-        better = mended_pose(arcs.of_photos(body), lines_of_others(known, arcs, matched.tracks, body), seed, typical)
+        better = mended_pose(
+            arcs.of_photos(body), lines_of_others(known, arcs, matched.tracks, body), options.seed, typical, options.matching
+        )
         return None if better is None else better.pose
 
     moved = on_all_cores(mended, bodies, "mending poses by lines", progress)
@@ -133,7 +142,7 @@ def poses_by_lines(
         names, models = tuple(photo.photo.name for photo in body), tuple(photo.camera for photo in body)
         together = Pose.identity(1) if poses.frames is None else cam_from_rig_of(cameras, models)
         alone = viewed_arcs(body, ImagePoses(names, together, models), cameras)
-        one = placed_anywhere(alone.widened(matched.tolerance_px), known, seed)
+        one = placed_anywhere(alone.widened(matched.tolerance_px), known, options.seed, options.matching)
         return None if one is None else one.pose
 
     lost = _lost_bodies(found, poses)

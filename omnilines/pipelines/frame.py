@@ -14,7 +14,7 @@ import torch
 
 from camera_models import InputError
 from camera_models.pose import Pose
-from omnilines.pipelines.options import FrameOptions
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
@@ -118,7 +118,7 @@ def scene_frame(
     source: str,
     unit: LengthUnit,
     known: KnownDistance | None,
-    options: FrameOptions,
+    options: SceneOptions,
 ) -> SceneFrame:
     """Lines and poses in metres where a distance is known, and upright where the frame was that of a photo (sfm).
 
@@ -134,14 +134,14 @@ def scene_frame(
         notes += (_scaled(known, sigma / distance),)
     elif unit is LengthUnit.OPEN:
         notes += (_open(source),)
-    upright = vertical_family(families, poses.cam_from_world)
+    upright = vertical_family(families, poses.cam_from_world, options.structure.upright)
     up = photos_up(poses.cam_from_world) if upright is None else upright.up
     if source == SFM and upright is not None:
-        turn = upright_from_world(families, upright, poses.cam_from_world)
+        turn = upright_from_world(families, upright, poses.cam_from_world, options.structure.upright)
         up = np.array([0.0, 0.0, 1.0])
     elif source == SFM:
         notes += ("No family of parallel lines is clearly vertical: the world is the frame of the first photo.",)
-    elif (upright is None and source == "table") or up[2] > math.cos(options.z_up_rad):
+    elif (upright is None and source == "table") or up[2] > math.cos(options.frame.z_up_rad):
         up = np.array([0.0, 0.0, 1.0])
     return SceneFrame(
         replace(moved_lines(lines, scale, turn), unit=unit),

@@ -1,21 +1,19 @@
 """Segments that a user brings, not yet matched, in place of the arcs that we would find in the photos: `given_arcs`."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, InputError
-from omnilines.files import PhotoRef, read_photo
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
 from omnilines.matching.appearance import side_colours
+from omnilines.matching.options import AppearanceOptions
 from omnilines.pipelines.arcs import (
     FoundArcs,
     PhotoArcs,
     calibration_of,
     cameras_of_photos,
-    photo_folder,
-    photo_refs,
     require_any,
     skipped,
 )
@@ -25,10 +23,11 @@ from omnilines.records import Segments
 
 def given_arcs(
     segments: Segments,
-    photos: str | Path | Sequence[str | Path],
+    photos: Photos,
     camera: CameraModel | Calibration,
     *,
     sigma_px: float = 0.2,
+    appearance: AppearanceOptions = AppearanceOptions(),
     name: str = "The table of segments",
     progress: ProgressCallback = silent,
 ) -> PhotoArcs:
@@ -42,30 +41,31 @@ def given_arcs(
 
         arcs = given_arcs(read_segments("segments.csv"), "scene/", camera)
     """
-    cameras, refs = calibration_of(camera), photo_refs(photos)
+    cameras, refs = calibration_of(camera), photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras)
     check_given(segments, refs, camera_of, name)
     covariance = _covariance_px2(segments, sigma_px)
 
-    def look(photo: PhotoRef) -> FoundArcs:
+    def look(photo: Photo) -> FoundArcs:
         """The segments of one photo, or why it has none."""
         own = camera_of[photo.name]
         rows = _rows_of(segments, photo.name)
         try:
-            image = read_photo(photo.path)
+            image = photo.read()
         except InputError as error:
             return skipped(photo, own, str(error))
         width, height = cameras[own].image_size
         if image.shape[1::-1] != (width, height):
             found = f"{image.shape[1]}x{image.shape[0]}"
-            return skipped(photo, own, f"{photo.path} has {found} px, the calibration of {own} is for {width}x{height}.")
+            called = photo.path if isinstance(photo, PhotoRef) else photo.name
+            return skipped(photo, own, f"{called} has {found} px, the calibration of {own} is for {width}x{height}.")
         bearings, seen = cameras[own].unproject(segments.endpoints_px[rows])
         rows, bearings = rows[seen.all(-1)], bearings[seen.all(-1)]
         if not len(rows):
             return skipped(photo, own, f"{name} has no segment of it that the camera sees.")
         ends = segments.endpoints_px[rows]
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-        return FoundArcs(photo, own, ends, covariance[rows], length, side_colours(image, cameras[own], bearings))
+        return FoundArcs(photo, own, ends, covariance[rows], length, side_colours(image, cameras[own], bearings, appearance))
 
     found = on_all_cores(look, refs, "reading photos", progress)
     require_any(found, "photos, segments and calibration")
@@ -73,7 +73,7 @@ def given_arcs(
     return PhotoArcs(tuple(found), cameras, notes, {"photos": photo_folder(refs), "segments": name})
 
 
-def check_given(segments: Segments, photos: Sequence[PhotoRef], camera_of: Mapping[str, str], name: str) -> None:
+def check_given(segments: Segments, photos: Sequence[Photo], camera_of: Mapping[str, str], name: str) -> None:
     """Raises InputError where a segment has a track already, and where its photo or camera is another one."""
     if segments.tracks:
         raise InputError(

@@ -65,10 +65,10 @@ def kept_lines(
     # Of lines that rest on one camera most are right: the table calls them weak, and keeps them.
     weak = known & ~far & (np.array(lines.status) == "weak") & ~scene.rests_on_one
     kept = np.flatnonzero(known & ~far & ~weak)
-    seen = _supported(matched, kept, scene)
+    seen = _supported(matched, kept, scene, options)
     progress("comparing lines with chance", 0, 0)
     camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
-    stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], limits.max_chance)
+    stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
     unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
     table, row = _table(lines, scene, kept, stretches, limits.min_length_sigmas)
     if not len(table):
@@ -96,18 +96,19 @@ def _lines_of(scene: AdjustedScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLi
     return PlueckerLines.from_points(ends[:, 0], ends[:, 1])
 
 
-def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: AdjustedScene) -> Stretches:
+def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: AdjustedScene, options: SceneOptions) -> Stretches:
     """Stretches of the lines `kept`, numbered as there."""
     arcs, lines = matched.arcs.with_poses(scene.poses.cam_from_world), _lines_of(scene, kept)
     rows, line = matched.tracks.members(kept)
     positions, sigma, in_front = arcs.places(lines, rows, line)
     return supported_stretches(
         lines,
-        line[in_front],
-        positions[in_front],
-        sigma[in_front],
-        arcs.image[rows[in_front]],
-        matched.tracks.enough_views[kept],
+        line=line[in_front],
+        positions_m=positions[in_front],
+        sigma_m=sigma[in_front],
+        image=arcs.image[rows[in_front]],
+        enough_views=matched.tracks.enough_views[kept],
+        options=options.structure.clipping,
     )
 
 
@@ -117,13 +118,14 @@ def _beyond_chance(
     scene: AdjustedScene,
     stretches: Stretches,
     cameras: Sequence[CameraModel],
-    max_chance: float,
+    options: SceneOptions,
 ) -> Stretches:
     """The stretches that more photos show than would by chance; `cameras` has one for each photo."""
     own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
     lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
-    chance = chance_of_lines(matched.arcs.with_poses(scene.poses.cam_from_world), lines, stretches.positions_m, own, cameras)
-    return stretches.rows(np.flatnonzero(chance <= max_chance))
+    arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
+    chance = chance_of_lines(arcs, lines, stretches.positions_m, own, cameras, options.matching)
+    return stretches.rows(np.flatnonzero(chance <= options.kept_lines.max_chance))
 
 
 def _table(

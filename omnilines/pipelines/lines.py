@@ -33,6 +33,7 @@ def lines_of_arcs(
             viewed_arcs(found, poses, cameras),
             min_views=options.min_views,
             tolerance_px=options.tolerance_px,
+            options=options.matching,
             seed=options.seed,
             progress=progress,
         )
@@ -42,7 +43,7 @@ def lines_of_arcs(
         if "poses" not in options.refine or turn == options.rounds.max_rounds:
             break
         refined = replace(cameras, cameras=_refined(cameras, scene))
-        moved = poses_by_lines(found, scene.poses, matched, refined, options.seed, progress)
+        moved = poses_by_lines(found, scene.poses, matched, refined, options, progress)
         members = len(matched.tracks.rows)
         settled = members < options.rounds.min_gain * before and matched.tolerance_px >= tolerance_px
         if moved is None and settled and turn >= options.rounds.min_rounds:
@@ -85,6 +86,7 @@ def _adjusted(
         refine_rig="rig" in options.refine,
         rig=cameras.rig,
         loss=options.loss,
+        options=options.adjustment,
         # Arcs that stand out are mostly of near edges, and lines are off by them.
         cautious=True,
         device=options.device,

@@ -1,9 +1,13 @@
-"""How a line scene is made of arcs and poses. Thresholds of matching are those of `MatchingOptions`."""
+"""How a line scene is made of arcs and poses."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
+
+from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.matching.options import MatchingOptions
+from omnilines.structure.options import StructureOptions
 
 
 class RoughPoseOptions(NamedTuple):
@@ -84,11 +88,22 @@ class SceneOptions:
     """Where lines are triangulated and adjusted: cpu or cuda."""
     seed: int = 0
     """Of everything random."""
+    matching: MatchingOptions = MatchingOptions()
+    """Which arcs show one line, and where photos stand by lines."""
+    adjustment: AdjustmentOptions = AdjustmentOptions()
+    """How lines are started, weighed and judged."""
+    structure: StructureOptions = StructureOptions()
+    """Where lines end, which are parallel, and which way is up."""
     rough_poses: RoughPoseOptions = RoughPoseOptions()
+    """When given poses are replaced by better ones."""
     rounds: RoundOptions = RoundOptions()
+    """How often arcs are matched."""
     kept_lines: KeptLineOptions = KeptLineOptions()
+    """Which lines are kept."""
     frame: FrameOptions = FrameOptions()
+    """The frame that a scene is written in."""
     advice: AdviceOptions = AdviceOptions()
+    """What is said of photos that lines hardly explain."""
 
 
 OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")

@@ -18,10 +18,10 @@ from camera_models import Calibration, CameraModel, InputError, load
 from camera_models.errors import OmnilinesError
 from camera_models.formats.disk import write_atomically
 from camera_models.pose import Pose
-from omnilines.files import PhotoRef, is_corners_table, read_corners, read_photo, read_poses
+from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import output_folder
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract, photo_refs
+from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -55,7 +55,7 @@ def from_photos(source: str) -> bool:
 
 
 def check_source(
-    source: str, photos: Sequence[PhotoRef], cameras: Calibration, camera_of: Mapping[str, str], pattern: str | None
+    source: str, photos: Sequence[Photo], cameras: Calibration, camera_of: Mapping[str, str], pattern: str | None
 ) -> None:
     """Refuse what `estimate_poses` cannot work from, before any photo is looked at: tables, models and patterns are read.
 
@@ -77,7 +77,7 @@ def check_source(
 
 
 def estimate_poses(
-    photos: str | Path | Sequence[str | Path] | PhotoArcs,
+    photos: Photos | PhotoArcs,
     camera: CameraModel | Calibration,
     source: str | Path = "sfm",
     *,
@@ -102,7 +102,7 @@ def estimate_poses(
     arcs = photos if isinstance(photos, PhotoArcs) else None
     if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):
         arcs = extract(photos, cameras, work=work, progress=progress)
-    refs = photo_refs(photos) if not isinstance(photos, PhotoArcs) else [one.photo for one in photos.used]
+    refs = [one.photo for one in photos.used] if isinstance(photos, PhotoArcs) else photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras) if arcs is None else arcs.camera_of
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)
@@ -119,7 +119,7 @@ def kind_of(source: str) -> str:
 
 def _found(
     source: str,
-    photos: Sequence[PhotoRef],
+    photos: Sequence[Photo],
     arcs: PhotoArcs | None,
     cameras: Calibration,
     camera_of: Mapping[str, str],
@@ -145,7 +145,7 @@ def _found(
 
 def _looked_for(
     source: str,
-    photos: Sequence[PhotoRef],
+    photos: Sequence[Photo],
     arcs: PhotoArcs | None,
     cameras: Calibration,
     camera_of: Mapping[str, str],
@@ -155,10 +155,10 @@ def _looked_for(
     progress: ProgressCallback,
 ) -> PhotoPoses:
     names = [photo.name for photo in photos]
-    path_of = {photo.name: photo.path for photo in photos}
+    photo_of = {photo.name: photo for photo in photos}
 
     def read(name: str) -> np.ndarray:
-        return read_photo(path_of[name])
+        return photo_of[name].read()
 
     if source == "sfm":
         frames = instants(names) if cameras.rig else None
@@ -262,7 +262,7 @@ def unit_of_table(poses: Path) -> LengthUnit:
 
 def _made_from(
     source: str,
-    photos: Sequence[PhotoRef],
+    photos: Sequence[Photo],
     arcs: PhotoArcs | None,
     cameras: Calibration,
     camera_of: Mapping[str, str],
@@ -281,8 +281,11 @@ def _made_from(
         for one in arcs.photos:
             for values in (one.endpoints_px, one.covariance_px2, one.colours):
                 seen.update(np.ascontiguousarray(values).tobytes())
+    for photo in photos:
+        if not isinstance(photo, PhotoRef):
+            seen.update(np.ascontiguousarray(photo.read()).tobytes())
     options = repr((source, pattern, seed, names, known, rig, seen.hexdigest()))
-    return fingerprint([photo.path for photo in photos], options, revision(*MADE_BY, __name__))
+    return fingerprint([photo.path for photo in photos if isinstance(photo, PhotoRef)], options, revision(*MADE_BY, __name__))
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:

@@ -8,13 +8,13 @@ from typing import Any
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost
-from omnilines.files import write_poses
+from omnilines.files import photo_folder, write_poses
 from omnilines.files.folders import output_folder
 from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
-from omnilines.pipelines.arcs import PhotoArcs, calibration_of, photo_folder
+from omnilines.pipelines.arcs import PhotoArcs, calibration_of
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
 from omnilines.pipelines.kept_lines import KeptLines
@@ -81,9 +81,8 @@ def reconstruct(
             arcs.used,
             posed,
             cameras,
-            seed=options.seed,
             from_photos=lambda: estimate_poses(arcs, cameras, SFM, seed=options.seed, work=work, progress=progress),
-            options=options.rough_poses,
+            options=options,
             progress=progress,
         )
     table = None if work is None else output_folder(work) / "poses.csv"
@@ -117,18 +116,18 @@ def _scene(
 ) -> Scene:
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
     progress("looking for parallel lines", 0, 0)
+    lines, poses = found.scene.lines, found.scene.poses
+    families = line_families(lines, options.structure.families)
     frame = scene_frame(
-        found.scene.lines, found.scene.poses, line_families(found.scene.lines), source=posed.source, unit=posed.unit,
-        known=distance, options=options.frame,
+        lines, poses, families, source=posed.source, unit=posed.unit, known=distance, options=options
     )  # fmt: skip
     found = replace(found, scene=replace(found.scene, lines=frame.lines, poses=frame.poses))
-    refines = "poses" in options.refine
     told = (
         *(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items()),
         *arcs.notes,
         *_of_poses(posed, found.scene.poses),
         *frame.notes,
-        *advice(found, refines, options.min_views, options.advice, progress),
+        *advice(found, options, progress),
     )
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(

@@ -24,8 +24,8 @@ from omnilines.structure.families import Families
 class FromPhotos:
     """What is known of a scene whose lines were matched in photos."""
 
-    folder: Path
-    """That names of photos are relative to."""
+    folder: Path | None
+    """That names of photos are relative to; None of photos in memory."""
     given: int
     """Number of photos, those that were skipped included."""
     stages: tuple[StageCount, ...]
