@@ -10,6 +10,7 @@ from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, app, run
 from omnilines.triangulation import method_options
 
 if TYPE_CHECKING:
+    from omnilines.extraction import ExtractionOptions
     from omnilines.pipelines.options import SceneOptions
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
@@ -123,7 +124,7 @@ def reconstruct(
 
     of_photos = bool(photos)
     method = triangulation or ("ml" if of_photos else "dual")
-    options = _options(
+    extraction, options = _options(
         settings,
         refine=refine or ("lines,poses" if of_photos and poses == "sfm" else "lines"),
         triangulation=method,
@@ -141,22 +142,30 @@ def reconstruct(
         return
     run(
         lambda progress: reconstruct_photos(
-            photos, calibration, poses, out, options, segments=segments, pattern=pattern, scale_from=scale_from, mask=mask,
-            colmap=colmap, recording=recording, progress=progress,
+            photos, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+            scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
         ),
         as_json,
         kept=out / "work",
     )  # fmt: skip
 
 
-def _options(settings: list[str] | None, **given: Any) -> "SceneOptions":
-    """The options of a scene from their flags, and from `set`."""
+PARTS = ("matching.", "adjustment.", "structure.")
+"""Options of a scene that are also known without its name before them."""
+
+
+def _options(settings: list[str] | None, **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
+    """The options of arcs and of the scene, from their flags and from `set`."""
     from omnilines.adjustment.scene import parse_refine
     from omnilines.options import with_settings
+    from omnilines.pipelines.arcs import SHORT_ARCS
     from omnilines.pipelines.options import SceneOptions
 
-    options = SceneOptions(**{**given, "refine": parse_refine(given["refine"])})
-    return with_settings(options, settings or [], "scene.")
+    named = [f"scene.{setting}" if setting.startswith(PARTS) else setting for setting in settings or []]
+    of_arcs = [setting for setting in named if setting.startswith("extraction.")]
+    others = [setting for setting in named if setting not in of_arcs]
+    scene = SceneOptions(**{**given, "refine": parse_refine(given["refine"])})
+    return with_settings(SHORT_ARCS, of_arcs, "extraction."), with_settings(scene, others, "scene.")
 
 
 def _from_segments(
@@ -195,7 +204,7 @@ def adjust(
     as_json: Json = False,
 ) -> None:
     """Refine the lines and the poses of a scene."""
-    options = _options(
+    _, options = _options(
         settings,
         refine=refine,
         triangulation=triangulation,
