@@ -19,7 +19,7 @@ from omnilines.posing.rectangle import Rectangle, corner_distances, pose_of_corn
 
 
 @dataclass(frozen=True)
-class PhotoArcs:
+class BearingArcs:
     """Arcs of one photo."""
 
     ends: Float[np.ndarray, "n 2 3"]
@@ -63,7 +63,9 @@ class _Fits:
     """Whether others fit, but are too small or too oblique."""
 
 
-def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle, options: RectangleOptions = RectangleOptions()) -> FoundRectangle | str:
+def find_rectangle(
+    arcs: BearingArcs, rectangle: Rectangle, options: RectangleOptions = RectangleOptions()
+) -> FoundRectangle | str:
     """The sheet, or one sentence why there is none."""
     ends, noise, inside = _turned(arcs, options)
     cycle = np.array(_cycles(_successors(ends, options)), dtype=np.int64).reshape(-1, 4)
@@ -98,7 +100,7 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle, options: RectangleOpti
 
 
 def _turned(
-    arcs: PhotoArcs, options: RectangleOptions
+    arcs: BearingArcs, options: RectangleOptions
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
     """The arcs of enough contrast with their brighter side towards V1 x V2, the longest, and the logarithm of its grey level."""
     grey = arcs.colours.mean(-1)

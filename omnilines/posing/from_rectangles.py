@@ -17,7 +17,7 @@ from camera_models import CameraEstimate, CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
-from omnilines.posing.find_rectangle import FoundRectangle, PhotoArcs, find_rectangle
+from omnilines.posing.find_rectangle import BearingArcs, FoundRectangle, find_rectangle
 from omnilines.posing.options import PosingOptions, RectangleOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import Rectangle
@@ -28,7 +28,7 @@ from omnilines.records import ImagePoses
 def poses_from_rectangles(
     photos: Sequence[str],
     read: Callable[[str], np.ndarray],
-    arcs_of: Callable[[str], PhotoArcs],
+    arcs_of: Callable[[str], BearingArcs],
     cameras: Mapping[str, CameraModel],
     camera_of: Mapping[str, str],
     *,
