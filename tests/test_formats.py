@@ -322,7 +322,7 @@ def test_short_cuts(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("nothing of a camera")
     with pytest.raises(InputError, match=r"notes.txt was expected to be a calibration of colmap, .*name its format with --from"):
         read(tmp_path / "notes.txt")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "absent.yaml")
 
 
