@@ -1,17 +1,20 @@
 """Calibration targets: geometry, rendering and detection.
 
-`PATTERNS` lists them without importing their modules; `pattern` reads a specification such as `checkerboard:8x6:32.5mm`.
+    board = calib_patterns.pattern("checkerboard:8x6:32.5mm")
+    detection, reason = board.detect(image)
+
+`PATTERNS` lists the targets without importing their modules; all else is loaded on first use.
 """
 
 import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from camera_models.errors import InputError
 
 if TYPE_CHECKING:
-    from calib_patterns._pattern import Pattern
+    from calib_patterns._pattern import Detection, Pattern, parse_length
 
-__all__ = ["PATTERNS", "pattern", "pattern_class"]
+__all__ = ["PATTERNS", "Detection", "Pattern", "parse_length", "pattern", "pattern_class"]
 
 PATTERNS: tuple[tuple[str, str], ...] = (
     ("checkerboard", "calib_patterns.checkerboard:Checkerboard"),
@@ -19,6 +22,12 @@ PATTERNS: tuple[tuple[str, str], ...] = (
     ("aprilgrid", "calib_patterns.aprilgrid:AprilGrid"),
 )
 """(name in a specification, "module:Class"), the most common target first, as help texts list them."""
+
+_LAZY = {
+    "Detection": "calib_patterns._pattern",
+    "Pattern": "calib_patterns._pattern",
+    "parse_length": "calib_patterns._pattern",
+}
 
 
 def pattern_class(name: str) -> "type[Pattern]":
@@ -38,3 +47,13 @@ def pattern(specification: str) -> "Pattern":
     """
     name, _, arguments = specification.strip().partition(":")
     return pattern_class(name)._from_arguments(arguments)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'calib_patterns' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

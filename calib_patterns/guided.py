@@ -1,6 +1,6 @@
 """Corners that a detection missed, found where a camera says that they are.
 
-1. The pose of the board is fitted to the corners that are known, the camera held (pose_refit.py).
+1. The pose of the board is fitted to the corners that are known, the camera held (camera_models/pose_fit.py).
 2. The camera predicts every missing corner that it sees, with the directions and curvatures of its edges. What the camera leaves
    of the known corners near it is smooth, and its local map (local_map.py) corrects the prediction and says how certain it is:
    a first camera is a little off where no corner has been yet.
@@ -23,11 +23,11 @@ from calib_patterns.corner_growth import MIN_CORNERS, MIN_NARROW_PX
 from calib_patterns.corner_kind import CornerKind, accepted
 from calib_patterns.detection import grey_of
 from calib_patterns.local_map import KnownCorners, LocalMap, local_map
-from calib_patterns.pose_refit import FREEDOM, refit_pose, robust_scale_px
 from calib_patterns.saddle import SaddleFit
 from calib_patterns.tag_board import TagBoard
 from camera_models._model import CameraModel
 from camera_models.pose import Pose
+from camera_models.pose_fit import FREEDOM, refit_pose, robust_scale_px
 
 NEAR_SIGMA, NEAR_PX = 4.0, 0.15
 """A corner lies within NEAR_SIGMA standard deviations plus NEAR_PX of its prediction."""

@@ -24,8 +24,8 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float
 
-from calib_patterns.saddle_kernel import fit_all
-from calib_patterns.saddle_window_kernel import LEAST_SQUARE_PX, MAX_HALF_WINDOW_PX, PARAMETERS, starts
+from calib_patterns.kernels.saddle_fit import fit_all
+from calib_patterns.kernels.saddle_window import LEAST_SQUARE_PX, MAX_HALF_WINDOW_PX, PARAMETERS, starts
 
 MIN_HALF_WINDOW_PX = 3
 WINDOW_SQUARES = 0.42

@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from calib_patterns.saddle_points_kernel import crossings, nearest_along, responses
+from calib_patterns.kernels.saddle_points import crossings, nearest_along, responses
 
 SCALES_PX = (1.2, 2.0, 3.5)
 """Standard deviations of the smoothing, about a tenth to a quarter of the squares that each finds best."""

@@ -69,17 +69,17 @@ def distort(coefficients: Coefficients, x: Tensor, y: Tensor) -> Distorted:
     radial = radial_factor(coefficients, r2)
     q, twice = radial.q, 2 * radial.by_r2
     if isinstance(p1, float) and p1 == 0 and p2 == 0:
-        return Distorted(x * q, y * q, q + x2 * twice, xy * twice, q + y2 * twice, radial)
+        return Distorted(x=x * q, y=y * q, xx=q + x2 * twice, cross=xy * twice, yy=q + y2 * twice, radial=radial)
     along = 2 * (p2 * x + p1 * y)
     factor = q + along
     px, py = 2 * p1 * x, 2 * p2 * y
     return Distorted(
-        x * factor + p2 * r2,
-        y * factor + p1 * r2,
-        factor + x2 * twice + 4 * p2 * x,
-        xy * twice + px + py,
-        factor + y2 * twice + 4 * p1 * y,
-        radial,
+        x=x * factor + p2 * r2,
+        y=y * factor + p1 * r2,
+        xx=factor + x2 * twice + 4 * p2 * x,
+        cross=xy * twice + px + py,
+        yy=factor + y2 * twice + 4 * p1 * y,
+        radial=radial,
     )
 
 

@@ -36,6 +36,10 @@ class CameraModel(ABC):
 
     VARIANTS: ClassVar[tuple[Mapping[str, int], ...]] = ({},)
     """Options of `from_radial_curve` among which a model is chosen for a lens, from the fewest parameters to the most."""
+    NESTED_VARIANTS: ClassVar[bool] = False
+    """Whether a calibration goes from one of VARIANTS to another (`of_variant`) until held-out views support it."""
+    AXIS_SIGN_OPEN: ClassVar[bool] = False
+    """Whether photos of plain boards leave open to which side the camera looks, as a lens or a mirror (`reversed`)."""
 
     OPTIONAL_TERMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Parameters that a lens may do without (zero), from those that it needs first to those that it needs last."""
@@ -145,6 +149,33 @@ class CameraModel(ABC):
         Where there are any, a refinement is repeated from each of them and the best is taken.
         """
         return ()
+
+    @classmethod
+    def variant_options(cls) -> frozenset[str]:
+        """Names of the options of `from_radial_curve` by which its VARIANTS differ."""
+        return frozenset(name for options in cls.VARIANTS for name in options)
+
+    @property
+    def variant(self) -> Mapping[str, int]:
+        """The one of VARIANTS that this is, where they are nested."""
+        return {}
+
+    def of_variant(self, variant: Mapping[str, int], rho_px: Float[Tensor, " n"]) -> "CameraModel":
+        """Of a model with nested variants, the camera of another one that is nearest to this at some radii."""
+        raise InputError(f"A camera model with variants to go through was expected, found {self.NAME}; calibrate it as it is.")
+
+    def reversed(self) -> "CameraModel":
+        """The camera that looks to the other side (z reversed), for models with AXIS_SIGN_OPEN."""
+        raise InputError(f"A camera model that may look to either side was expected, found {self.NAME}; it has one side.")
+
+    def calibrated_form(self) -> "CameraModel":
+        """The same camera turned about its axis to where `calibration_basis` holds it; the default is itself."""
+        return self
+
+    @property
+    def label(self) -> str:
+        """For people: the name, and what else tells how many parameters there are."""
+        return " ".join([self.NAME, *(f"of {name} {value}" for name, value in self.variant.items())])
 
     def with_parameters(self, parameters: Array | Sequence[float | int]) -> "CameraModel":
         """The same model and image with another parameter vector."""

@@ -80,7 +80,7 @@ def least_cosine(alpha: Tensor) -> Tensor:
 def refuse_mirror(name: str, mirror: bool) -> None:
     """Raise InputError for a camera that looks along -z."""
     if mirror:
-        raise InputError(f"Camera model {name} expects a lens that looks along +z, found --mirror; use --model scaramuzza.")
+        raise InputError(f"Camera model {name} expects a lens that looks along +z, found `mirror`; use `model` scaramuzza.")
 
 
 def nearest_curves(

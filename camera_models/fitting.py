@@ -110,12 +110,28 @@ def convert(
     off_deg = torch.rad2deg(_angle(again, bearings))
     whole = _error(0.0, math.degrees(half), off_px, off_deg)
     rings = _rings(torch.rad2deg(_angle(bearings, axis.expand_as(bearings))), off_px, off_deg)
-    return Conversion(fitted, whole.rms_px, whole.max_px, whole.rms_deg, whole.max_deg, 2 * whole.to_deg, rings)
+    return Conversion(
+        model=fitted,
+        rms_px=whole.rms_px,
+        max_px=whole.max_px,
+        rms_deg=whole.rms_deg,
+        max_deg=whole.max_deg,
+        fov_deg=2 * whole.to_deg,
+        rings=rings,
+    )
 
 
 def _error(from_deg: float, to_deg: float, off_px: Float[Tensor, " n"], off_deg: Float[Tensor, " n"]) -> RingError:
     rms_px, rms_deg = (float((off**2).mean().sqrt()) for off in (off_px, off_deg))
-    return RingError(from_deg, to_deg, len(off_px), rms_px, float(off_px.max()), rms_deg, float(off_deg.max()))
+    return RingError(
+        from_deg=from_deg,
+        to_deg=to_deg,
+        pixels=len(off_px),
+        rms_px=rms_px,
+        max_px=float(off_px.max()),
+        rms_deg=rms_deg,
+        max_deg=float(off_deg.max()),
+    )
 
 
 def _rings(angle_deg: Float[Tensor, " n"], off_px: Float[Tensor, " n"], off_deg: Float[Tensor, " n"]) -> tuple[RingError, ...]:

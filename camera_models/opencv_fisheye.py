@@ -47,7 +47,7 @@ class OpenCVFisheye(CameraModel):
         """Least squares for f and f k_i, of as high a degree as keeps the curve growing over the samples."""
         if mirror:
             raise InputError(
-                "Camera model opencv-fisheye expects a lens that looks along +z, found --mirror; use --model scaramuzza."
+                "Camera model opencv-fisheye expects a lens that looks along +z, found `mirror`; use `model` scaramuzza."
             )
         top = float(theta.max())
         for terms in (5, 4, 3, 2, 1):

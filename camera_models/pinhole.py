@@ -62,12 +62,13 @@ class Pinhole(CameraModel):
         centre: Float[Tensor, "2"],
         image_size: tuple[int, int],
         mirror: bool = False,
+        *,
         coefficients: int = 5,
         **options: Any,
     ) -> "Pinhole":
         """Least squares for f, f k1 and f k2 in rho = f (t + k1 t^3 + k2 t^5), t = tan(theta), samples below 80 degrees."""
         if mirror:
-            raise InputError("Camera model pinhole expects a lens that looks along +z, found --mirror; use --model scaramuzza.")
+            raise InputError("Camera model pinhole expects a lens that looks along +z, found `mirror`; use `model` scaramuzza.")
         seen = theta < math.radians(80)
         if int(seen.sum()) < 3:
             seen = theta <= torch.sort(theta).values[min(2, len(theta) - 1)]

@@ -33,6 +33,8 @@ class Scaramuzza(CameraModel):
 
     NAME = "scaramuzza"
     VARIANTS = tuple({"degree": degree} for degree in range(3, 9))
+    NESTED_VARIANTS = True
+    AXIS_SIGN_OPEN = True
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters = as_tensor(parameters)
@@ -68,6 +70,7 @@ class Scaramuzza(CameraModel):
         centre: Float[Tensor, "2"],
         image_size: tuple[int, int],
         mirror: bool = False,
+        *,
         degree: int = 4,
         **options: Any,
     ) -> "Scaramuzza":
@@ -104,8 +107,34 @@ class Scaramuzza(CameraModel):
         basis[4, 3] = 1.0
         return basis[:, [i for i in range(p) if i != 4]]
 
-    def of_degree(self, degree: int, rho_px: Float[Tensor, " n"]) -> "Scaramuzza":
+    def calibrated_form(self) -> "Scaramuzza":
+        """The same camera turned about its axis until its affine matrix is symmetric (e = d).
+
+        With A = [[1, e], [d, c]] and a turn R by alpha, tan(alpha) = (d - e) / (1 + c), A R' = k [[1, e'], [e', c']] has the
+        polar form. Plane coordinates become k R (x, y), so that a_j turns into k^(1-j) a_j and every bearing is turned by R
+        about z.
+        """
+        cx, cy, c, d, e, *a = self.parameters.detach().tolist()
+        alpha = math.atan2(d - e, 1.0 + c)
+        cos, sin = math.cos(alpha), math.sin(alpha)
+        k = cos - e * sin
+        shear = (sin + e * cos) / k
+        orders = (0, *range(2, self.degree + 1))
+        scaled = [value * k ** (1 - order) for order, value in zip(orders, a, strict=True)]
+        return Scaramuzza([cx, cy, (d * sin + c * cos) / k, shear, shear, *scaled], self.image_size)
+
+    def reversed(self) -> "Scaramuzza":
+        """f(rho) with the opposite sign."""
+        return Scaramuzza(torch.cat([self.parameters[:5], -self.parameters[5:]]), self.image_size)
+
+    @property
+    def variant(self) -> Mapping[str, int]:
+        """Its degree."""
+        return {"degree": self.degree}
+
+    def of_variant(self, variant: Mapping[str, int], rho_px: Float[Tensor, " n"]) -> "Scaramuzza":
         """The polynomial of another degree that is nearest to this one at some radii."""
+        degree = variant["degree"]
         if degree >= self.degree:
             return Scaramuzza([*self.parameters.tolist(), *([0.0] * (degree - self.degree))], self.image_size)
         theta = torch.atan2(rho_px, self.sign * self._height(rho_px))

@@ -82,17 +82,17 @@ def _parsed(name: str, text: str, default: Any) -> Any:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):
-            return tuple(_number(part, default[0] if default else 0.0) for part in text.split(","))
+            return tuple(_number(part, default[0] if default else "") for part in text.split(","))
         return text if isinstance(default, str) else _number(text, default)
     except (KeyError, ValueError):
-        kind = "true or false" if isinstance(default, bool) else f"a value like {default}"
+        kind = "true or false" if isinstance(default, bool) else "a number" if default is None else f"a value like {default}"
         raise InputError(f"{name} was expected to be {kind}, found '{text}'; correct it.") from None
 
 
 def _number(text: str, default: Any) -> Any:
     if isinstance(default, str):
         return text
-    if isinstance(default, int):
+    if isinstance(default, int) or (default is None and text.isdecimal()):
         return int(text)
     value = float(text)
     if math.isnan(value):

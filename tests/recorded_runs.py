@@ -129,6 +129,8 @@ def shown(path: Path) -> str:
     text = path.read_text(errors="replace")
     if path.name == "done.json":
         return ""  # a key of the version
+    if path.suffix in (".printed", ".yaml"):
+        text = re.sub(r"/[\w/.-]{1,200}/\d+/in/", "in/", text)
     if path.suffix == ".printed":
         return re.sub(r"[0-9.]+ s\b", "", text)
     if path.suffix == ".html":

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import torch
 
-from calib_patterns import pattern
-from calib_patterns._pattern import Detection
+from calib_patterns import Detection, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models._model import CameraModel

@@ -274,7 +274,7 @@ def test_a_narrow_model_says_that_it_cannot_hold_a_wide_lens():
     corners, _ = simulated(WIDE, facing_poses(30, 120, seed=9, distance=(0.2, 0.4)), 0.2, 1)
     with pytest.raises(GeometryError, match=r"pinhole.*scaramuzza or opencv-fisheye"):
         calibrate_camera(corners, (1280, 960), "pinhole")
-    with pytest.raises(InputError, match="use --model scaramuzza"):
+    with pytest.raises(InputError, match="use `model` scaramuzza"):
         calibrate_camera(corners, (1280, 960), "opencv-fisheye", mirror=True)
 
 

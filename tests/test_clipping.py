@@ -9,10 +9,13 @@ import torch
 from matching_scenes import VIEWS, room
 
 from omnilines.geometry.line import PlueckerLines
-from omnilines.structure.clipping import LEAST_AT_ONCE, supported_stretches
-from omnilines.structure.kernels.clip import AGREE_SIGMA, DRAWN_IN, GAP_SIGMA, agreed, clipped, covered
+from omnilines.structure.clipping import supported_stretches
+from omnilines.structure.kernels.clip import agreed, clipped, covered
+from omnilines.structure.options import ClippingOptions
 
 SIGMA = 0.01
+OPTIONS = ClippingOptions()
+AGREE_SIGMA, DRAWN_IN, GAP_SIGMA = OPTIONS.agree_sigmas, OPTIONS.drawn_in_sigmas, OPTIONS.gap_sigmas
 
 
 def stretches(
@@ -22,7 +25,13 @@ def stretches(
     low, high = np.ascontiguousarray(np.array(pieces, dtype=np.float64).reshape(-1, 2).T)
     photos = np.arange(len(low)) if image is None else np.array(image)
     found, line, seen = clipped(
-        np.array([0, len(low)]), low, high, np.full((len(low), 2), sigma), photos, least, np.array([views])
+        np.array([0, len(low)]),
+        low,
+        high,
+        np.full((len(low), 2), sigma),
+        photos,
+        np.array([views]),
+        ClippingOptions(min_photos_everywhere=least),
     )
     assert bool((line == 0).all())
     return found, seen
@@ -53,7 +62,7 @@ def test_covered_stretches_are_those_of_a_plain_count(least: int) -> None:
         low = rng.uniform(0.0, 10.0, count)
         high = low + rng.uniform(0.1, 4.0, count)
         image, sigma = rng.integers(0, 6, count), rng.uniform(0.001, 0.2, 2 * count)
-        found = covered(low, high, sigma, image, least)
+        found = covered(low, high, sigma, image, ClippingOptions(min_photos_everywhere=least))
         expected = plain_cover(low, high, image, least, GAP_SIGMA * float(np.median(sigma)))
         np.testing.assert_array_equal(found, np.array(expected).reshape(-1, 2))
         several += len(found) > 1
@@ -76,19 +85,19 @@ def test_a_gap_that_most_photos_show_is_one() -> None:
 def test_ends_agree_where_photos_do() -> None:
     """A weighted mean with its standard deviation; what is hidden or drawn too long does not count."""
     ends, sigma = np.array([1.0, 1.004, 0.998, 0.4, 0.7, 1.3]), np.array([0.01, 0.02, 0.005, 0.01, 0.01, 0.01])
-    place, spread = agreed(ends, sigma, np.arange(6))
+    place, spread = agreed(ends, sigma, np.arange(6), AGREE_SIGMA)
     weight = 1 / sigma[:3] ** 2
     assert place == pytest.approx((ends[:3] * weight).sum() / weight.sum(), rel=1e-12)
     assert spread == pytest.approx(weight.sum() ** -0.5, rel=1e-12)
-    assert all(map(math.isnan, agreed(np.array([1.0, 0.5, 0.2]), np.full(3, 0.01), np.arange(3))))
-    assert math.isnan(agreed(np.array([1.0, 1.0]), np.full(2, 0.01), np.array([4, 4]))[0])
+    assert all(map(math.isnan, agreed(np.array([1.0, 0.5, 0.2]), np.full(3, 0.01), np.arange(3), AGREE_SIGMA)))
+    assert math.isnan(agreed(np.array([1.0, 1.0]), np.full(2, 0.01), np.array([4, 4]), AGREE_SIGMA)[0])
     # Two alone farther out are too few where ten agree, and enough where three do.
     for many, expected in ((10, 1.0), (3, 1.5)):
         ends = np.concatenate([np.full(many, 1.0), [1.5, 1.5]])
-        assert agreed(ends, np.full(len(ends), 0.01), np.arange(len(ends)))[0] == expected
+        assert agreed(ends, np.full(len(ends), 0.01), np.arange(len(ends)), AGREE_SIGMA)[0] == expected
     near, far = 1.0 - 0.9 * AGREE_SIGMA * 0.01 * math.sqrt(2), 1.0 - 1.1 * AGREE_SIGMA * 0.01 * math.sqrt(2)
-    assert agreed(np.array([1.0, near]), np.full(2, 0.01), np.arange(2))[0] == pytest.approx(0.5 * (1.0 + near))
-    assert math.isnan(agreed(np.array([1.0, far]), np.full(2, 0.01), np.arange(2))[0])
+    assert agreed(np.array([1.0, near]), np.full(2, 0.01), np.arange(2), AGREE_SIGMA)[0] == pytest.approx(0.5 * (1.0 + near))
+    assert math.isnan(agreed(np.array([1.0, far]), np.full(2, 0.01), np.arange(2), AGREE_SIGMA)[0])
 
 
 def test_true_ends_beat_hidden_and_overshooting_ones() -> None:
@@ -148,7 +157,7 @@ def test_ends_rarely_lie_beyond_the_true_ones(views: int, hidden: float) -> None
         low, high = np.ascontiguousarray((np.array([0.0, 1.0]) + sigma * rng.standard_normal((views, 2))).T)
         occluded = rng.random(views) < hidden
         high[occluded] = rng.uniform(0.3, 0.95, int(occluded.sum()))
-        found, _, _ = clipped(np.array([0, views]), low, high, sigma, np.arange(views), 2, np.array([2]))
+        found, _, _ = clipped(np.array([0, views]), low, high, sigma, np.arange(views), np.array([2]), OPTIONS)
         assert len(found) == 1
         beyond += int(found[0, 1] > 1.0) + int(found[0, 0] < 0.0)
         drawn.append(found[0, 0])
@@ -163,9 +172,11 @@ def test_lines_keep_their_numbers_and_empty_ones_have_no_stretch() -> None:
     lines = PlueckerLines.from_points(first, torch.as_tensor(rng.uniform(-1.0, 1.0, (5, 3))))
     line, image = np.array([3, 1, 3, 1, 3, 1, 4]), np.array([0, 0, 1, 1, 2, 2, 0])
     positions = np.array([[0.0, 1.0], [2.0, 3.0]] * 3 + [[0.0, 1.0]])
-    found = supported_stretches(lines, line, positions, np.full((7, 2), SIGMA), image, np.full(5, 3))
+    found = supported_stretches(
+        lines, line=line, positions_m=positions, sigma_m=np.full((7, 2), SIGMA), image=image, enough_views=np.full(5, 3)
+    )
     inward = 2 * SIGMA / math.sqrt(3)
-    assert found.line.tolist() == [1, 3] and found.views.tolist() == [3, 3] and LEAST_AT_ONCE == 2
+    assert found.line.tolist() == [1, 3] and found.views.tolist() == [3, 3]
     np.testing.assert_allclose(found.positions_m, [[2.0 + inward, 3.0 - inward], [inward, 1.0 - inward]], atol=1e-12)
     ends = torch.as_tensor(found.ends_m)
     for k, own in enumerate(found.line.tolist()):
@@ -173,16 +184,23 @@ def test_lines_keep_their_numbers_and_empty_ones_have_no_stretch() -> None:
         at = (ends[k] - lines.foot[own]) @ lines.direction[own]
         np.testing.assert_allclose(at.numpy(), found.positions_m[k], atol=1e-12)
     order = rng.permutation(7)
-    shuffled = supported_stretches(lines, line[order], positions[order], np.full((7, 2), SIGMA), image[order], np.full(5, 3))
+    shuffled = supported_stretches(
+        lines,
+        line=line[order],
+        positions_m=positions[order],
+        sigma_m=np.full((7, 2), SIGMA),
+        image=image[order],
+        enough_views=np.full(5, 3),
+    )
     np.testing.assert_allclose(shuffled.positions_m, found.positions_m, atol=1e-12)
     for lines_of, rows in ((lines, 0), (lines[:0], 0)):
         nothing = supported_stretches(
             lines_of,
-            np.zeros(rows, dtype=np.int64),
-            np.zeros((rows, 2)),
-            np.zeros((rows, 2)),
-            np.zeros(rows, dtype=np.int64),
-            np.full(len(lines_of), 3),
+            line=np.zeros(rows, dtype=np.int64),
+            positions_m=np.zeros((rows, 2)),
+            sigma_m=np.zeros((rows, 2)),
+            image=np.zeros(rows, dtype=np.int64),
+            enough_views=np.full(len(lines_of), 3),
         )
         assert len(nothing.line) == len(nothing.views) == 0 and nothing.ends_m.shape == (0, 2, 3)
 
@@ -195,7 +213,14 @@ def test_arcs_of_a_room_give_its_lines_from_end_to_end(name: str) -> None:
     places, sigma, usable = arcs.places(truth, np.arange(len(arcs)), scene.line)
     assert float(usable.mean()) > 0.99
     rows = np.flatnonzero(usable)
-    found = supported_stretches(truth, scene.line[rows], places[rows], sigma[rows], arcs.image[rows], np.full(len(truth), 4))
+    found = supported_stretches(
+        truth,
+        line=scene.line[rows],
+        positions_m=places[rows],
+        sigma_m=sigma[rows],
+        image=arcs.image[rows],
+        enough_views=np.full(len(truth), 4),
+    )
     from_foot = torch.einsum("tkx,tx->tk", scene.ends_m - truth.foot[:, None], truth.direction).sort(-1).values.numpy()
     low, high = from_foot[found.line].T
     over = np.maximum(np.maximum(low - found.positions_m[:, 0], found.positions_m[:, 1] - high), 0.0)

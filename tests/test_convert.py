@@ -16,8 +16,8 @@ from camera_models.formats.calibration_data import RigCamera, ViewRecord
 from camera_models.formats.transfer import seen_deg, transfer
 from camera_models.pose import Pose
 from omnilines import cli
-from omnilines.commands.convert import COLUMNS
 from omnilines.commands.convert import convert as command
+from omnilines.pipelines.convert import COLUMNS
 
 LENS = camera_models.OpenCVFisheye.examples()[0]
 OCAM = camera_models.Scaramuzza([641.0, 478.0, 0.999, 3e-4, 3e-4, 338.4, -1.2e-3, 1.27e-6, -2.85e-9], (1280, 960))

@@ -9,24 +9,28 @@ import torch
 from engine_scenes import Row, row
 
 from omnilines.adjustment import lines as adjustment
-from omnilines.adjustment.engine import COMPILED_COSTS, LOSS_KINDS, LineEngine, LineSolution
-from omnilines.adjustment.kernels.line import Views
-from omnilines.adjustment.kernels.line_step import bend
+from omnilines.adjustment.engine import LineEngine
+from omnilines.adjustment.engine_solution import LineSolution
+from omnilines.adjustment.kernels.line import LOSS_KINDS, Views
+from omnilines.adjustment.kernels.line_step import take_loss_curvature
 from omnilines.adjustment.kernels.schur import line_block
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
+from omnilines.costs import COSTS, cost_named
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Outcome, Solution
 
+COMPILED_COSTS = [name for name, _ in COSTS if cost_named(name).scaled_rows is not None]
 
-def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, settled: bool = False, **options: Any) -> Adjusted:
-    """The general engine where the compiled one would be taken; with `settled` the latter takes lines to their own minima."""
+
+def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, converged: bool = False, **options: Any) -> Adjusted:
+    """The general engine where the compiled one would be taken; with `converged` the latter takes lines to their own minima."""
     with monkeypatch.context() as patch:
         patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
-        if not settled:
-            patch.setattr(adjustment, "lines_settled", lambda problem, loss: None)
+        if not converged:
+            patch.setattr(adjustment, "line_convergence", lambda problem, loss: None)
         found = adjust_lines(*given, **options)
     assert isinstance(found.whitened, Solution)
     return found
@@ -113,7 +117,7 @@ def test_no_line_alone_depends_on_another() -> None:
 
 
 @pytest.mark.parametrize("loss", [Loss(), Loss("cauchy", 1.5)])
-def test_the_bend_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
+def test_the_curvature_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
     """Of residuals that are linear, half the second derivative of the sum of the loss is E."""
     generator = torch.Generator().manual_seed(1)
     start, rows = (torch.randn(9, *shape, generator=generator, dtype=torch.float64) for shape in ((2,), (2, 4)))
@@ -130,7 +134,7 @@ def test_the_bend_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
     views = Views(none, none, none, none, none, LOSS_KINDS[loss.name], loss.scale)
     e, gradient = np.empty((4, 4)), np.empty(4)
     line_block(by_line, r, 9, e, gradient)
-    bend(views, 9, by_line, r, e)
+    take_loss_curvature(views, 9, by_line, r, e)
     np.testing.assert_allclose(np.tril(e), np.tril(expected.numpy()), rtol=1e-12, atol=1e-12)
 
 
@@ -143,7 +147,7 @@ def test_few_doubtful_lines_do_not_hold_up_poses(monkeypatch: pytest.MonkeyPatch
     arcs = dataclasses.replace(scene.arcs, bearings=bearings / bearings.norm(dim=-1, keepdim=True))
     given = (arcs, scene.lines, scene.poses)
     found = adjust_lines(*given, cost="whitened", loss=Loss("cauchy", 2.0))
-    general = by_torch(monkeypatch, *given, settled=True, cost="whitened", loss=Loss("cauchy", 2.0))
+    general = by_torch(monkeypatch, *given, converged=True, cost="whitened", loss=Loss("cauchy", 2.0))
     assert found.outcome is general.outcome is Outcome.CONVERGED
     assert max(found.iterations, general.iterations) < 30
     assert abs(found.cost / general.cost - 1) < 1e-9

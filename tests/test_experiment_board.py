@@ -17,13 +17,15 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands.experiment import experiment_board, perturbed_poses, run_experiment
+from omnilines.commands.experiment_board import experiment_board
 from omnilines.files import read_corners, read_lines, read_poses, read_segments, write_corners
 from omnilines.geometry.line import PlueckerLines
 from omnilines.pipelines.detect import PhotoCorners
 from omnilines.records import Corners
 from omnilines.structure import regularity
+from omnilines.studies.board import BoardOptions, board_experiment
 from omnilines.studies.board_figures import FIGURES, UNCHECKED, BoardExperiment
+from omnilines.synthetic.poses import perturbed_poses
 
 FISHEYE1 = "calibration/fisheye1"
 CHECKED = [key for key, _, _ in FIGURES if key not in UNCHECKED]
@@ -51,7 +53,7 @@ def synthetic_corners(noise_px: float, seed: int, views: int = 12, nx: int = 8, 
 def run(corners: Corners, size: tuple[int, int], model: str, loss: str = "none", seed: int = 0, **options) -> BoardExperiment:
     found = PhotoCorners(corners, size, (), Path("nowhere"))
     calibration = calibrate_camera(corners, size, model, loss=loss, options={"degree": 4} if model == "scaramuzza" else None)
-    return run_experiment(found, calibration, **{"perturb_deg": 1.0, "perturb_m": 0.01, **options}, seed=seed)
+    return board_experiment(found, calibration, BoardOptions(**options, seed=seed))
 
 
 # Structure.
@@ -210,7 +212,7 @@ def test_every_figure_improves_on_real_corners(fisheye1: tuple[Corners, BoardExp
     compared = 0
     for seed in range(5):
         found = PhotoCorners(corners, (1032, 778), (), Path("nowhere"))
-        experiment = run_experiment(found, first.calibration, perturb_deg=1.0, perturb_m=0.01, seed=seed)
+        experiment = board_experiment(found, first.calibration, BoardOptions(seed=seed))
         before, after = experiment.before.figures, experiment.after.figures
         assert [key for key in CHECKED if not after[key] < before[key]] == [], seed
         # The same optimum from every start.
@@ -271,7 +273,7 @@ def test_from_the_photos(shared_data: Path, tmp_path: Path) -> None:
 
 def test_bad_input_is_named(shared_data: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least 0 degrees"):
-        experiment_board(shared_data / FISHEYE1, tmp_path, perturb_deg=math.nan)
+        BoardOptions(perturb_deg=math.nan)
     with pytest.raises(InputError, match="does not exist"):
         experiment_board(tmp_path / "nothing", tmp_path)
     write_corners(tmp_path / "corners.csv", synthetic_corners(0.1, 0, views=4))

@@ -14,17 +14,29 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines
-from omnilines.commands.experiment import perturbed_poses
-from omnilines.commands.experiment_house import experiment_house, poses_of_matches
-from omnilines.commands.experiment_lines import experiment_lines, parse_noise, study_world
+from omnilines.cli.experiments import parse_noise
+from omnilines.commands.experiment_house import experiment_house
+from omnilines.commands.experiment_lines import experiment_lines
 from omnilines.costs import COSTS
 from omnilines.files import read_lines, read_vgg_lines, read_vgg_points
 from omnilines.files.vgg_house import MatchedPoints
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pages.line_study import COLUMNS, study_checks, study_rows
+from omnilines.pages.line_study import COLUMNS, study_rows
+from omnilines.studies.house import poses_of_matches
 from omnilines.studies.line_errors import aligned_rms_m, cramer_rao_bound
-from omnilines.studies.line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, run_study, settled_poses
+from omnilines.studies.line_experiments import LineStudyOptions, study_world
+from omnilines.studies.line_study import (
+    ADJUSTMENT,
+    ESTIMATED,
+    KNOWN,
+    POSES,
+    TRIANGULATION,
+    refined_start,
+    run_study,
+    study_checks,
+)
 from omnilines.synthetic.lines import LineWorld, circle_world, room_world
+from omnilines.synthetic.poses import perturbed_poses
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 
@@ -237,17 +249,17 @@ def test_triangulation_follows_the_noise_and_poses_the_disturbance() -> None:
         assert float(disturbed.rms_3d_m.mean()) > 5 * float(half.rms_3d_m.mean())
 
 
-def test_settled_poses_bring_lost_lines_back() -> None:
+def test_a_refined_start_brings_lost_lines_back() -> None:
     """1 degree and 5 cm put lines of the short baseline behind its cameras; poses refined with the others find them again."""
     world = circle_world("short", 0)
     lost = regained = 0
     for seed in range(3):
         arcs = arcs_from_segments(world.segments(0.5, seed), world.poses(), {"cam0": world.camera}).arcs
         disturbed = perturbed_poses(world.cam_from_world, 1.0, 0.05, seed)
-        settled = settled_poses(arcs, disturbed)
+        refined = refined_start(arcs, disturbed)
         known = [
             triangulate("dual", PlaneObservations.from_arcs(arcs.bearings, poses[arcs.image], arcs.track, 40)).known
-            for poses in (disturbed, settled)
+            for poses in (disturbed, refined)
         ]
         lost += int((~known[0]).sum())
         regained += int((known[1] & ~known[0]).sum())
@@ -259,13 +271,13 @@ def test_settled_poses_bring_lost_lines_back() -> None:
 
 @pytest.mark.parametrize("study", ["wide", "room"])
 def test_command_writes_every_figure_and_the_same_seed_gives_the_same(study: str, tmp_path: Path) -> None:
-    options = {"noise_px": (0.5,), "trials": 2, "seed": 4}
-    result = experiment_lines(study, tmp_path / "first", **options)
+    options = LineStudyOptions(noise_px=(0.5,), trials=2, seed=4)
+    result = experiment_lines(study, tmp_path / "first", options)
     assert [path.name for path in result.files] == ["figures.csv", "report.html"]
     with open(tmp_path / "first" / "figures.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == COLUMNS
-    assert len(rows) == len(options["noise_px"]) * 2 * (len(TRIANGULATIONS) + len(COSTS))
+    assert len(rows) == len(options.noise_px) * 2 * (len(TRIANGULATIONS) + len(COSTS))
     assert {row["method"] for row in rows} == {name for name, _ in (*TRIANGULATIONS, *COSTS)}
     for row in rows:
         assert float(row["bound_3d_m"]) > 0 and float(row["rms_2d_px"]) > 0
@@ -304,15 +316,15 @@ def test_bad_options_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="wide, short, room"):
         experiment_lines("narrow", tmp_path)
     with pytest.raises(InputError, match="At least one noise"):
-        experiment_lines("wide", tmp_path, noise_px=())
+        LineStudyOptions(noise_px=())
     with pytest.raises(InputError, match="At least one noise"):
-        experiment_lines("wide", tmp_path, noise_px=(-1.0,))
+        LineStudyOptions(noise_px=(-1.0,))
     with pytest.raises(InputError, match="trials"):
-        experiment_lines("wide", tmp_path, trials=0)
+        LineStudyOptions(trials=0)
     with pytest.raises(InputError, match="disturbance"):
-        experiment_lines("wide", tmp_path, perturb_m=math.nan)
+        LineStudyOptions(perturb_m=math.nan)
     with pytest.raises(InputError, match="seed of at least 0"):
-        experiment_lines("wide", tmp_path, seed=-1)
+        experiment_lines("wide", tmp_path, LineStudyOptions(seed=-1))
 
 
 # The model house.

@@ -15,6 +15,7 @@ from omnilines.extraction.edgels import noise_level
 from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.kernels.profile import mean_profiles, piece_means, profiles
 from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.tables import PairLimits, Picture, Ranked, Samples, Stepped, Window
 
 EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]
 
@@ -152,9 +153,8 @@ def test_steps_are_found_where_they_are() -> None:
     start = np.zeros((300, MOST_STEPS))
     start[:, :3] = place + rng.uniform(-0.2, 0.2, (300, 3))
     sigma = np.full(300, 0.01)
-    found, variance, heights, left = fit_steps(
-        profile, 0, offsets, weight, start, count, np.array([1.0, 0.3]), sigma, 0.7, ROUNDS
-    )
+    stepped, window = Stepped(profile, start, count), Window(0, offsets, weight)
+    found, variance, heights, left = fit_steps(stepped, sigma, window, stiff=np.array([1.0, 0.3]), blur=0.7, rounds=ROUNDS)
     assert np.abs(found[:, :3] - place)[present].max() < 4e-3
     assert np.abs(heights[:, :3] / height - 1.0)[present].max() < 2e-2
     # What a last move of 0.01 px leaves of steps of 60 in three channels.
@@ -199,7 +199,7 @@ def test_pairs_are_those_of_a_search_over_all(most_gap_px: float, least: int) ->
     """Of 400 arcs those that follow each other or overlap, none missed, and what is said of them."""
     frame, half = some_arcs(400, 5, 0.12)
     length_px, beside = 2000.0 * half, np.full(400, 0.004)
-    found, values, _ = near_pairs(frame, -half, half, length_px, beside, 0.08, most_gap_px, 0.35, 2.6)
+    found, values, _ = near_pairs(Ranked(frame, -half, half, length_px, beside), PairLimits(0.08, most_gap_px, 0.35, 2.6))
     expected = {}
     for a in range(400):
         for b in range(400):
@@ -223,7 +223,8 @@ def test_pairs_looked_at_go_with_the_arcs() -> None:
     for count, spread in ((2000, 0.12), (8000, 0.24)):
         frame, half = some_arcs(count, 6, spread)
         half *= 0.3
-        _, _, total = near_pairs(frame, -half, half, 2000.0 * half, np.full(count, 0.004), 0.08, 60.0, 0.35, 2.6)
+        table = Ranked(frame, -half, half, 2000.0 * half, np.full(count, 0.004))
+        _, _, total = near_pairs(table, PairLimits(0.08, 60.0, 0.35, 2.6))
         looked.append(total)
     assert looked[0] > 2000
     assert looked[1] < 6 * looked[0]
@@ -237,7 +238,7 @@ def test_profiles_read_the_photo(channels: int) -> None:
     turn = rng.uniform(0.0, 6.28, 500)
     pixel, across = rng.uniform([0.0, 10.0], [79.0, 50.0], (500, 2)), np.stack([np.cos(turn), np.sin(turn)], -1)
     offsets = np.arange(-6, 7) * 0.5
-    grey, inside = profiles(image, 1.0, pixel, across, offsets, True)
+    grey, inside = profiles(Picture(image, 1.0, True), pixel, across, offsets)
     around = np.concatenate([image[:, -20:], image, image[:, :20]], 1)
     places = pixel[:, None] + offsets[:, None] * across[:, None] + np.array([20.0, 0.0])
     for c in range(channels):
@@ -247,16 +248,15 @@ def test_profiles_read_the_photo(channels: int) -> None:
         assert np.abs(grey[:, c] - expected).max() < 0.04 * 255
         assert np.abs(grey[:, c] - expected).mean() < 2.0
     assert inside.all()
-    _, open_ended = profiles(image, 1.0, pixel, across, offsets, False)
+    _, open_ended = profiles(Picture(image, 1.0, False), pixel, across, offsets)
     reach = places[..., 0] - 20.0
     np.testing.assert_array_equal(open_ended, ((reach >= 0) & (reach < 79)).all(-1))
     starts = np.arange(0, 501, 5)
     np.testing.assert_allclose(piece_means(grey, starts), grey.reshape(100, 5, channels, 13).mean(1), atol=1e-3)
     slope = (2.0 * np.arange(80.0) + np.arange(60.0)[:, None])[..., None] * np.ones(channels)
     every = np.ones(100, dtype=bool)
-    mean, whole = mean_profiles(
-        slope.astype(np.uint8), 1.0, pixel, across, np.ones(500, dtype=bool), starts, every, offsets, False
-    )
+    at = Samples(np.zeros(500, dtype=np.int64), starts, turn, pixel, across, np.ones(500), np.ones(500, dtype=bool))
+    mean, whole = mean_profiles(Picture(slope.astype(np.uint8), 1.0, False), at, starts, every, offsets)
     truth = (2.0 * reach + places[..., 1]).reshape(100, 5, 13).mean(1)
     assert whole.sum() > 20
     np.testing.assert_allclose(mean[whole], np.repeat(truth[whole, None], channels, 1), atol=1e-4)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from camera_models import Pinhole
-from omnilines.extraction import extract_arcs, refit
+from omnilines.extraction import ExtractionOptions, extract_arcs, refit
 from omnilines.extraction.kernels.circle import fit_circles
+from omnilines.extraction.kernels.tables import Places
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
 
@@ -31,7 +32,9 @@ def test_a_circle_is_fitted_through_most_of_its_places() -> None:
     usable = np.ones(120, dtype=bool)
     usable[10:30], shift[10:30] = False, 0.9
     shift[60::5] += 0.9
-    found, inverse, variance, used, residual = fit_circles(np.array([0, 60, 120]), angle, rate, shift, np.ones(120), usable, 1.5)
+    found, inverse, variance, used, residual = fit_circles(
+        np.array([0, 60, 120]), Places(angle, rate, shift, np.ones(120), usable), ExtractionOptions().refit.max_shift_px
+    )
     sigma = np.sqrt(np.einsum("nii->ni", inverse) * variance[:, None])
     assert (np.abs(found - truth) < 4.0 * sigma).all()
     assert (sigma < 2e-4).all()
@@ -43,9 +46,9 @@ def test_a_circle_is_fitted_through_most_of_its_places() -> None:
 
 def test_arcs_do_not_depend_on_how_many_are_refitted_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     image = drawn()
-    whole = extract_arcs(image, CAMERA, least_px=13.0)
+    whole = extract_arcs(image, CAMERA, options=ExtractionOptions(min_length_px=13.0))
     assert len(whole) > 50
     monkeypatch.setattr(refit, "_ARCS", 7)
-    parts = extract_arcs(image, CAMERA, least_px=13.0)
+    parts = extract_arcs(image, CAMERA, options=ExtractionOptions(min_length_px=13.0))
     np.testing.assert_allclose(parts.endpoints_px, whole.endpoints_px, rtol=0, atol=1e-9)
     np.testing.assert_allclose(parts.covariance_px2, whole.covariance_px2, rtol=1e-9)

@@ -15,6 +15,7 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.records import Lines
 from omnilines.structure.directions import line_directions
 from omnilines.structure.families import Families, line_families
+from omnilines.structure.options import FamilyOptions
 
 DEGREE = math.pi / 180
 
@@ -94,7 +95,7 @@ def test_the_number_of_false_families_is_bounded_as_stated() -> None:
     counts = []
     for _ in range(100):
         lines = noisy_lines(unit(rng.normal(size=(120, 3))), 0.6 * DEGREE, rng)
-        counts.append(len(line_families(lines, false_families=1.0, min_members=2)))
+        counts.append(len(line_families(lines, FamilyOptions(false_families=1.0, min_members=2))))
     assert 0.02 <= np.mean(counts) <= 1.0
 
 
@@ -120,7 +121,7 @@ def test_three_families_and_their_uncertainty(tolerance_deg: float, noise_deg: f
     off2, angles, probability, taken = [], [], [], []
     for _ in range(trials):
         lines, axes = true_scene(rng, members, alone, tolerance_deg * DEGREE, noise_deg * DEGREE)
-        families = line_families(lines, tolerance_rad=tolerance_deg * DEGREE)
+        families = line_families(lines, FamilyOptions(tolerance_rad=tolerance_deg * DEGREE))
         assert len(families) == 3 and sorted(matched(families, axes)) == [0, 1, 2]
         for k, axis in enumerate(matched(families, axes)):
             side = np.sign(families.direction[k] @ axes[axis])
@@ -166,14 +167,14 @@ def test_lines_beside_a_family_make_no_second_one() -> None:
     directions = np.concatenate([np.repeat(axis, 30, 0), np.repeat(near, 6, 0), unit(rng.normal(size=(20, 3)))])
     lines = noisy_lines(directions, 0.05 * DEGREE, rng)
     assert line_families(lines).members.tolist() == [30]
-    split = line_families(lines, separation_rad=1 * DEGREE)
+    split = line_families(lines, FamilyOptions(separation_rad=1 * DEGREE))
     assert split.members.tolist() == [30, 6] and len(split.right_angles) == 0
 
 
 def test_exact_lines_and_lines_that_cannot_have_a_family() -> None:
     rng = np.random.default_rng(4)
     lines = noisy_lines(np.repeat(np.eye(3), 8, 0), 0.0, rng)
-    families = line_families(lines, tolerance_rad=0.0)
+    families = line_families(lines, FamilyOptions(tolerance_rad=0.0))
     assert families.members.tolist() == [8, 8, 8] and len(families.right_angles) == 3
     np.testing.assert_allclose(families.angle_rad, math.pi / 2, atol=1e-9)
     assert (families.probability > 0.5).all()
@@ -194,10 +195,10 @@ def test_what_cannot_be_asked_for() -> None:
     with pytest.raises(InputError, match="adjust the lines first"):
         line_families(replace(lines, covariance=None))
     with pytest.raises(InputError, match="tolerance of parallel lines from 0 to 10 degrees was expected, found 20"):
-        line_families(lines, tolerance_rad=20 * DEGREE)
+        line_families(lines, FamilyOptions(tolerance_rad=20 * DEGREE))
     with pytest.raises(InputError, match="separation of families"):
-        line_families(lines, separation_rad=2.0)
+        line_families(lines, FamilyOptions(separation_rad=2.0))
     with pytest.raises(InputError, match="at least 2 members"):
-        line_families(lines, min_members=1)
+        line_families(lines, FamilyOptions(min_members=1))
     with pytest.raises(InputError, match="above 0"):
-        line_families(lines, false_families=0.0)
+        line_families(lines, FamilyOptions(false_families=0.0))

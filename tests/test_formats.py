@@ -90,7 +90,7 @@ def test_names_of_files_decide_what_is_written(name: str) -> None:
 
 
 def test_a_name_without_a_format_is_refused() -> None:
-    with pytest.raises(InputError, match=r"found 'camera\.dat'; name the format with --to"):
+    with pytest.raises(InputError, match=r"found 'camera\.dat'; name the format with `to_format`"):
         format_for_writing("camera.dat")
 
 
@@ -320,7 +320,9 @@ def test_short_cuts(tmp_path: Path) -> None:
     assert_same_camera(read(tmp_path / "cameras.txt").calibration["1"], model)
     assert_same_camera(read(tmp_path / "cameras.txt", "colmap").calibration["1"], model)
     (tmp_path / "notes.txt").write_text("nothing of a camera")
-    with pytest.raises(InputError, match=r"notes.txt was expected to be a calibration of colmap, .*name its format with --from"):
+    with pytest.raises(
+        InputError, match=r"notes.txt was expected to be a calibration of colmap, .*name its format with `from_format`"
+    ):
         read(tmp_path / "notes.txt")
     with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "absent.yaml")

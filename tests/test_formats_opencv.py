@@ -107,7 +107,7 @@ def test_the_skew_that_opencv_does_not_use(tmp_path: Path) -> None:
 
 def test_the_size_may_be_given(tmp_path: Path) -> None:
     path = put(tmp_path / "a.yml", camera_matrix=K, distortion_coefficients=BROWN)
-    with pytest.raises(InputError, match=r"a.yml: The file does not hold the size of the image, .* give --image-size"):
+    with pytest.raises(InputError, match=r"a.yml: The file was expected to hold the size of the image, .* give `image_size`"):
         read(path)
     assert only(path, image_size=(640, 480)).image_size == (640, 480)
     path.write_text(path.read_text() + "image_size: [ 320, 240 ]\n")

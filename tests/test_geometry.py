@@ -1,4 +1,4 @@
-"""Sphere, lines, charts and alignments against closed forms, high-precision arithmetic, scipy and autograd."""
+"""Sphere, lines and charts against closed forms, high-precision arithmetic, scipy and autograd."""
 
 import math
 
@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 import torch
-from scipy.spatial.transform import Rotation
 
-from camera_models.errors import GeometryError
 from camera_models.pose import Pose
 from omnilines.geometry import sphere
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.geometry.line import PlueckerLines, segment_ends, weighted_median_by_group
 from omnilines.geometry.line_chart import LineChart
 
@@ -64,15 +61,6 @@ def test_distance_to_a_great_circle_is_the_latitude() -> None:
     bearings = torch.stack([latitude.cos(), torch.zeros_like(latitude), latitude.sin()], -1)
     pole = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     torch.testing.assert_close(sphere.distance_to_great_circle(bearings, pole), latitude, rtol=1e-12, atol=0)
-
-
-def test_common_rotation_is_that_of_scipy() -> None:
-    source = unit(30, seed=3)
-    target = source @ torch.tensor(Rotation.from_rotvec([0.3, -2.0, 0.7]).as_matrix()).mT + 0.05 * normal(30, 3, seed=4)
-    expected, _ = Rotation.align_vectors(target.numpy(), source.numpy())
-    np.testing.assert_allclose(sphere.common_rotation(source.numpy(), target.numpy()), expected.as_matrix(), atol=1e-7)
-    with pytest.raises(GeometryError, match="on one axis"):
-        sphere.common_rotation(source[:1].expand(5, 3), target[:1].expand(5, 3))
 
 
 # --- lines
@@ -247,30 +235,3 @@ def test_a_line_through_the_centre_of_its_chart_stays_finite() -> None:
     )
     torch.testing.assert_close(chart.S.mT @ chart.S, torch.eye(3, dtype=torch.float64).expand(3, 3, 3))
     assert torch.equal(chart.phi, torch.zeros(3, dtype=torch.float64))
-
-
-# --- alignment
-
-
-def test_similarity_alignment_recovers_the_similarity_and_is_the_minimum() -> None:
-    source = normal(4, 20, 3, seed=27)
-    truth = Pose.exp(normal(4, 6, seed=28))
-    scale = torch.tensor([0.1, 1.0, 3.0, 50.0], dtype=torch.float64)
-    found, pose = similarity_alignment(source, truth.transform(scale[:, None, None] * source))
-    torch.testing.assert_close(found, scale)
-    torch.testing.assert_close(pose.rotation, truth.rotation, rtol=0, atol=1e-12)
-    torch.testing.assert_close(pose.translation, truth.translation, rtol=0, atol=1e-11)
-    noisy = normal(20, 3, seed=29)
-    s, best = similarity_alignment(source[0].numpy(), noisy.numpy())
-
-    def cost(x: np.ndarray) -> float:
-        step = Pose.exp(torch.tensor(x[:6]))
-        return float((noisy - (step @ best).transform(s * math.exp(x[6]) * source[0])).square().sum())
-
-    assert scipy.optimize.minimize(cost, np.zeros(7), tol=1e-12).fun == pytest.approx(cost(np.zeros(7)), rel=1e-9)
-
-
-def test_similarity_of_collinear_points_is_refused() -> None:
-    line = torch.linspace(0, 1, 10, dtype=torch.float64)[:, None] * unit(seed=30)
-    with pytest.raises(GeometryError, match="collinear"):
-        similarity_alignment(line, line)

@@ -11,18 +11,17 @@ import torch
 from scipy.optimize import least_squares
 from tag_views import View
 
-from calib_patterns import pattern
-from calib_patterns._pattern import Detection
+from calib_patterns import Detection, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.guided import GuidedCorners, guided_search, seen_ids
 from calib_patterns.guided_part import guided_search_of_part
-from calib_patterns.pose_refit import refit_pose
 from calib_patterns.rendering import render_target
 from calib_patterns.tag_board import TagBoard
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pose import Pose
+from camera_models.pose_fit import refit_pose
 from omnilines.calibration.single import calibrate_camera
 from omnilines.synthetic.targets import simulate_corners
 

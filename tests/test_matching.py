@@ -26,12 +26,15 @@ from omnilines.geometry.sphere import points_on_arc
 from omnilines.matching import tracks as tracks_module
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
-from omnilines.matching.match import NEIGHBOURS, SLACKS_PX, Matched, evidence_of_lines, match_arcs
+from omnilines.matching.match import Matched, evidence_of_lines, match_arcs
+from omnilines.matching.options import HypothesisOptions, MatchingOptions
 from omnilines.matching.tracks import build_tracks
 
 CAMERAS = list(VIEWS)
 FEW_CAMERAS = ["fisheye", "panorama", *(pytest.param(name, marks=pytest.mark.full) for name in ("scaramuzza", "pinhole"))]
 MOST_ARCS_RANDOMLY_IN_TRACKS = 0.03
+OPTIONS = MatchingOptions()
+SLACKS_PX, NEIGHBOURS = OPTIONS.tolerance.tried_px, OPTIONS.hypotheses.max_neighbours
 
 
 def assert_consistent(found: Matched, least_views: int = 4) -> None:
@@ -269,17 +272,20 @@ def test_an_arc_that_leads_elsewhere_asks_for_another_photo() -> None:
             support[i, : len(others)] = others
     blank = np.zeros(len(arcs))
     found = Hypotheses(np.zeros((len(arcs), 2)), score, blank, support.astype(np.int32), blank.astype(np.int64))
-    assert tracks_module._enough_views(arcs, track, 3, found, 4).tolist() == [3, 4, 3]
-    assert tracks_module._enough_views(arcs, track, 3, found, 3).tolist() == [3, 3, 3]
+    assert tracks_module._enough_views(arcs, track, 3, found, 4, OPTIONS.tracks.min_agreement).tolist() == [3, 4, 3]
+    assert tracks_module._enough_views(arcs, track, 3, found, 3, OPTIONS.tracks.min_agreement).tolist() == [3, 3, 3]
     # Seen alike on one side only.
     score[first[0][2]] = 1.4
-    assert tracks_module._enough_views(arcs, track, 3, found, 4).tolist() == [3, 4, 4]
+    assert tracks_module._enough_views(arcs, track, 3, found, 4, OPTIONS.tracks.min_agreement).tolist() == [3, 4, 4]
 
 
 def test_few_neighbours_find_most_lines_in_less_work() -> None:
     scene = room("pinhole")
     arcs = scene.arcs(0.3, 3)
-    every, few = matched("pinhole"), match_arcs(arcs, slack_px=0.1, neighbours=8)
+    every, few = (
+        matched("pinhole"),
+        match_arcs(arcs, slack_px=0.1, options=MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=8))),
+    )
     assert few.hypotheses.candidates.sum() < 0.6 * every.hypotheses.candidates.sum()
     got = score(scene, few.tracks.track)
     assert got.purity > 0.985 and got.found > 0.9
@@ -392,7 +398,8 @@ def test_positions_are_where_the_ends_meet_the_line() -> None:
 
 def test_wrong_options_and_photos_are_refused_in_one_sentence() -> None:
     arcs = room("fisheye").arcs(0.3, 3)
-    for options in ({"least_views": 2}, {"neighbours": 1}, {"slack_px": 0.0}, {"slack_px": -1.0}, {"slack_px": float("nan")}):
+    alone = {"options": MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=1))}
+    for options in ({"least_views": 2}, alone, {"slack_px": 0.0}, {"slack_px": -1.0}, {"slack_px": float("nan")}):
         with pytest.raises(InputError, match="at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found"):
             match_arcs(arcs, **options)
     with pytest.raises(GeometryError, match="in at least 3 photos with poses were expected to match lines, found 2;"):

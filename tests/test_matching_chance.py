@@ -11,11 +11,14 @@ from camera_models import Pinhole
 from camera_models.equirectangular import Equirectangular
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
-from omnilines.matching.chance import REACH_PX, chance_of_lines
+from omnilines.matching.chance import chance_of_lines
 from omnilines.matching.kernels.chance import at_least, shown_and_beside
-from omnilines.matching.known_lines import MOST_CHI_SQUARE, mean_colours
+from omnilines.matching.known_lines import mean_colours
+from omnilines.matching.options import MatchingOptions
 
 SIGMA_PX, BARS, PHOTOS = 0.2, 25, 12
+OPTIONS = MatchingOptions()
+REACH_PX, MOST_CHI_SQUARE = OPTIONS.chance.reach_px, OPTIONS.explained.max_chi_square
 CAMERA = Pinhole.from_mapping({"fx": 3000.0, "fy": 3000.0, "cx": 639.5, "cy": 479.5}, (1280, 960))
 
 
@@ -60,6 +63,8 @@ def test_places_beside_a_line_are_counted_once_and_only_where_an_arc_looks_like_
         arcs.starts,
         REACH_PX,
         MOST_CHI_SQUARE,
+        OPTIONS.hypotheses.min_overlap_share,
+        OPTIONS.likeness,
     )
     half = SIGMA_PX * math.sqrt(MOST_CHI_SQUARE / 2.0)
     assert abs(width[0, 0] - 2.0 * half) < 0.01

@@ -19,8 +19,12 @@ from omnilines.matching.kernels import hypothesis as kernel
 from omnilines.matching.kernels import voting as voting_kernel
 from omnilines.matching.kernels.epipolar import arcs_across, arcs_by_angle
 from omnilines.matching.kernels.track import claim, near_lines, needed, united
+from omnilines.matching.options import MatchingOptions
 
 CAMERAS = list(VIEWS)
+OPTIONS = MatchingOptions()
+AGREE = OPTIONS.hypotheses.agree_sigmas
+LOOKS = OPTIONS.likeness
 
 
 def some(arcs: ViewedArcs, count: int, seed: int = 0) -> ViewedArcs:
@@ -43,7 +47,7 @@ def true_depths(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> tuple[tor
     overlap = torch.minimum(own[:, 1], other[:, 1]) - torch.maximum(own[:, 0], other[:, 0])
     shorter = torch.minimum(own[:, 1] - own[:, 0], other[:, 1] - other[:, 0])
     flipped = (places[0][:, 1] > places[0][:, 0]) ^ (places[1][:, 1] > places[1][:, 0])
-    return inverse, front[0] & front[1] & (overlap > kernel.LEAST_OVERLAP * shorter), flipped
+    return inverse, front[0] & front[1] & (overlap > OPTIONS.hypotheses.min_overlap_share * shorter), flipped
 
 
 def depth_sigmas(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> torch.Tensor:
@@ -67,11 +71,11 @@ def test_depths_of_all_pairs_are_those_of_the_line_of_their_planes(name: str) ->
     packed = torch.as_tensor(arcs.packed)
     inverse, allowed, flipped = true_depths(packed, i, j)
     sigma = depth_sigmas(packed, i, j)
-    allowed &= (sigma <= kernel.MOST_SIGMA * inverse).all(-1)
+    allowed &= (sigma <= OPTIONS.hypotheses.max_depth_sigma_share * inverse).all(-1)
     out = np.empty(5)
     accepted = 0
     for k, (a, b) in enumerate(zip(i, j, strict=True)):
-        assert kernel.depths(a, b, arcs.packed, out) == bool(allowed[k])
+        assert kernel.depths(a, b, arcs.packed, OPTIONS.hypotheses, out) == bool(allowed[k])
         if allowed[k]:
             accepted += 1
             np.testing.assert_allclose(out[:2], inverse[k].numpy(), rtol=1e-7)
@@ -88,7 +92,7 @@ def test_the_spread_of_depths_under_noise_is_the_stated_one(name: str) -> None:
     rng, out, tried = np.random.default_rng(4), np.empty(5), 0
     for line in range(0, len(scene.ends_m), 9):
         i, j = np.flatnonzero(scene.line == line)[:2]
-        if not kernel.depths(i, j, exact.packed, out):
+        if not kernel.depths(i, j, exact.packed, OPTIONS.hypotheses, out):
             continue
         tried += 1
         stated = out[2:4].copy()
@@ -98,7 +102,7 @@ def test_the_spread_of_depths_under_noise_is_the_stated_one(name: str) -> None:
         own[:, :6] += (own[:, 12:, None] * rng.standard_normal((draws, 2, 1)) * own[:, None, 6:9]).reshape(draws, 6)
         rows, found = np.concatenate([own, noisy.packed]), np.empty((draws, 5))
         for k in range(draws):
-            kernel.depths(k, draws + k, rows, found[k])
+            kernel.depths(k, draws + k, rows, OPTIONS.hypotheses, found[k])
         np.testing.assert_allclose(found[:, :2].std(0), stated, rtol=0.06)
     assert tried > 4
 
@@ -107,17 +111,17 @@ def dense_likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> floa
     """From multivariate normal densities relative to their largest, covariance s^2 I + t^2 1 1'."""
 
     def square(x: np.ndarray) -> float:
-        covariance = kernel.COLOUR_SIGMA**2 * np.eye(len(x)) + kernel.GAIN_SIGMA**2
+        covariance = LOOKS.colour_sigma**2 * np.eye(len(x)) + LOOKS.gain_sigma**2
         return float(x @ np.linalg.solve(covariance, x)) / len(x)
 
     sides = first - (second[::-1] if flipped else second)
     known = ~np.isnan(sides).any(-1)
     if not known.any():
         return 0.3
-    single = min(square(x) for x in sides[known]) + kernel.ONE_SIDE
+    single = min(square(x) for x in sides[known]) + LOOKS.one_side_chi_square
     if known.all():
         return math.exp(-0.5 * min(single, square(sides.ravel())))
-    return math.exp(-0.5 * (single - 0.5 * kernel.ONE_SIDE))
+    return math.exp(-0.5 * (single - 0.5 * LOOKS.one_side_chi_square))
 
 
 def test_likeness_is_a_gaussian_with_a_common_gain() -> None:
@@ -132,26 +136,26 @@ def test_likeness_is_a_gaussian_with_a_common_gain() -> None:
             second[k // 4 % 2] = np.nan
         flipped = bool(rng.random() < 0.5)
         second = second[::-1].copy() if flipped else second
-        found.append(kernel.likeness(first, second, flipped))
+        found.append(kernel.likeness(first, second, flipped, LOOKS))
         assert found[-1] == pytest.approx(dense_likeness(first, second, flipped), rel=1e-9)
         # Neither the order of the two arcs nor the direction in which both run matters.
-        assert kernel.likeness(second, first, flipped) == pytest.approx(found[-1], rel=1e-9)
-        assert kernel.likeness(first[::-1].copy(), second[::-1].copy(), flipped) == pytest.approx(found[-1], rel=1e-9)
-        assert kernel.likeness(first, second[::-1].copy(), not flipped) == pytest.approx(found[-1], rel=1e-9)
+        assert kernel.likeness(second, first, flipped, LOOKS) == pytest.approx(found[-1], rel=1e-9)
+        assert kernel.likeness(first[::-1].copy(), second[::-1].copy(), flipped, LOOKS) == pytest.approx(found[-1], rel=1e-9)
+        assert kernel.likeness(first, second[::-1].copy(), not flipped, LOOKS) == pytest.approx(found[-1], rel=1e-9)
     same = rng.uniform(3.0, 5.5, (2, 3))
-    assert kernel.likeness(same, same, False) == 1.0 and 0 < min(found) and max(found) <= 1
+    assert kernel.likeness(same, same, False, LOOKS) == 1.0 and 0 < min(found) and max(found) <= 1
     unknown = np.full((2, 3), np.nan)
-    assert kernel.likeness(unknown, same, False) == kernel.likeness(same, unknown, True) == 0.3
+    assert kernel.likeness(unknown, same, False, LOOKS) == kernel.likeness(same, unknown, True, LOOKS) == 0.3
     # Of true partners all but a few pass. With one side in common arcs do too, but weigh less than half; most strangers do not.
     true = [found[k] for k in range(400) if k % 4 in (0, 3)]
-    strangers = [kernel.likeness(*rng.uniform(3.0, 5.5, (2, 2, 3)), False) for _ in range(400)]
-    assert np.mean(np.array(true) > kernel.LEAST_LIKENESS) > 0.99 and np.mean(np.array(strangers) > kernel.LEAST_LIKENESS) < 0.08
+    strangers = [kernel.likeness(*rng.uniform(3.0, 5.5, (2, 2, 3)), False, LOOKS) for _ in range(400)]
+    assert np.mean(np.array(true) > LOOKS.min_likeness) > 0.99 and np.mean(np.array(strangers) > LOOKS.min_likeness) < 0.08
     half = [found[k] for k in range(400) if k % 4 == 1]
-    assert np.mean(np.array(half) > kernel.LEAST_LIKENESS) > 0.9 and np.median(true) > 2 * np.median(half)
+    assert np.mean(np.array(half) > LOOKS.min_likeness) > 0.9 and np.median(true) > 2 * np.median(half)
     rows = rng.uniform(3.0, 5.5, (20, 2, 3))
     one, other, against = rng.integers(0, 20, 50), rng.integers(0, 20, 50), rng.random(50) < 0.5
-    expected = [kernel.likeness(rows[a], rows[b], c) for a, b, c in zip(one, other, against, strict=True)]
-    np.testing.assert_array_equal(kernel.likenesses(rows, rows, one, other, against), expected)
+    expected = [kernel.likeness(rows[a], rows[b], c, LOOKS) for a, b, c in zip(one, other, against, strict=True)]
+    np.testing.assert_array_equal(kernel.likenesses(rows, rows, one, other, against, LOOKS), expected)
 
 
 @pytest.mark.parametrize("span", [0.01, 0.5, 1.7, 2.8])
@@ -186,18 +190,18 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
     for i in range(0, total, 9):
         photos = np.flatnonzero(near[arcs.image[i]])
         others = np.flatnonzero(np.isin(arcs.image, photos))
-        count = kernel.partners(i, others, arcs.packed, arcs.colours, arc, pairs, weight)
+        count = kernel.partners(i, others, arcs.packed, arcs.colours, OPTIONS.hypotheses, LOOKS, arc, pairs, weight)
         assert count == found.candidates[i] and set(arcs.image[arc[:count]]) <= set(photos.tolist())
         depth, variance = pairs[:count, :2], pairs[:count, 2:] ** 2
         square = ((depth - depth[:, None]) ** 2 / (variance + np.minimum(variance, variance[:, None]))).sum(-1)
-        votes = np.where(square <= voting_kernel.GATE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
+        votes = np.where(square <= AGREE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
         image = arcs.image[arc[:count]]
         scores = sum((votes * (image == photo)).max(1, initial=0.0) for photo in photos)
         best = int(np.argmax(scores)) if count else -1
-        rivals = scores[square[best] > voting_kernel.GATE**2] if count else np.zeros(0)
+        rivals = scores[square[best] > AGREE**2] if count else np.zeros(0)
         assert found.score[i] == pytest.approx(scores[best] if count else 0.0, rel=1e-9)
         assert found.rival[i] == pytest.approx(rivals.max(initial=0.0), rel=1e-9)
-        agreeing = np.flatnonzero(square[best] <= voting_kernel.GATE**2) if count else np.zeros(0, dtype=np.int64)
+        agreeing = np.flatnonzero(square[best] <= AGREE**2) if count else np.zeros(0, dtype=np.int64)
         assert sorted(arc[agreeing].tolist()) == sorted(found.support[i][found.support[i] >= 0].tolist())
         if count:
             share = weight[agreeing, None] / variance[agreeing]
@@ -214,11 +218,11 @@ def test_scores_are_those_of_all_pairs(count: int) -> None:
     found = np.concatenate([np.exp(rng.normal(0.0, 0.3, (count, 1)) + rng.normal(0.0, 0.02, (count, 2))), sigma], 1)
     weight, photo = rng.uniform(0.05, 1.0, count), np.sort(rng.integers(0, 9, count))
     order = np.argsort(found[:, 0])
-    scores = voting_kernel.pair_scores(voting_kernel.by_first_depth(found, order), order, weight, photo)
+    scores = voting_kernel.pair_scores(voting_kernel.by_first_depth(found, order), order, weight, photo, AGREE)
     variance = sigma**2
     spread = variance[:, None] + np.minimum(variance[:, None], variance)
     square = ((found[:, None, :2] - found[:, :2]) ** 2 / spread).sum(-1)
-    votes = np.where(square <= voting_kernel.GATE**2, weight[:, None] * np.exp(-0.25 * square), 0.0)
+    votes = np.where(square <= AGREE**2, weight[:, None] * np.exp(-0.25 * square), 0.0)
     expected = sum(votes[photo == k].max(0, initial=0.0) for k in range(9))
     np.testing.assert_allclose(scores, expected[order], rtol=1e-9)
     assert count < 700 or np.median((votes > 0).sum(0)) > 20
@@ -243,7 +247,7 @@ def test_no_partner_lies_outside_the_angles_about_the_baseline_that_an_arc_reach
             across = found[: arcs_across(arcs.packed[i], frames, begin, members, i, seen, found)].tolist()
             assert len(across) == len(set(across))
             elsewhere = np.flatnonzero(arcs.image != photo).tolist()
-            true = {j for j in elsewhere if kernel.depths(i, j, arcs.packed, out)}
+            true = {j for j in elsewhere if kernel.depths(i, j, arcs.packed, OPTIONS.hypotheses, out)}
             assert true <= set(across)
             partners, skipped = partners + len(true), skipped + len(elsewhere) - len(across)
     assert partners > 300 and skipped > total * total / 3
@@ -256,7 +260,7 @@ def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.Monke
         monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
         monkeypatch.setattr(hypotheses, "AT_ONCE", portion)
         steps = []
-        found = find_hypotheses(arcs, near, progress=lambda done, total, to=steps: to.append((done, total)))
+        found = find_hypotheses(arcs, near, progress=lambda stage, done, total, to=steps: to.append((done, total)))
         assert steps == [(k + 1, math.ceil(500 / portion)) for k in range(math.ceil(500 / portion))]
         every = found if every is None else every
         for one, other in zip(vars(every).values(), vars(found).values(), strict=True):

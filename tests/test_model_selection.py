@@ -16,6 +16,7 @@ from omnilines.calibration.held_out import held_out
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.select import Candidate, all_candidates, fit_boards, select_model
 from omnilines.calibration.single import calibrate_camera
+from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.calibration.views import board_points
 from omnilines.evaluation.cameras import bearing_errors
 from omnilines.files import read_corners
@@ -210,8 +211,8 @@ def test_a_model_that_cannot_hold_the_camera_is_named_and_the_rest_goes_on():
     two = (Candidate("opencv-fisheye", {}), Candidate("scaramuzza", {"degree": 4}))
     selection = select_model(corners, SIZE, mirror=True, candidates=two)
     assert selection.chosen.candidate.model == "scaramuzza"
-    assert "found --mirror" in (selection.trials[0].failure or "")
-    with pytest.raises(InputError, match="found --mirror"):
+    assert "found `mirror`" in (selection.trials[0].failure or "")
+    with pytest.raises(InputError, match="found `mirror`"):
         select_model(corners, SIZE, mirror=True, candidates=two[:1])
 
 
@@ -228,7 +229,7 @@ def test_a_curve_that_folds_just_beyond_the_data_is_seen():
     edge = 700 * (2 / 3) / np.sqrt(0.9)
     for share, grows in ((0.85, True), (0.95, False)):
         pixel = torch.tensor([[640.0 + share * edge, 480.0]], dtype=torch.float64)
-        assert grows_beyond(lens, pixel) == grows
+        assert grows_beyond(lens, pixel, HeldOutThresholds().beyond_factor) == grows
 
 
 @pytest.mark.slow

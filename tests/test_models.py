@@ -456,7 +456,7 @@ def test_equirectangular_landmarks():
 @pytest.mark.parametrize("name", ["unified", "extended-unified", "double-sphere"])
 def test_sphere_models_refuse_mirrors(name):
     theta = torch.linspace(0.1, 1, 10, dtype=torch.float64)
-    with pytest.raises(camera_models.InputError, match="use --model scaramuzza"):
+    with pytest.raises(camera_models.InputError, match="use `model` scaramuzza"):
         model_class(name).from_radial_curve(300 * theta, theta, torch.zeros(2, dtype=torch.float64), (640, 480), mirror=True)
 
 

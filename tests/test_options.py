@@ -27,6 +27,10 @@ class Options:
     """One after another."""
     loud: bool = False
     """Whether it is."""
+    degree: int | None = None
+    """Chosen where it is not given."""
+    parts: tuple[str, ...] = ()
+    """Names."""
 
 
 def test_every_option_has_its_name_value_and_sentence() -> None:
@@ -35,12 +39,14 @@ def test_every_option_has_its_name_value_and_sentence() -> None:
         ("stage.edges.rounds", 2, "Times."),
         ("stage.scales_px", (1.0, 2.0), "One after another."),
         ("stage.loud", False, "Whether it is."),
+        ("stage.degree", None, "Chosen where it is not given."),
+        ("stage.parts", (), "Names."),
     ]
 
 
 def test_settings_replace_what_they_name_and_leave_the_rest() -> None:
-    settings = ["s.edges.smoothing_px=0.9", "s.scales_px=1,2,4", "s.loud=true", "s.edges.rounds=3"]
-    assert with_settings(Options(), settings, "s.") == Options(Edges(0.9, 3), (1.0, 2.0, 4.0), True)
+    settings = ["s.edges.smoothing_px=0.9", "s.scales_px=1,2,4", "s.loud=true", "s.edges.rounds=3", "s.degree=4", "s.parts=a,b"]
+    assert with_settings(Options(), settings, "s.") == Options(Edges(0.9, 3), (1.0, 2.0, 4.0), True, 4, ("a", "b"))
     assert with_settings(Options(), []) == Options()
 
 
@@ -54,6 +60,7 @@ def test_settings_replace_what_they_name_and_leave_the_rest() -> None:
         ("edges.smoothing_px=nan", "a value like 0.6"),
         ("loud=perhaps", "true or false"),
         ("scales_px=1,x", "a value like"),
+        ("degree=four", "a number"),
     ],
 )
 def test_what_is_not_known_is_refused(setting: str, said: str) -> None:

@@ -10,16 +10,15 @@ from ov_plane import read_split
 from scipy.special import ndtr
 from tag_views import View, views
 
-from calib_patterns import pattern
-from calib_patterns._pattern import Detection
+from calib_patterns import Detection, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.grid_checks import flaw_of, good_corners
+from calib_patterns.kernels.saddle_fit import BUFFER_ROWS, JACOBIAN, LEFT, linearised
+from calib_patterns.kernels.saddle_window import GREY, PARAMETERS, ROW_LENGTH, U, V
 from calib_patterns.partial import visible_part
 from calib_patterns.rendering import render_target
 from calib_patterns.saddle import fit_corners, fit_saddles
-from calib_patterns.saddle_kernel import BUFFER_ROWS, JACOBIAN, LEFT, linearised
 from calib_patterns.saddle_points import lattices, saddle_points
-from calib_patterns.saddle_window_kernel import GREY, PARAMETERS, ROW_LENGTH, U, V
 from camera_models.opencv_fisheye import OpenCVFisheye
 
 SPEC = "checkerboard:8x6:30mm"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calib_patterns
-from calib_patterns._pattern import Pattern
+from calib_patterns import Detection, Pattern
 from calib_patterns.rendering import render_target
 from camera_models.errors import InputError
 from camera_models.pinhole import Pinhole
@@ -51,7 +51,7 @@ def true_pixels(pattern: Pattern, model: Pinhole, pose: Pose) -> np.ndarray:
     return pixels.reshape(-1, 2)
 
 
-def errors_px(pattern: Pattern, detection: calib_patterns._pattern.Detection, truth: np.ndarray) -> np.ndarray:
+def errors_px(pattern: Pattern, detection: Detection, truth: np.ndarray) -> np.ndarray:
     """Against the truth in its own numbering or, for a plain board, after half a turn."""
     own, turned = (detection.pixels - truth[detection.ids], detection.pixels - truth[::-1][detection.ids])
     return own if np.abs(own).max() < np.abs(turned).max() else turned

@@ -10,9 +10,8 @@ import torch
 from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
-from omnilines.commands.render_scene import VIGNETTING, write_png
-from omnilines.files import read_photo
-from omnilines.geometry.alignment import similarity_alignment
+from camera_models.rotations import similarity_alignment
+from omnilines.files import read_photo, write_png
 from omnilines.posing import sfm
 from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
@@ -222,7 +221,7 @@ def of_room(folder: Path, model: str, fov_deg: float | None, views: int, size: t
     names = tuple(f"view{k:02d}.png" for k in range(views))
     look = eye(camera, circle)
     for k, name in enumerate(names):
-        photo = render_photo(room, look, poses[k], blur_px=0.5, noise_grey=2.0, vignetting=VIGNETTING, seed=[5, k])
+        photo = render_photo(room, look, poses[k], blur_px=0.5, noise_grey=2.0, vignetting=0.3, seed=[5, k])
         write_png(folder / name, photo)
     camera_of = dict.fromkeys(names, "cam0")
     found = sfm_poses(names, lambda name: read_photo(folder / name), {"cam0": camera}, camera_of, folder / "work")

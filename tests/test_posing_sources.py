@@ -9,8 +9,7 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, GeometryError, InputError, OpenCVFisheye
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
-from omnilines.commands.render import write_targets
-from omnilines.files import read_photo
+from omnilines.pipelines.render import RenderOptions, render_targets
 from omnilines.posing.from_boards import is_mirrored, poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
@@ -148,21 +147,20 @@ def test_missing_photos_of_a_rig_follow_from_the_known_ones():
 
 
 @pytest.mark.parametrize("spec", ["charuco:8x6:40mm:30mm:DICT_5X5_100", "checkerboard:8x5:30mm"])
-def test_boards_give_the_poses_of_rendered_photos(tmp_path, spec):
-    rendered = write_targets(
-        tmp_path, pattern_spec=spec, model="scaramuzza", fov_deg=200.0, views=3, size=(640, 480), noise=2.0, blur=0.5, seed=2
-    )
-    cameras = {"cam0": rendered.model}
+def test_boards_give_the_poses_of_rendered_photos(spec):
+    rendered = render_targets(spec, "scaramuzza", RenderOptions(fov_deg=200.0, views=3, size_px=(640, 480), seed=2))
+    images = rendered.poses.images
+    cameras = {"cam0": rendered.camera}
     found = poses_from_boards(
-        rendered.images,
-        lambda name: read_photo(tmp_path / name),
+        images,
+        rendered.photos.__getitem__,
         cameras,
-        dict.fromkeys(rendered.images, "cam0"),
+        dict.fromkeys(images, "cam0"),
         rendered.pattern,
     )
     assert len(found.poses) >= 2
     assert len(found.poses) + len(found.left_out) == 3
-    truth = rendered.cam_from_board[[rendered.images.index(name) for name in found.poses.images]]
+    truth = rendered.cam_from_board[[images.index(name) for name in found.poses.images]]
     delta = (found.poses.cam_from_world @ truth.inverse()).log().numpy()
     assert np.abs(delta[:, :3]).max() < np.radians(0.3)
     assert np.linalg.norm(delta[:, 3:], axis=1).max() < 3e-3
@@ -171,18 +169,17 @@ def test_boards_give_the_poses_of_rendered_photos(tmp_path, spec):
     assert max(distance) < 6.0
 
 
-def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_left_out(tmp_path):
+def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_left_out():
     spec = "checkerboard:7x5:30mm"
-    rendered = write_targets(
-        tmp_path, pattern_spec=spec, model="opencv-fisheye", fov_deg=150.0, views=2, size=(640, 480), noise=2.0, blur=0.5, seed=1
-    )
-    photos = {name: read_photo(tmp_path / name) for name in rendered.images}
+    rendered = render_targets(spec, "opencv-fisheye", RenderOptions(fov_deg=150.0, views=2, size_px=(640, 480), seed=1))
+    photos = dict(rendered.photos)
+    first = rendered.poses.images[0]
     photos["blank.png"] = np.full((480, 640), 128, dtype=np.uint8)
-    cameras, camera_of = {"cam0": rendered.model}, dict.fromkeys(photos, "cam0")
+    cameras, camera_of = {"cam0": rendered.camera}, dict.fromkeys(photos, "cam0")
     with pytest.raises(InputError, match="same after half a turn"):
         poses_from_boards(list(photos), photos.__getitem__, cameras, camera_of, rendered.pattern)
-    one = poses_from_boards([rendered.images[0], "blank.png"], photos.__getitem__, cameras, camera_of, rendered.pattern)
-    assert one.poses.images == rendered.images[:1]
+    one = poses_from_boards([first, "blank.png"], photos.__getitem__, cameras, camera_of, rendered.pattern)
+    assert one.poses.images == (first,)
     assert "blank.png has no pose" in one.left_out["blank.png"]
     assert any("half a turn" in note for note in one.notes)
     with pytest.raises(InputError, match="in some photo"):

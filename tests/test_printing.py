@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import calib_patterns
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from calib_patterns.printing import Page, print_pattern
 from camera_models.errors import InputError
 from omnilines.cli import app

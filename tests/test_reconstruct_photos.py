@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from camera_models.pose import Pose
+from camera_models.rotations import similarity_alignment
 from omnilines.cli import main
 from omnilines.commands import reconstruct_photos
 from omnilines.commands.render_scene import render_scene
 from omnilines.evaluation.scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments, write_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 
 VIEWS, SIZE, SEED = 8, (480, 480), 11

@@ -13,16 +13,17 @@ from camera_models.pose import Pose
 from omnilines.commands.experiment_book import experiment_book
 from omnilines.commands.reconstruct import reconstruct_segments
 from omnilines.commands.reconstruct_photos import reconstruct_photos
-from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.files import find_photos, read_corners, read_poses
 from omnilines.pipelines.photo_arcs import find_arcs
 from omnilines.pipelines.photo_poses import photo_poses, sides_of
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
 from omnilines.posing.features import Features
 from omnilines.posing.find_rectangle import FoundRectangle, PhotoArcs, find_rectangle
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import half_turns
 from omnilines.posing.rectangle import Rectangle, corner_distances, parse_rectangle, pose_of_corners
 from omnilines.scenes import scene_camera, sheet_from_world
+from omnilines.studies.book import BookOptions
 
 LETTER = Rectangle(0.279, 0.216)
 PIXEL_SIGMA = 0.15
@@ -185,8 +186,9 @@ def test_features_tell_which_way_the_sheet_lies() -> None:
 
 
 def rendered(folder: Path, model: str, size: tuple[int, int], fov_deg: float | None, views: int = 3) -> RenderedScene:
-    options = {"noise": 2.0, "blur": 0.5, "seed": 1}
-    return write_scene(folder, scene="books", model=model, fov_deg=fov_deg, views=views, size=size, **options)
+    made = render_scene("books", model, RenderOptions(fov_deg, views, size, seed=1))
+    made.save(folder)
+    return made
 
 
 @pytest.mark.parametrize("model, size, fov_deg", [("pinhole", (640, 480), 60.0), ("opencv-fisheye", (960, 960), 190.0)])
@@ -227,7 +229,7 @@ def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) 
         write = csv.writer(file)
         write.writerow(["view", "image", "board_x_m", "board_y_m", "u_px", "v_px"])
         for k, image in enumerate(poses.images):
-            pixels, _ = truth.model.project(poses.cam_from_world[k].transform(torch.as_tensor(LETTER.corners_m)))
+            pixels, _ = truth.camera.project(poses.cam_from_world[k].transform(torch.as_tensor(LETTER.corners_m)))
             for (x, y, _), (u, v) in zip(LETTER.corners_m.tolist(), pixels.tolist(), strict=True):
                 write.writerow([image, image, x, y, u, v])
     cameras = load(calibration)
@@ -252,7 +254,7 @@ def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) 
 
 
 def test_the_book_experiment_holds_and_the_adjustment_attains_the_noise(tmp_path: Path) -> None:
-    result = experiment_book(tmp_path, views=4, size=(800, 600), seed=1)
+    result = experiment_book(tmp_path, rendering=RenderOptions(views=4, size_px=(800, 600), seed=1))
     assert result.holds, [check for check in result.checks if not check.holds]
     data = json.loads(json.dumps(result.data, allow_nan=False))
     rows = {(row["stage"], row["method"]): row for row in data["rows"]}
@@ -264,5 +266,5 @@ def test_the_book_experiment_holds_and_the_adjustment_attains_the_noise(tmp_path
     assert rows["by hand, triangulation", "dual"]["rms_px"] > 1.2 * adjusted["rms_px"]
     assert rows["found, adjustment", "sector"]["rms_3d_m"] < 0.002
     assert data["poses"]["found"]["rms_m"] < 0.001 < data["poses"]["by hand"]["rms_m"]
-    with pytest.raises(InputError, match="hand-px above 0"):
-        experiment_book(tmp_path / "none", hand_px=0.0)
+    with pytest.raises(InputError, match="hand_px above 0"):
+        BookOptions(hand_px=0.0)

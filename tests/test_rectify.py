@@ -1,6 +1,7 @@
 """omnilines rectify: views against photos rendered directly with the camera and pose that the command states."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from camera_models import Calibration, load, save
 from omnilines.cli import main
-from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.files import read_poses, write_poses
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
 from omnilines.records import ImagePoses
 from omnilines.scenes import eye, render_photo
 
@@ -26,9 +27,9 @@ CASES = [
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory) -> tuple[RenderedScene, str]:
     folder = tmp_path_factory.mktemp("scene")
-    made = write_scene(
-        folder, scene="room", model="opencv-fisheye", fov_deg=190.0, views=2, size=(800, 600), noise=0.0, blur=0.0, seed=1
-    )
+    options = RenderOptions(fov_deg=190.0, views=2, size_px=(800, 600), noise_grey=0.0, blur_px=0.0, seed=1)
+    made = render_scene("room", "opencv-fisheye", options)
+    made.save(folder)
     return made, str(folder)
 
 
@@ -102,10 +103,10 @@ def test_colmap_model_has_the_same_cameras(rendered, tmp_path) -> None:
 
 
 def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
-    scene, folder = rendered
+    _, folder = rendered
     (tmp_path / "in" / "left").mkdir(parents=True)
     for name in ("view00.png", "view01.png"):
-        (tmp_path / "in" / "left" / name).write_bytes((scene.files[0].parent / name).read_bytes())
+        (tmp_path / "in" / "left" / name).write_bytes((Path(folder) / name).read_bytes())
     calibration = ["--calibration", f"{folder}/calibration.yaml"]
     assert run("rectify", str(tmp_path / "in"), *calibration, "--size", "100x80", "--out", str(tmp_path / "out")) == 0
     assert (tmp_path / "out/left/view01.png").exists()
@@ -116,8 +117,8 @@ def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
 def test_several_cameras(rendered, tmp_path, capsys) -> None:
     """Each photo through its own camera; the frame of a rig is kept."""
     scene, folder = rendered
-    wide = scene.model.with_parameters(scene.model.parameters * torch.tensor([1.1, 1.1, 1, 1, 1, 1, 1, 1]))
-    save(tmp_path / "two.yaml", Calibration({"a": scene.model, "b": wide}))
+    wide = scene.camera.with_parameters(scene.camera.parameters * torch.tensor([1.1, 1.1, 1, 1, 1, 1, 1, 1]))
+    save(tmp_path / "two.yaml", Calibration({"a": scene.camera, "b": wide}))
     poses = ImagePoses(scene.poses.images, scene.poses.cam_from_world, ("a", "b"), None, ("7", "8"))
     write_poses(tmp_path / "poses.csv", poses)
     inputs = ["--calibration", str(tmp_path / "two.yaml"), "--size", "120x90", "--fov-deg", "70"]

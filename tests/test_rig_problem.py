@@ -10,10 +10,12 @@ from rig_views import FISHEYE_220, MIRROR, PINHOLE
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.rig.links import links, relative_pose, weakest_link
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
-from omnilines.calibration.rig.systematic import RADIAL_SHIFT_PX, moved_by_radial_shifts
+from omnilines.calibration.rig.systematic import moved_by_radial_shifts
+from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import solve
 from omnilines.least_squares.schur import normal_equations
 
+SHIFT_PX = NoiseThresholds().radial_shift_px
 MODELS = (PINHOLE, FISHEYE_220, MIRROR)
 
 
@@ -150,14 +152,14 @@ def test_common_shift_of_a_cameras_corners_moves_the_solution_as_predicted():
     """Against solving anew with the corners of one camera moved outwards, from corners without noise."""
     problem, state = problem_of(True, noise_px=0.0)
     solution = solve(problem, state)
-    kept, frames = moved_by_radial_shifts(problem, solution)
+    kept, frames = moved_by_radial_shifts(problem, solution, SHIFT_PX)
     points = problem.points
     sigma = solution.kept_covariance().diagonal().sqrt()
     for camera, model in enumerate(solution.state.models):
         rows = (points.camera[points.view] == camera)[:, None]
         away = points.pixels - model.centre_px
         away = away / away.norm(dim=-1, keepdim=True)
-        again = RigProblem(replace(points, pixels=points.pixels + RADIAL_SHIFT_PX * away * rows), problem.bases, 2, True, 5)
+        again = RigProblem(replace(points, pixels=points.pixels + SHIFT_PX * away * rows), problem.bases, 2, True, 5)
         moved = solve(again, solution.state, damping=1e-12).state
         cameras = (moved.cam_from_rig @ solution.state.cam_from_rig.inverse()).log()[1:]
         boards = (moved.target_from_board @ solution.state.target_from_board.inverse()).log()[1:]
@@ -193,7 +195,14 @@ def test_weakest_link_is_the_bottleneck_of_the_best_ties():
     rows = [(c, f, k) for (c, f), count in seen.items() for k in range(count)]
     camera, frame, place = (np.array(column) for column in zip(*rows, strict=True))
     poses = Pose.exp(torch.randn(4, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64))
-    found = links(camera, frame, place[:, None], np.ones((len(rows), 2)), poses, torch.zeros(24, 24, dtype=torch.float64))
+    found = links(
+        camera,
+        frame,
+        place[:, None],
+        np.ones((len(rows), 2)),
+        cam_from_rig=poses,
+        covariance=torch.zeros(24, 24, dtype=torch.float64),
+    )
     assert {(link.first, link.second): (link.frames, link.corners) for link in found} == {
         (0, 1): (1, 60),
         (1, 2): (1, 50),

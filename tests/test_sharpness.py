@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib_patterns import pattern
-from calib_patterns._pattern import Detection
+from calib_patterns import Detection, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from calib_patterns.sharpness import MIN_CORNERS, MIN_PHOTOS, blur_remarks
@@ -243,4 +242,4 @@ def test_detect_tells_of_the_blurred_photo_and_uses_it(tmp_path: pathlib.Path) -
 
 def test_nothing_is_said_where_the_blur_is_not_known() -> None:
     corners = Corners(np.repeat([0, 1], 30), ("a", "b"), ("a", "b"), np.tile(BOARD.points_m, (2, 1)), np.zeros((60, 2)))
-    assert PhotoCorners(corners, SIZE, (), pathlib.Path("nowhere")).remarks == (None, None)
+    assert PhotoCorners(corners, SIZE).remarks == (None, None)

@@ -16,12 +16,15 @@ from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines import cli
+from omnilines.calibration.options import CalibrationOptions
+from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
-from omnilines.commands.calibrate import calibrate_corners, calibrate_photos, calibration_record
-from omnilines.commands.render import RenderedTargets, render_targets, write_targets
+from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.files import read_corners, read_poses, write_corners
+from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
+from omnilines.records import ImagePoses
 from omnilines.studies.validation import compare
-from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.synthetic.targets import board_angle_rad, example_camera, simulate_corners
 
 SIZE = (640, 480)
 SPEC = "checkerboard:8x6:30mm"
@@ -37,10 +40,9 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
 
 def test_render_targets_writes_photos_and_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = []
-    result = render_targets(
-        tmp_path, model="scaramuzza", fov_deg=200.0, views=3, size=SIZE, seed=4, progress=lambda *step: told.append(step)
-    )
-    assert all(path.is_file() for path in result.files) and len(result.files) == 6
+    rendered = render_targets(SPEC, "scaramuzza", RenderOptions(fov_deg=200.0, views=3, size_px=SIZE, seed=4))
+    files = rendered.save(tmp_path, lambda *step: told.append(step))
+    assert all(path.is_file() for path in files) and len(files) == 6
     assert told[-1] == ("rendering photos", 3, 3)
     truth = camera_models.load(tmp_path / "calibration.yaml")
     assert truth["cam0"].NAME == "scaramuzza" and truth["cam0"].image_size == SIZE
@@ -50,6 +52,7 @@ def test_render_targets_writes_photos_and_truth(tmp_path: Path, capsys: pytest.C
     for k, view in enumerate(truth.views):
         photo = cv2.imread(str(tmp_path / view.image), cv2.IMREAD_UNCHANGED)
         assert photo.shape == (480, 640) and photo.dtype == np.uint8
+        np.testing.assert_array_equal(photo, rendered.photos[view.image])
         assert view.cam_from_board is not None
         torch.testing.assert_close(view.cam_from_board.translation, poses.cam_from_world.translation[k])
         own = corners.view == k
@@ -65,25 +68,36 @@ def test_render_targets_writes_photos_and_truth(tmp_path: Path, capsys: pytest.C
         assert (tmp_path / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-def test_what_render_refuses(tmp_path: Path) -> None:
+def test_what_render_refuses() -> None:
     with pytest.raises(InputError, match="found 190"):
-        render_targets(tmp_path, model="pinhole", fov_deg=190.0)
+        render_targets(SPEC, "pinhole", RenderOptions(fov_deg=190.0))
     with pytest.raises(InputError, match="half the field of view"):
-        render_targets(tmp_path, fov_deg=190.0, max_angle_deg=100.0)
+        render_targets(SPEC, options=RenderOptions(fov_deg=190.0), max_angle_deg=100.0)
     with pytest.raises(InputError, match="At least 1 view"):
-        render_targets(tmp_path, views=0)
-    assert not list(tmp_path.glob("*.yaml"))
+        RenderOptions(views=0)
+    with pytest.raises(InputError, match="vignetting of 0 to 1"):
+        RenderOptions(vignetting=2.0)
+    with pytest.raises(InputError, match="with a scene only"):
+        render_targets(SPEC, "scaramuzza", RenderOptions(mirror=True))
+
+
+def test_a_given_camera_and_given_poses_are_those_of_the_photos() -> None:
+    drawn = render_targets(SPEC, "opencv-fisheye", RenderOptions(fov_deg=170.0, views=2, size_px=SIZE, seed=3))
+    again = render_targets(pattern(SPEC), drawn.camera, RenderOptions(fov_deg=170.0, seed=3), poses=drawn.cam_from_board)
+    assert list(again.photos) == ["view00.png", "view01.png"]
+    np.testing.assert_array_equal(again.photos["view01.png"], drawn.photos["view01.png"])
+    whole = render_targets(SPEC, drawn.camera, RenderOptions(views=1))
+    assert 170.0 < whole.fov_deg <= 360.0
 
 
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedTargets, camera_models.Calibration, Path]:
     """The truth of 8 photos, and a calibration from its corners with 0.1 px of white noise: no detector takes part."""
     folder = tmp_path_factory.mktemp("noisy")
-    options = {"model": "opencv-fisheye", "fov_deg": 190.0, "size": SIZE, "noise": 0.0, "blur": 0.5, "seed": 2}
-    truth = write_targets(folder, pattern_spec=SPEC, views=8, **options)  # type: ignore[arg-type]
-    corners = simulate_corners(truth.model, pattern(SPEC), truth.cam_from_board, 0.1, 0)
+    truth = render_targets(SPEC, options=RenderOptions(fov_deg=190.0, views=8, size_px=SIZE, seed=2))
+    corners = simulate_corners(truth.camera, pattern(SPEC), truth.cam_from_board, 0.1, 0)
     write_corners(folder / "corners.csv", corners)
-    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", model="opencv-fisheye", loss="none")
+    calibrate_corners(folder / "corners.csv", SIZE, folder / "out", CalibrationOptions("opencv-fisheye", loss="none"))
     return truth, camera_models.load(folder / "out/calibration.yaml"), folder / "corners.csv"
 
 
@@ -92,7 +106,7 @@ Noisy = tuple[RenderedTargets, camera_models.Calibration, Path]
 
 def test_white_noise_passes_the_checks_of_parameters_and_lines(noisy: Noisy) -> None:
     truth, calibration, path = noisy
-    validation = compare(truth, 190.0, calibration, read_corners(path))
+    validation = compare(truth, calibration, read_corners(path))
     checks = {check.name: check for check in validation.checks}
     assert len(checks) == 8 and all(check.holds == (check.value <= check.limit) for check in checks.values())
     assert validation.photos_lost == 0
@@ -108,10 +122,11 @@ def test_white_noise_passes_the_checks_of_parameters_and_lines(noisy: Noisy) -> 
 
 def test_a_wrong_camera_and_lost_photos_are_seen(noisy: Noisy) -> None:
     truth, calibration, path = noisy
-    parameters = truth.model.parameters.clone()
+    parameters = truth.camera.parameters.clone()
     parameters[:2] *= 1.01
-    off = replace(truth, model=truth.model.with_parameters(parameters), images=(*truth.images, "lost1.png", "lost2.png"))
-    failed = {check.name for check in compare(off, 190.0, calibration, read_corners(path)).checks if not check.holds}
+    images, poses = (*truth.poses.images, "lost1.png", "lost2.png"), truth.cam_from_board[[*range(8), 0, 0]]
+    off = replace(truth, camera=truth.camera.with_parameters(parameters), poses=ImagePoses(images, poses))
+    failed = {check.name for check in compare(off, calibration, read_corners(path)).checks if not check.holds}
     assert failed == {
         "photos without a usable target",
         "bearing error, RMS over the pixels",
@@ -162,13 +177,11 @@ WRONG_BOARDS = {
 def test_lines_of_a_wrong_board_do_not_hold(noisy: Noisy, board: MovedBoard, tmp_path: Path) -> None:
     """Photographed was another board than the truth and the calibration take it for, whose robust loss sets corners aside."""
     truth, _, _ = noisy
-    corners = simulate_corners(truth.model, board, truth.cam_from_board, 0.02, 0)
+    corners = simulate_corners(truth.camera, board, truth.cam_from_board, 0.02, 0)
     write_corners(tmp_path / "corners.csv", replace(corners, board_m=truth.pattern.points_m[corners.ids]))
-    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", model="opencv-fisheye")
+    calibrate_corners(tmp_path / "corners.csv", SIZE, tmp_path / "out", CalibrationOptions("opencv-fisheye"))
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")
-    checks = {
-        check.name: check for check in compare(truth, 190.0, calibration, read_corners(tmp_path / "out/corners.csv")).checks
-    }
+    checks = {check.name: check for check in compare(truth, calibration, read_corners(tmp_path / "out/corners.csv")).checks}
     assert not checks[LINES_CHECK].holds and checks[LINES_CHECK].value > 3 * checks[LINES_CHECK].limit
 
 
@@ -176,7 +189,7 @@ def test_lines_of_a_wrong_board_do_not_hold(noisy: Noisy, board: MovedBoard, tmp
 def test_a_truth_that_was_not_photographed_is_seen(noisy: Noisy, board: MovedBoard) -> None:
     """Photos and calibration are right, the truth is another board. At 0.1 px, 0.2 mm are within the noise."""
     truth, calibration, path = noisy
-    checks = compare(replace(truth, pattern=board), 190.0, calibration, read_corners(path)).checks
+    checks = compare(replace(truth, pattern=board), calibration, read_corners(path)).checks
     failed = {check.name for check in checks if not check.holds}
     assert failed - {RMS_CHECK, SCALE_CHECK} == (set() if board.shift_m == 2e-4 else {LINES_CHECK})
 
@@ -192,11 +205,11 @@ def test_lines_that_are_stated_to_be_bad_or_too_long_do_not_hold(noisy: Noisy) -
             for view in calibration.views
         ),
     )
-    failed = {check.name for check in compare(truth, 190.0, longer, corners).checks if not check.holds}
+    failed = {check.name for check in compare(truth, longer, corners).checks if not check.holds}
     assert failed == {SCALE_CHECK}
     noise = np.random.default_rng(1).normal(size=corners.pixels.shape)
     bad = replace(corners, pixels=corners.pixels + noise, sigma_px=np.full(len(corners), 1.0))
-    checks = {check.name: check for check in compare(truth, 190.0, calibration, bad).checks}
+    checks = {check.name: check for check in compare(truth, calibration, bad).checks}
     assert checks[LINES_CHECK].holds and not checks[RMS_CHECK].holds
 
 
@@ -207,14 +220,14 @@ def test_wrong_corners_are_set_aside_for_what_the_other_photos_say(noisy: Noisy)
     # Corner 0 of three photos, which is an end of a row and of a column.
     wrong = np.flatnonzero(corners.ids == 0)[:3]
     pixels[wrong] += [3.0, -2.0]
-    validation = compare(truth, 190.0, calibration, replace(corners, pixels=pixels))
+    validation = compare(truth, calibration, replace(corners, pixels=pixels))
     assert 3 <= validation.corners_aside <= 5
     assert all(check.holds for check in validation.checks if check.name in (LINES_CHECK, "corners that fit no line"))
     # Half of all corners: the lines no longer rest on what was seen.
     rng = np.random.default_rng(0)
     half = rng.random(len(corners)) < 0.25
     pixels = corners.pixels + half[:, None] * rng.uniform(-5, 5, corners.pixels.shape)
-    checks = {check.name: check for check in compare(truth, 190.0, calibration, replace(corners, pixels=pixels)).checks}
+    checks = {check.name: check for check in compare(truth, calibration, replace(corners, pixels=pixels)).checks}
     assert not checks["corners that fit no line"].holds
 
 
@@ -229,8 +242,8 @@ def test_lines_hold_over_seeds_and_lenses(model: str, fov: float) -> None:
         poses = random_board_poses(pattern(SPEC), truth, 8, reach, seed=seed)
         corners = simulate_corners(truth, pattern(SPEC), poses, 0.05, seed)
         found = calibrate_camera(corners, SIZE, model)
-        rendered = RenderedTargets(truth, pattern(SPEC), corners.images, poses, reach, ())
-        lines = compare(rendered, fov, calibration_record(found, False, {}), corners).lines
+        rendered = render_targets(SPEC, truth, RenderOptions(fov_deg=fov), poses=poses)
+        lines = compare(rendered, calibration_record(found, False, {}), corners).lines
         assert lines.statistic < lines.limit
         shares.append(lines.statistic / (4 * 14 - 7))
     assert 0.6 < np.mean(shares) < 1.1
@@ -239,16 +252,15 @@ def test_lines_hold_over_seeds_and_lenses(model: str, fov: float) -> None:
 @pytest.mark.slow
 def test_photos_of_a_misprinted_board_do_not_hold(tmp_path: Path) -> None:
     """The same from pixels on: rendered photos, the detector, the calibration."""
-    model, board = example_camera("opencv-fisheye", 190.0, SIZE, 3), WRONG_BOARDS["a column 2 mm off"]
-    photos = list(render_board_photos(model, board, 8, 3, board_angle_rad(190.0)))
-    for name, photo, _ in photos:
-        cv2.imwrite(str(tmp_path / name), photo)
-    images = tuple(name for name, _, _ in photos)
-    calibrate_photos([tmp_path / name for name in images], SPEC, tmp_path / "out", model="opencv-fisheye")
-    poses = Pose.stack([pose for _, _, pose in photos])
-    truth = RenderedTargets(model, pattern(SPEC), images, poses, board_angle_rad(190.0), ())
+    options = RenderOptions(fov_deg=190.0, views=8, size_px=SIZE, seed=3)
+    misprinted = render_targets(WRONG_BOARDS["a column 2 mm off"], options=options)
+    misprinted.save(tmp_path)
+    calibrate_photos(
+        [tmp_path / name for name in misprinted.photos], SPEC, tmp_path / "out", CalibrationOptions("opencv-fisheye")
+    )
+    truth = replace(misprinted, pattern=pattern(SPEC))
     calibration = camera_models.load(tmp_path / "out/calibration.yaml")
-    checks = compare(truth, 190.0, calibration, read_corners(tmp_path / "out/corners.csv")).checks
+    checks = compare(truth, calibration, read_corners(tmp_path / "out/corners.csv")).checks
     assert LINES_CHECK in [check.name for check in checks if not check.holds]
 
 

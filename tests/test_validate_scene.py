@@ -16,11 +16,12 @@ from camera_models.pose import Pose
 from omnilines import cli
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.commands import validate_scene as command
-from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_poses, write_poses
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Lines
 from omnilines.studies.scene_validation import (
     RebuiltScene,
@@ -31,7 +32,7 @@ from omnilines.studies.scene_validation import (
     read_rebuilt,
 )
 
-OPTIONS = {"scene": "room", "model": "pinhole", "fov_deg": 100.0, "views": 8, "size": (360, 360), "seed": 1}
+OPTIONS = RenderOptions(fov_deg=100.0, views=8, size_px=(360, 360), seed=1)
 ARGUMENTS = ("--scene", "room", "--model", "pinhole", "--fov-deg", 100, "--views", 8, "--size", "360x360", "--seed", 1)
 ON_EDGE, WORST = "arcs on true edges, share, at least", "arcs on true edges in the worst photo, share, at least"
 INSIDE = "ends inside their 95 percent interval, share, at least"
@@ -57,8 +58,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
     out = tmp_path_factory.mktemp("validated")
     kept = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command, "write_scene", lambda *a, **k: kept.append(write_scene(*a, **k)) or kept[0])
-        result = command.validate_scene(out, **OPTIONS)  # type: ignore[arg-type]
+        patch.setattr(command, "render_scene", lambda *a, **k: kept.append(render_scene(*a, **k)) or kept[0])
+        result = command.validate_scene(out, "room", "pinhole", OPTIONS)
     return Done(out, kept[0], result)
 
 
@@ -90,22 +91,24 @@ def test_a_good_scene_holds(done: Done) -> None:
 def disturbed(done: Done, folder: Path, patch: pytest.MonkeyPatch, turn_deg: float, zoom: float) -> None:
     """Have the command work on the photos of `done` with the first pose turned and the focal length changed."""
 
-    def rendered(out: Path, **_: object) -> RenderedScene:
-        shutil.copytree(done.out / "photos", out)
-        poses = read_poses(out / "poses.csv")
-        turn = torch.zeros(len(poses), 6, dtype=torch.float64)
-        turn[0, 1] = math.radians(turn_deg)
-        write_poses(out / "poses.csv", replace(poses, cam_from_world=Pose.exp(turn) @ poses.cam_from_world))
-        cameras = camera_models.load(out / "calibration.yaml")
-        parameters = cameras["cam0"].parameters.clone()
-        parameters[:2] *= zoom
-        wrong = replace(cameras, cameras={"cam0": cameras["cam0"].with_parameters(parameters)})
-        camera_models.save(out / "calibration.yaml", wrong)
-        return done.truth
+    class Disturbed(RenderedScene):
+        def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
+            out = Path(folder)
+            shutil.copytree(done.out / "photos", out)
+            poses = read_poses(out / "poses.csv")
+            turn = torch.zeros(len(poses), 6, dtype=torch.float64)
+            turn[0, 1] = math.radians(turn_deg)
+            write_poses(out / "poses.csv", replace(poses, cam_from_world=Pose.exp(turn) @ poses.cam_from_world))
+            cameras = camera_models.load(out / "calibration.yaml")
+            parameters = cameras["cam0"].parameters.clone()
+            parameters[:2] *= zoom
+            wrong = replace(cameras, cameras={"cam0": cameras["cam0"].with_parameters(parameters)})
+            camera_models.save(out / "calibration.yaml", wrong)
+            return ()
 
     # Arcs depend on the camera, not on poses: they need not be found again.
     shutil.copytree(done.out / "scene/work", folder / "scene/work")
-    patch.setattr(command, "write_scene", rendered)
+    patch.setattr(command, "render_scene", lambda *_, **__: Disturbed(**vars(done.truth)))
 
 
 @pytest.mark.parametrize(
@@ -214,7 +217,7 @@ def test_the_size_of_a_pixel_is_that_of_the_closed_form(done: Done) -> None:
     """Of a pinhole without distortion the solid angle of a pixel is cos^3(theta) / f^2."""
     focal = 150.0
     camera = Pinhole([focal, focal, 179.5, 179.5] + [0.0] * 9, (360, 360))
-    truth = replace(done.truth, model=camera)
+    truth = replace(done.truth, camera=camera)
     distance, pixel = _pixel_at_edges(truth)
     stretches = truth.stretches
     ends, poses = truth.edges.ends_m[stretches.edge], truth.poses.cam_from_world

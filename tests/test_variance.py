@@ -5,25 +5,28 @@ import math
 import numpy as np
 import pytest
 
-from omnilines.least_squares.variance import DOUBT, variance_factor
+from omnilines.least_squares.variance import variance_factor
+
+DOUBT = 0.01
 
 
 def test_stated_noise_is_used_where_the_residuals_do_not_contradict_it() -> None:
     """Over many seeds the test fires as rarely as it says; residuals too large fire it, small ones do not shrink the factor."""
     rng = np.random.default_rng(1)
     squares = (rng.standard_normal((4000, 12)) ** 2).sum(-1) * 0.09
-    factors = [variance_factor(float(s), 12, 0.09) for s in squares]
+    factors = [variance_factor(float(s), 12, 0.09, DOUBT) for s in squares]
     refused = [f for f in factors if not f.holds]
     assert 0.4 * DOUBT < len(refused) / len(factors) < 2 * DOUBT
     assert all(f.value == 0.09 and f.sigmas() == pytest.approx(1.95996, abs=1e-5) for f in factors if f.holds)
-    large, small = variance_factor(12 * 0.36, 12, 0.09), variance_factor(12 * 0.01, 12, 0.09)
+    large, small = (variance_factor(12 * own, 12, 0.09, DOUBT) for own in (0.36, 0.01))
     assert not large.holds and large.value == pytest.approx(0.36) and large.ratio == pytest.approx(2.0)
     assert small.holds and small.value == 0.09 and small.ratio == pytest.approx(1 / 3)
 
 
 def test_without_a_degree_of_freedom_only_stated_noise_says_anything() -> None:
-    assert variance_factor(0.0, 0, 0.25).value == 0.25 and variance_factor(0.0, 0, 0.25).holds
-    assert math.isnan(variance_factor(0.0, 0).value)
+    stated = variance_factor(0.0, 0, 0.25, DOUBT)
+    assert stated.value == 0.25 and stated.holds
+    assert math.isnan(variance_factor(0.0, 0, None, DOUBT).value)
 
 
 def test_student_intervals_cover_with_few_residuals() -> None:
@@ -32,7 +35,7 @@ def test_student_intervals_cover_with_few_residuals() -> None:
     numbers = rng.standard_normal((4000, 4))
     covered = normal = 0
     for row in numbers:
-        factor = variance_factor(float(((row - row.mean()) ** 2).sum()), 3)
+        factor = variance_factor(float(((row - row.mean()) ** 2).sum()), 3, None, DOUBT)
         sigma = math.sqrt(factor.value / 4)
         covered += abs(row.mean()) <= factor.sigmas() * sigma
         normal += abs(row.mean()) <= 1.96 * sigma

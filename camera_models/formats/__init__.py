@@ -71,7 +71,7 @@ def format_of_file(path: str | Path) -> "CalibrationFormat":
             return candidate
     raise InputError(
         f"{file} was expected to be a calibration of {', '.join(entry.name for entry in FORMATS)}, found none of these; name its "
-        "format with --from, or another file."
+        "format with `from_format`, or another file."
     )
 
 
@@ -83,7 +83,7 @@ def format_for_writing(path: str | Path) -> "CalibrationFormat":
             return format_named(entry.name)
     raise InputError(
         f"A file name that tells the format was expected ({', '.join(pattern for entry in FORMATS for pattern in entry.files)}), "
-        f"found '{Path(path).name}'; name the format with --to."
+        f"found '{Path(path).name}'; name the format with `to_format`."
     )
 
 

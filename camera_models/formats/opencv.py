@@ -135,7 +135,7 @@ def _camera(data: Mapping[str, Any], suffix: str, image_size: tuple[int, int] | 
         kind = PINHOLE
     size = size_of(data.get("image_size") if width is None or height is None else [width, height], image_size)
     return camera_of(
-        kind, matrix, distortion, None if xi is None else numbers_of(np.asarray(xi), f"xi of {where}", 1)[0], size, where
+        kind, matrix, distortion, None if xi is None else numbers_of(np.asarray(xi), f"xi of {where}", 1)[0], size, where=where
     )
 
 

@@ -47,7 +47,7 @@ def check_matrix(matrix: list[float], where: str) -> None:
 
 
 def camera_of(
-    kind: str, matrix: list[float], distortion: list[float], xi: float | None, size: tuple[int, int], where: str
+    kind: str, matrix: list[float], distortion: list[float], xi: float | None, size: tuple[int, int], *, where: str
 ) -> tuple[CameraModel, str | None]:
     """The camera of K and D, and a note; more coefficients than the model has must be zero, fewer are filled up with zeros."""
     form = next(form for form in FORMS if form.name == kind)
@@ -71,7 +71,7 @@ def size_of(sides: Any, given: tuple[int, int] | None) -> tuple[int, int]:
     pair = [] if sides is None else np.ravel(np.asarray(sides, dtype=object)).tolist()
     if not pair or any(side is None for side in pair):
         if given is None:
-            raise InputError("The file does not hold the size of the image, which was expected; give --image-size WIDTHxHEIGHT.")
+            raise InputError("The file was expected to hold the size of the image, found none; give `image_size` WIDTHxHEIGHT.")
         return given
     whole = [side for side in pair if isinstance(side, int | float) and side == int(side) and side >= 1]
     if len(pair) != 2 or len(whole) != 2:

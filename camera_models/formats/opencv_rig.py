@@ -45,7 +45,7 @@ def read_rig(data: Mapping[str, Any], image_size: tuple[int, int] | None) -> Con
     for index, name in enumerate(names):
         size = size_of(sizes[index], image_size)
         matrix = matrices[9 * index : 9 * index + 9]
-        cameras[name], note = camera_of(kinds[index], matrix, distortions[index], None, size, f"camera {name}")
+        cameras[name], note = camera_of(kinds[index], matrix, distortions[index], None, size, where=f"camera {name}")
         notes += [note] if note else []
         if len(rotations) == 9 * count:
             turn = np.reshape(rotations[9 * index : 9 * index + 9], (3, 3))
@@ -63,7 +63,7 @@ def rig_data(calibration: Calibration, forms: list[Form]) -> dict[str, Any]:
         if form.name == OMNIDIR:
             raise InputError(
                 f"OpenCV's files of more than two cameras hold pinhole and fisheye cameras, found {name} of the model unified; "
-                "give a folder, which gets a file for each camera, or --model."
+                "give a folder, which gets a file for each camera, or `model`."
             )
         fx, fy, cx, cy, *rest = form.values(model)
         matrices.append(matrix_of(fx, fy, cx, cy))

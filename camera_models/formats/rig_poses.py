@@ -11,6 +11,7 @@ from camera_models.formats.calibration_data import RigCamera
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
 from camera_models.formats.values import numbers
 from camera_models.pose import Pose, rotation_from_vector, vector_from_rotation
+from camera_models.rotations import nearest_rotation
 
 EXACT = 1e-12
 """Deviation of R R' from I up to which a matrix is taken as it stands; beyond, the nearest rotation is."""
@@ -25,11 +26,7 @@ def rotation_of_matrix(matrix: Float[np.ndarray, "3 3"], where: str) -> Float[np
         raise InputError(
             f"The rotation of {where} must be orthonormal and right-handed, found one that is off by {off:.2g}; correct it."
         )
-    if off <= EXACT:
-        return matrix
-    u, _, vt = np.linalg.svd(matrix)
-    nearest: Float[np.ndarray, "3 3"] = u @ vt
-    return nearest
+    return matrix if off <= EXACT else nearest_rotation(torch.as_tensor(matrix)).numpy()
 
 
 def pose_of_matrix(value: Any, where: str) -> Pose:

@@ -85,7 +85,7 @@ def _forms(target: CalibrationFormat, allowed: Sequence[Form], model: str | None
     if not forms:
         known = listed(dict.fromkeys(form.model for form in allowed))
         raise InputError(
-            f"{target.TITLE} was expected to hold --model {model}, found that it holds {known}; choose one of these."
+            f"{target.TITLE} was expected to hold `model` {model}, found that it holds {known}; choose one of these."
         )
     return forms
 
@@ -173,14 +173,14 @@ def _fits(
             return found
     raise InputError(
         f"{target.TITLE} was expected to hold camera {name} ({camera.NAME}) or a camera model near it, found that "
-        f"{target.why_not(camera) or 'it does not'} ({', '.join(reasons) or 'and nothing can be fitted'}); give a smaller --fov "
-        "or another format."
+        f"{target.why_not(camera) or 'it does not'} ({', '.join(reasons) or 'and nothing can be fitted'}); give a smaller "
+        "`fov_deg` or another format."
     )
 
 
 def _of_other_model(estimate: CameraEstimate, model: CameraModel) -> CameraEstimate:
     """What is still true of a camera after another model was fitted to it; how well the first fitted its data is not."""
-    sign = estimate.sign_source if model.NAME == "scaramuzza" else None
+    sign = estimate.sign_source if model.AXIS_SIGN_OPEN else None
     return CameraEstimate(max_angle_deg=estimate.max_angle_deg, min_angle_deg=estimate.min_angle_deg, sign_source=sign)
 
 

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.costs._cost import ArcNodes
-from omnilines.costs.taylor_kriegman import NODES
+from omnilines.costs._cost import NODES, ArcNodes
 from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
 from omnilines.records import ImagePoses, Segments
 
@@ -123,16 +122,16 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
     covariance, known = _covariance_px2(segments, kept)
     observed = Observed(observed.pixels[usable], observed.camera[usable])
     arcs = Arcs(
-        torch.as_tensor(image[kept]),
-        torch.as_tensor(segments.track[kept]),
-        len(poses.images),
-        len(segments.tracks),
-        bearings[usable],
-        by_pixel[usable],
-        covariance,
-        known,
-        _nodes(observed, bearings[usable], models),
-        observed,
+        image=torch.as_tensor(image[kept]),
+        track=torch.as_tensor(segments.track[kept]),
+        images=len(poses.images),
+        tracks=len(segments.tracks),
+        bearings=bearings[usable],
+        by_pixel=by_pixel[usable],
+        covariance_px2=covariance,
+        sigma_known=known,
+        nodes=_nodes(observed, bearings[usable], models),
+        observed=observed,
     )
     return ArcTable(arcs, kept, left_out)
 

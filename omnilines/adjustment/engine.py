@@ -4,24 +4,19 @@ Frames are renumbered so that the band of the reduced system is narrow, lines ar
 neighbours in memory, observations by line. `kernels/schur.py` has the arithmetic.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Float
 
 from omnilines.adjustment.engine_layout import Layout, layout
-from omnilines.adjustment.engine_sandwich import LineSandwich, frame_gains
-from omnilines.adjustment.kernels import covariance as covariance_kernel
 from omnilines.adjustment.kernels import line_step, schur
 from omnilines.adjustment.kernels.line import (
+    CONVERGED,
+    LOSS_KINDS,
     MOVING,
-    SETTLED,
     SINGULAR,
     STALLED,
     FrameSums,
@@ -32,29 +27,31 @@ from omnilines.adjustment.kernels.line import (
 )
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
+from omnilines.costs import cost_named
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
-from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import ReducedSystem
 from omnilines.progress import in_shares
 
-COMPILED_COSTS = ("sector", "whitened", "bartoli-sturm")
-LOSS_KINDS = {"none": 0, "huber": 1, "cauchy": 2}
 TOLERANCE, EXACT_FIT, FIRST_DAMPING = 1e-12, 1e-30, 1e-4
 """Of a line alone, as `minimise` has them."""
 MOST_STEPS_ALONE = 20
 """Of each line after every step of the frames; nearly all need two or three."""
-LINE_OUTCOMES = {SETTLED: Outcome.CONVERGED, STALLED: Outcome.STALLED, SINGULAR: Outcome.DEGENERATE}
+LINE_OUTCOMES = {CONVERGED: Outcome.CONVERGED, STALLED: Outcome.STALLED, SINGULAR: Outcome.DEGENERATE}
 
 
 def is_compiled(problem: LineProblem, state: LinesAndPoses) -> bool:
-    """Whether the compiled engine takes a problem: the costs above, on the processor, without a rig and with fixed cameras."""
-    alone = state.rig is None and not problem.freedom.cameras
-    return alone and problem.cost_name in COMPILED_COSTS and problem.arcs.bearings.device.type == "cpu"
+    """Whether the compiled engine takes a problem: without a rig and with fixed cameras."""
+    return state.rig is None and not problem.freedom.cameras and _takes_arcs(problem)
+
+
+def _takes_arcs(problem: LineProblem) -> bool:
+    """Whether the cost has the form that the kernels need, and the arcs are on the processor."""
+    return cost_named(problem.cost_name).scaled_rows is not None and problem.arcs.bearings.device.type == "cpu"
 
 
 @dataclass(frozen=True)
-class _Reduction:
+class Reduction:
     """What one pass over the lines gives: their blocks, the reduced system of the frames and its right side."""
 
     solved: LineBlocks
@@ -80,7 +77,7 @@ class LineEngine:
 
     def cost(self, state: LinesAndPoses) -> float:
         """Sum of the loss, and of the prior."""
-        return float(self._costs(self._poses(state), self._lines(state.chart)).sum()) + self._prior_cost(state)
+        return float(self._costs(self.poses(state), self.lines(state.chart)).sum()) + self._prior_cost(state)
 
     def minimise(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None = None
@@ -92,7 +89,7 @@ class LineEngine:
 
     def step(self, state: LinesAndPoses, damping: float) -> Step[LinesAndPoses] | None:
         """The step of frames and lines, and the lines' own ones after it; None where the equations are singular."""
-        reduction = self._reduce(state, damping)
+        reduction = self.reduce(state, damping)
         if reduction is None or reduction.system is None:
             return None
         kept = reduction.system.solve(reduction.right[:, None])[:, 0]
@@ -104,7 +101,7 @@ class LineEngine:
         free = self.layout.frames[: len(self.problem.free)]
         moved = moved_poses(state.rig_from_world, free, torch.from_numpy(delta[: len(free)]))
         trial = replace(state, rig_from_world=moved, chart=self._empty_chart(state.chart))
-        pose, moved_pose, lines, into = self._poses(state), self._poses(trial), self._lines(state.chart), self._lines(trial.chart)
+        pose, moved_pose, lines, into = self.poses(state), self.poses(trial), self.lines(state.chart), self.lines(trial.chart)
         cost = np.empty(self.problem.arcs.tracks)
         of_lines = in_shares(
             lambda _, low, high: line_step.follow_frames(
@@ -112,10 +109,10 @@ class LineEngine:
             ),
             self.layout.shares,
         )
-        self._settle(moved_pose, into, cost)
+        self._converge_lines(moved_pose, into, cost)
         return Step(trial, float(cost.sum()) + self._prior_cost(trial), promised + float(sum(of_lines)))
 
-    def _settle(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates, cost: Float[np.ndarray, " t"]) -> None:
+    def _converge_lines(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates, cost: Float[np.ndarray, " t"]) -> None:
         """Take every line to its own minimum, in place, while the frames stay.
 
         Without it few lines in curved valleys, or with as many doubtful observations as good ones, hold up all: they ask for a
@@ -130,9 +127,9 @@ class LineEngine:
     def _minimise_lines(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None
     ) -> Minimum[LinesAndPoses]:
-        """All poses held: no line is slowed down, or let rise, by another. What is promised of them all when they have settled
+        """All poses held: no line is slowed down, or let rise, by another. What is promised of them all when they have converged
         is less than the tolerance of the whole cost."""
-        pose, lines = self._poses(state), self._lines(state.chart)
+        pose, lines = self.poses(state), self.lines(state.chart)
         lines = lines._replace(centre=lines.centre.copy(), turn=lines.turn.copy(), phi=lines.phi.copy())
         cost = self._costs(pose, lines)
         search = _search(cost)
@@ -144,7 +141,7 @@ class LineEngine:
                 callback(Progress(iteration, float(cost.sum()), float(search.damping.max()), moved > 0))
         outcome = Outcome.OUT_OF_ITERATIONS
         if not (search.end == MOVING).any():
-            outcome = LINE_OUTCOMES[int(search.end.max(initial=SETTLED))]
+            outcome = LINE_OUTCOMES[int(search.end.max(initial=CONVERGED))]
         centre, turn, phi = (torch.from_numpy(array) for array in (lines.centre, lines.turn, lines.phi))
         end = replace(state, chart=replace(state.chart, centre=centre, S=turn, phi=phi))
         return Minimum(end, outcome, float(cost.sum()), initial, iteration)
@@ -155,9 +152,9 @@ class LineEngine:
         work = (self.views, pose, lines, search, least)
         return sum(in_shares(lambda _, low, high: line_step.step_lines(low, high, *work), self.layout.shares))
 
-    def _reduce(self, state: LinesAndPoses, damping: float) -> _Reduction | None:
+    def reduce(self, state: LinesAndPoses, damping: float) -> Reduction | None:
         """One pass over the lines; None where a line's block is singular."""
-        pose, lines, tracks = self._poses(state), self._lines(state.chart), self.problem.arcs.tracks
+        pose, lines, tracks = self.poses(state), self.lines(state.chart), self.problem.arcs.tracks
         solved = LineBlocks(np.empty((tracks, 10)), np.empty((tracks, 4)), np.empty((tracks, 4)))
         if not self._sums:
             blocks, free = len(self.layout.pattern.row), self.layout.pattern.kept
@@ -181,28 +178,11 @@ class LineEngine:
         total.blocks[self.layout.pattern.diagonal[:, None], within, within] += damping * total.diagonal
         system = None
         if len(self.problem.free):
-            system = ReducedSystem.of(self.layout.pattern, total.blocks, self._gauge(state), damping)
+            system = ReducedSystem.of(self.layout.pattern, total.blocks, self.gauge(state), damping)
         right, own = total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel()
-        return _Reduction(solved, system, right, own, total.diagonal.ravel())
+        return Reduction(solved, system, right, own, total.diagonal.ravel())
 
-    def finish(
-        self, found: Minimum[LinesAndPoses], scatter: Float[Tensor, "n 2 2"] | None = None, unit: float = 1.0
-    ) -> "LineSolution":
-        """What the undamped equations say at the end, for residuals with the covariance `scatter`, or of the variance `unit`,
-        which is that of the prior in either case."""
-        reduction = self._reduce(found.state, 0.0)
-        smallest, direction = 0.0, np.zeros(6 * len(self.problem.free))
-        if reduction is not None and not len(direction):
-            smallest = 1.0
-        elif reduction is not None and reduction.system is not None:
-            smallest, direction = reduction.system.weakest()
-        outcome = Outcome.DEGENERATE if smallest < LEAST_EIGENVALUE else found.outcome
-        gauge = self.problem.gauge(found.state)
-        weakest = torch.from_numpy(self.layout.back(direction.reshape(-1, 6)).flatten())
-        end = replace(found, outcome=outcome)
-        return LineSolution(end, gauge, smallest, weakest, self, reduction, scatter, unit)
-
-    def _gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
+    def gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
         """B in the order of the engine's frames."""
         gauge = self.problem.gauge(state).numpy()
         return gauge.reshape(len(self.problem.free), 6, gauge.shape[1])[self.layout.rank].reshape(gauge.shape)
@@ -213,11 +193,13 @@ class LineEngine:
         in_shares(lambda _, low, high: line_step.cost_of_lines(low, high, self.views, pose, lines, cost), self.layout.shares)
         return cost
 
-    def _poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
+    def poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
+        """R by rows and the centre of every frame, in the engine's order."""
         poses = state.rig_from_world[self.layout.frames]
         return torch.cat([poses.rotation.flatten(1), poses.centre], 1).numpy()
 
-    def _lines(self, chart: LineChart) -> LineStates:
+    def lines(self, chart: LineChart) -> LineStates:
+        """The charts of all lines."""
         centre, rho, turn, phi = (
             np.ascontiguousarray(array.numpy()) for array in (chart.centre, chart.scale, chart.S, chart.phi)
         )
@@ -252,18 +234,18 @@ class LineEngine:
         total.diagonal[:] += own.diagonal(axis1=1, axis2=2)
 
 
-def lines_settled(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses], LinesAndPoses] | None:
+def line_convergence(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses], LinesAndPoses] | None:
     """What takes every line of a state to its own minimum, for problems of which the engine takes no more (cameras, rigs).
 
     None where it does not even take that.
     """
     arcs, held = problem.arcs, torch.ones(problem.arcs.images, dtype=torch.bool)
-    if problem.cost_name not in COMPILED_COSTS or arcs.bearings.device.type != "cpu":
+    if not _takes_arcs(problem):
         return None
     freedom = Freedom(held, problem.freedom.held_lines)
     laid_out: Layout | None = None
 
-    def settle(state: LinesAndPoses) -> LinesAndPoses:
+    def converge(state: LinesAndPoses) -> LinesAndPoses:
         nonlocal laid_out
         alone = LinesAndPoses(state.cam_from_world, state.chart)
         own = LineProblem(arcs.seen_by(state.models) if state.models else arcs, problem.cost_name, freedom, alone)
@@ -271,128 +253,10 @@ def lines_settled(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses],
         engine = LineEngine(own, loss, laid_out)
         return replace(state, chart=engine.minimise(alone, MOST_STEPS_ALONE).state.chart)
 
-    return settle
+    return converge
 
 
 def _search(cost: Float[np.ndarray, " t"]) -> LineSearch:
     """Every line at its start; `cost` is kept and changed."""
     lines = len(cost)
     return LineSearch(cost, np.full(lines, FIRST_DAMPING), np.full(lines, 2.0), np.full(lines, MOVING, dtype=np.int8))
-
-
-@dataclass(frozen=True)
-class LineSolution:
-    """As `least_squares.Solution`, block-sparse; covariances are in the gauge of the problem."""
-
-    end: Minimum[LinesAndPoses]
-    gauge: Float[Tensor, "k g"]
-    smallest_eigenvalue: float
-    weakest_direction: Float[Tensor, " k"]
-    engine: LineEngine
-    reduction: _Reduction | None
-    scatter: Float[Tensor, "n 2 2"] | None = None
-    unit: float = 1.0
-
-    @property
-    def state(self) -> LinesAndPoses:
-        """With the least cost found."""
-        return self.end.state
-
-    @property
-    def cost(self) -> float:
-        """Sum of the loss, and of the prior."""
-        return self.end.cost
-
-    @property
-    def determined(self) -> bool:
-        """Whether the equations have a solution."""
-        return self.reduction is not None and (self.reduction.system is not None or not len(self.engine.problem.free))
-
-    @cached_property
-    def _inverse(self) -> Float[np.ndarray, "blocks 6 6"]:
-        """S^-1 of the frames."""
-        assert self.reduction is not None
-        return np.zeros((0, 6, 6)) if self.reduction.system is None else self.reduction.system.covariance_blocks()
-
-    @cached_property
-    def _sandwich(self) -> LineSandwich | None:
-        """For residuals of unequal variance."""
-        if self.scatter is None or self.reduction is None:
-            return None
-        engine, prior = self.engine, self.engine.prior_blocks(self.state)
-        return LineSandwich(
-            engine.layout,
-            engine.views,
-            self.scatter[engine.layout.observations].numpy(),
-            None if prior is None else self.unit * prior,
-            engine._poses(self.state),
-            engine._lines(self.state.chart),
-            self.reduction.solved,
-            self.reduction.system,
-            self._inverse,
-        )
-
-    def absorbed(self, parameters: int) -> float:
-        """Sum of the squared residuals of the noise of the arcs that so many free parameters take up; NaN where undetermined."""
-        if not self.determined:
-            return math.nan
-        if self._sandwich is not None:
-            return self._sandwich.trace()
-        return self.unit * (parameters - self.prior_share())
-
-    def prior_share(self) -> float:
-        """Parameters that the prior determines, tr(H^-1 P'P)."""
-        own = self.engine.prior_blocks(self.state)
-        if own is None or not self.determined:
-            return 0.0
-        return float((self._inverse[self.engine.layout.pattern.diagonal] * own).sum())
-
-    def covariances(self) -> tuple[Float[Tensor, "frames 6 6"], Float[Tensor, "t 4 4"]]:
-        """Of every free frame, in the order of the problem, and of every line; NaN where not determined, and for held lines."""
-        engine, layout_ = self.engine, self.engine.layout
-        tracks, free = engine.problem.arcs.tracks, len(engine.problem.free)
-        lines, frames = np.full((tracks, 4, 4), np.nan), np.full((free, 6, 6), np.nan)
-        if self.reduction is None or not self.determined:
-            return torch.from_numpy(frames), torch.from_numpy(lines)
-        if self._sandwich is not None:
-            frames, lines = self._sandwich.covariances()
-            return torch.from_numpy(layout_.back(frames)), torch.from_numpy(lines)
-        blocks = self._inverse
-        if free:
-            frames = layout_.back(blocks[layout_.pattern.diagonal])
-        pose, chart, solved = engine._poses(self.state), engine._lines(self.state.chart), self.reduction.solved
-        in_shares(
-            lambda _, low, high: covariance_kernel.line_covariances(
-                low, high, engine.views, pose, chart, layout_.pairs, blocks, solved, lines
-            ),
-            layout_.shares,
-        )
-        return self.unit * torch.from_numpy(frames), self.unit * torch.from_numpy(lines)
-
-    def eliminated_covariance(self) -> Float[Tensor, "t 4 4"]:
-        """Of every line."""
-        return self.covariances()[1]
-
-    def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "b4 b4"]:
-        """Of some lines together, dense: only for as many as such a matrix can hold. NaN where not determined."""
-        engine, size, chosen = self.engine, 4 * len(blocks), blocks.numpy()
-        if self.reduction is None or not self.determined:
-            return torch.full((size, size), torch.nan, dtype=torch.float64)
-        solved = self.reduction.solved
-        told = (solved.diagonal[chosen] > 0).any(1)
-        own = np.zeros((len(blocks), 4, 4))
-        own[:, *np.tril_indices(4)] = solved.factors[chosen]
-        roots = np.linalg.inv(own).transpose(0, 2, 1)
-        gains = frame_gains(
-            engine.layout, engine.views, engine._poses(self.state), engine._lines(self.state.chart), solved, chosen
-        )
-        if self._sandwich is not None:
-            joint = self._sandwich.joint(chosen, roots, gains)
-        else:
-            joint = self.unit * scipy.linalg.block_diag(*(roots @ roots.transpose(0, 2, 1)))
-            if self.reduction.system is not None:
-                flat = gains.reshape(size, -1)
-                joint += self.unit * flat @ self.reduction.system.solve(np.ascontiguousarray(flat.T))
-        untold = np.repeat(~told, 4)
-        joint[untold], joint[:, untold] = np.nan, np.nan
-        return torch.from_numpy(joint)

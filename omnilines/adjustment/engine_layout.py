@@ -10,7 +10,8 @@ from torch import Tensor
 from omnilines.adjustment.arcs import Arcs
 from omnilines.adjustment.kernels.line import Pairs, Views
 from omnilines.adjustment.problem import LineProblem
-from omnilines.geometry.sphere import sector_moment_factor
+from omnilines.costs import cost_named
+from omnilines.costs._cost import ScaledRows
 from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern
 from omnilines.progress import threads_for
 
@@ -56,24 +57,19 @@ class Layout:
 
     def views(self, problem: LineProblem, kind: int, scale: float) -> Views:
         """The observations for the cost of a problem, in order, and a loss."""
-        arcs, cost, mix, n = problem.arcs, problem.cost_name, problem.mix, len(self.observations)
+        arcs, mix, n = problem.arcs, problem.mix, len(self.observations)
+        form = cost_named(problem.cost_name).scaled_rows if mix is None else ScaledRows()
+        assert form is not None, "a cost without scaled rows is left to the general engine"
         rows = np.empty((n, 2, 3))
-        spread = np.empty((0 if cost == "sector" or mix is not None else n, 2, 6))
+        spread = np.empty((0 if form.spread is None else n, 2, 6))
         upper = torch.triu_indices(3, 3)
         for low in range(0, n, ROWS_AT_ONCE):
             own = self.observations[low : low + ROWS_AT_ONCE]
             bearings, here = arcs.bearings[own], slice(low, low + len(own))
-            if mix is not None:
-                rows[here] = (mix[own] @ bearings).numpy()
-                continue
-            if cost == "sector":
-                rows[here] = sector_moment_factor(bearings[:, 0], bearings[:, 1]).numpy()
-                continue
-            rows[here] = bearings.numpy()
-            by_pixel = arcs.by_pixel[own]
-            noise = by_pixel @ arcs.covariance_px2[own] @ by_pixel.mT if cost == "whitened" else by_pixel @ by_pixel.mT
-            spread[here] = noise[:, :, upper[0], upper[1]].numpy()
-        return Views(self.lines, self.start, self.frame, rows, spread, kind, scale)
+            rows[here] = (form.rows(bearings) if mix is None else mix[own] @ bearings).numpy()
+            if form.spread is not None:
+                spread[here] = form.spread(arcs.by_pixel[own], arcs.covariance_px2[own])[:, :, upper[0], upper[1]].numpy()
+        return Views(order=self.lines, start=self.start, frame=self.frame, rows=rows, spread=spread, kind=kind, scale=scale)
 
 
 def layout(problem: LineProblem) -> Layout:
@@ -88,7 +84,16 @@ def layout(problem: LineProblem) -> Layout:
         found = _sorted(arcs, order, free)
     lines, start, observations, pattern, frame = found
     rank = np.searchsorted(problem.free.numpy(), order[:free].numpy())
-    return Layout(order, rank, pattern, lines, start, torch.from_numpy(observations), frame, _shares(start))
+    return Layout(
+        frames=order,
+        rank=rank,
+        pattern=pattern,
+        lines=lines,
+        start=start,
+        observations=torch.from_numpy(observations),
+        frame=frame,
+        shares=_shares(start),
+    )
 
 
 def _sorted(

@@ -98,6 +98,7 @@ def frame_gains(
     pose: Float[np.ndarray, "frames 12"],
     lines: LineStates,
     solved: LineBlocks,
+    *,
     blocks: Int[np.ndarray, " b"],
 ) -> Float[np.ndarray, "b 4 k"]:
     """L'^-1 sum Z_i P_i of some lines: minus this is how they follow the frames."""

@@ -17,11 +17,8 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from omnilines.adjustment.arcs import Arcs
-from omnilines.costs import cost_function
+from omnilines.costs import cost_function, cost_named
 from omnilines.costs._cost import by_bearings
-
-IN_PIXELS = ("whitened", "bartoli-sturm")
-"""Costs that are distances in pixels, or in standard deviations of them: they have no other weights."""
 
 
 def distance_by_parameters(
@@ -59,7 +56,7 @@ def weights_to_hold(
 ) -> Float[Tensor, "n m 2"] | None:
     """G at one state, r = G h with the distances h (px) of both ends: of the cost, or of residuals mix @ (V . Mh) where a `mix`
     is given; None for costs that are these distances."""
-    if mix is None and cost in IN_PIXELS:
+    if mix is None and cost_named(cost).distances_in:
         return None
     m = normal / normal.norm(dim=-1, keepdim=True)
     width = (arcs.by_pixel.mT @ m[:, None, :, None])[..., 0].norm(dim=-1)

@@ -14,14 +14,11 @@ from omnilines.geometry.line import segment_ends
 from omnilines.records import Lines
 from omnilines.triangulation.result import Triangulation
 
-WEAK_SIGMA = 0.1
-"""A line whose ends are uncertain by more than this share of its distance from the cameras is called weak."""
 
-
-def too_uncertain(lines: Lines) -> Bool[np.ndarray, " t"]:
+def too_uncertain(lines: Lines, weak_share: float) -> Bool[np.ndarray, " t"]:
     """Lines that are weak for the uncertainty of their ends."""
     assert lines.chart_scale_m is not None
-    return ~(lines.sigma_m <= WEAK_SIGMA * lines.chart_scale_m)
+    return ~(lines.sigma_m <= weak_share * lines.chart_scale_m)
 
 
 def line_table(
@@ -30,7 +27,9 @@ def line_table(
     tracks: Int[Tensor, " k"],
     first: Triangulation,
     state: LinesAndPoses,
+    *,
     adjusted: Adjusted | None,
+    weak_share: float,
 ) -> tuple[Lines, Float[Tensor, "m 2"]]:
     """The table of all tracks for one state, and the orthogonal distances of the arcs `inner` that the lines rest on.
 
@@ -52,7 +51,7 @@ def line_table(
         sigma[tracks] = end_sigma_m(state.chart, adjusted.line_covariance, ends)
         covariance = np.full((count, 4, 4), np.nan)
         covariance[tracks.numpy()] = adjusted.line_covariance.numpy()
-        weak = sigma[tracks] > WEAK_SIGMA * state.chart.scale
+        weak = sigma[tracks] > weak_share * state.chart.scale
         for track in tracks[weak | ~torch.isfinite(sigma[tracks])].tolist():
             status[track] = "weak"
     # A line none of whose arcs lies in front of its camera has no ends to show.
@@ -67,9 +66,9 @@ def line_table(
         first.views.numpy(),
         rms.numpy(),
         sigma.numpy(),
-        tuple(status),
-        covariance,
-        centre,
-        scale,
+        status=tuple(status),
+        covariance=covariance,
+        chart_centre_m=centre,
+        chart_scale_m=scale,
     )
     return table, distance

@@ -11,19 +11,22 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.engine import EXACT_FIT, LineEngine, LineSolution, is_compiled, lines_settled
+from omnilines.adjustment.engine import EXACT_FIT, LineEngine, is_compiled, line_convergence
+from omnilines.adjustment.engine_solution import LineSolution, line_solution
 from omnilines.adjustment.memory import layout_that_fits, require_for_general
 from omnilines.adjustment.noise import Noise
+from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.adjustment.uncertainty import Task, Uncertain, uncertainty
+from omnilines.costs import WHITENED
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Solution, solve
 from omnilines.least_squares.devices import moved_to, usable_device
 
-MOST_TURNS, SETTLED = 12, 1e-3
+MOST_TURNS, CONVERGED = 12, 1e-3
 """Times that the noise and a solution with a prior are found in turn, and the relative change of the noise that ends it."""
 LEAST_LEVEL = 1e-9
 """Noise below it is that of rounding: it says nothing of what a prior weighs."""
@@ -82,6 +85,7 @@ def adjust_lines(
     prior: PosePrior | None = None,
     loss: Loss | None = None,
     cautious: bool = False,
+    options: AdjustmentOptions = AdjustmentOptions(),
     max_iterations: int = 100,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
@@ -94,7 +98,7 @@ def adjust_lines(
     noise, whatever the cost. Its unit is that of the residuals of the cost, as is the scale of the `loss`.
 
     Covariances are those of the estimate that the cost and the loss give (`weighting.py`), for the stated noise of the end
-    points. Where none is stated, or the residuals are larger than it allows (chi-square, 0.1 percent), they are for the noise
+    points. Where none is stated, or the residuals are larger than it allows (chi-square), they are for the noise
     that the residuals show, and wider as few residuals ask for (`noise.py`). With a prior and no stated noise, the noise and
     the solution are found in turn.
 
@@ -120,13 +124,21 @@ def adjust_lines(
         loss = Loss()
 
     place = usable_device(device)
-    plain = LineProblem(arcs, "whitened", freedom, state)
+    plain = LineProblem(arcs, WHITENED, freedom, state)
     if prior is None:
         _require_scale(plain, state)
-    task = Task(arcs, cost, freedom, loss, layout_that_fits(plain) if is_compiled(plain, state) else None, cautious)
+    task = Task(
+        arcs=arcs,
+        cost=cost,
+        freedom=freedom,
+        loss=loss,
+        layout=layout_that_fits(plain) if is_compiled(plain, state) else None,
+        cautious=cautious,
+        options=options,
+    )
 
     def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
-        return _minimum(task, start, weighed, max_iterations, callback, place)
+        return _minimum(task, start, weighed, max_iterations, callback, place=place)
 
     if prior is None or bool(fixed.all()):
         return _described(uncertainty(task, minimum(state, None)))
@@ -139,6 +151,7 @@ def _minimum(
     prior: PosePrior | None,
     max_iterations: int,
     callback: Callable[[Progress], None] | None,
+    *,
     place: torch.device,
 ) -> Minimum[LinesAndPoses]:
     """The least cost from a start, by the engine that takes the problem."""
@@ -146,15 +159,15 @@ def _minimum(
     if place.type != "cpu":
         if state.models:
             raise InputError("Cameras are refined on the processor, found the device cuda; use the device cpu.")
-        return _on_device(place, problem, state, loss, max_iterations, callback)
+        return _on_device(place, problem, state, loss, max_iterations, callback=callback)
     if task.layout is not None and is_compiled(problem, state):
         engine = LineEngine(problem, loss, task.layout)
-        return engine.finish(engine.minimise(state, max_iterations, callback)).end
+        return line_solution(engine, engine.minimise(state, max_iterations, callback)).end
     require_for_general(problem.arcs, problem.structure.kept_size)
     if problem.held_weights is not None:
         return _reweighted(problem, state, loss, max_iterations, callback)
-    settle = lines_settled(problem, loss)
-    found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, settle=settle)
+    converge = line_convergence(problem, loss)
+    found = solve(problem, state, loss, max_iterations=max_iterations, callback=callback, converge=converge)
     return Minimum(found.state, found.outcome, found.cost, found.initial_cost, found.iterations)
 
 
@@ -180,7 +193,7 @@ def _with_prior(
         iterations += found.iterations
         result = uncertainty(task, found, weighed, level)
         again = result.noise.level
-        if not math.isfinite(again) or abs(again / level - 1) < SETTLED or again <= LEAST_LEVEL:
+        if not math.isfinite(again) or abs(again / level - 1) < CONVERGED or again <= LEAST_LEVEL:
             break
         start, level = found.state, again
     return replace(result, found=replace(result.found, iterations=iterations))
@@ -230,13 +243,16 @@ def _on_device(
     state: LinesAndPoses,
     loss: Loss,
     max_iterations: int,
+    *,
     callback: Callable[[Progress], None] | None,
 ) -> Minimum[LinesAndPoses]:
     """The iterations of a problem on another device. Raises InputError where it does not fit there."""
     arcs, freedom, prior = moved_to(problem.arcs, device), moved_to(problem.freedom, device), moved_to(problem.prior, device)
     require_for_general(arcs, problem.structure.kept_size)
     own = moved_to(state, device)
-    found = solve(LineProblem(arcs, problem.cost_name, freedom, own, prior), own, loss, max_iterations, callback=callback)
+    found = solve(
+        LineProblem(arcs, problem.cost_name, freedom, own, prior), own, loss, max_iterations=max_iterations, callback=callback
+    )
     end = moved_to(found.state, torch.device("cpu"))
     return Minimum(end, found.outcome, found.cost, found.initial_cost, found.iterations)
 
@@ -269,18 +285,18 @@ def _described(done: Uncertain) -> Adjusted:
             low = high
     lines = lines * (scale * noise.widening(4))
     return Adjusted(
-        state,
-        done.found.outcome,
-        done.found.initial_cost,
-        done.found.cost,
-        done.found.iterations,
-        lines if freedom.held_lines is None else torch.where(freedom.held_lines[:, None, None], 0.0, lines),
-        poses * (scale * noise.widening(6)),
-        noise,
-        equations,
-        scale,
-        tuple(cameras),
-        rig_covariance,
+        state=state,
+        outcome=done.found.outcome,
+        initial_cost=done.found.initial_cost,
+        cost=done.found.cost,
+        iterations=done.found.iterations,
+        line_covariance=lines if freedom.held_lines is None else torch.where(freedom.held_lines[:, None, None], 0.0, lines),
+        pose_covariance=poses * (scale * noise.widening(6)),
+        noise=noise,
+        whitened=equations,
+        scale=scale,
+        camera_covariance=tuple(cameras),
+        rig_covariance=rig_covariance,
     )
 
 

@@ -33,7 +33,7 @@ def arcs_bytes(observations: int, with_pixels: bool) -> int:
     return observations * (ARC_WITH_PIXELS if with_pixels else ARC)
 
 
-def engine_bytes(observations: int, lines: int, free: int, pairs: int, width: int, threads: int) -> int:
+def engine_bytes(*, observations: int, lines: int, free: int, pairs: int, width: int, threads: int) -> int:
     """What the compiled engine adds to the interpreter and the arcs."""
     return observations * ENGINE_ROW + lines * LINE + pairs * PAIR * (threads + 2) + 16 * 6 * free * (width + 1)
 
@@ -73,7 +73,9 @@ def require_memory(needed: int, observations: int, lines: int, photos: int, avai
 
 def require_for_arcs(observations: int, lines: int, photos: int) -> None:
     """Raise InputError where not even arcs and lines would fit, whatever the photos see together."""
-    needed = arcs_bytes(observations, with_pixels=True) + engine_bytes(observations, lines, photos, photos, 5, 1)
+    needed = arcs_bytes(observations, with_pixels=True) + engine_bytes(
+        observations=observations, lines=lines, free=photos, pairs=photos, width=5, threads=1
+    )
     require_memory(needed, observations, lines, photos)
 
 
@@ -81,7 +83,14 @@ def layout_that_fits(problem: LineProblem) -> Layout:
     """The layout of the compiled engine, which is small. Raises InputError where what follows it does not fit into memory."""
     found, arcs = layout(problem), problem.arcs
     pattern, threads = found.pattern, len(found.shares) - 1
-    needed = engine_bytes(len(arcs), arcs.tracks, pattern.kept, len(pattern.row), band_width(pattern, 6), threads)
+    needed = engine_bytes(
+        observations=len(arcs),
+        lines=arcs.tracks,
+        free=pattern.kept,
+        pairs=len(pattern.row),
+        width=band_width(pattern, 6),
+        threads=threads,
+    )
     require_memory(needed, len(arcs), arcs.tracks, arcs.images)
     return found
 

@@ -12,11 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtrc, chdtri, fdtri
 from torch import Tensor
 
-LIMIT = 13.816
-"""99.9 percent of a chi-square distribution of two degrees of freedom, the two ends of an arc."""
-NORMAL_MAD = 1.4826
-REJECTED = 1e-3
-"""Probability of residuals as large, or as small, below which the stated noise does not hold."""
+from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.least_squares.variance import NORMAL_MAD
+
 COVERED = 0.95
 """Share of truths within the ellipsoids that few residuals leave room for."""
 MOST_TURNS = 10
@@ -32,16 +30,18 @@ class Noise:
     redundancy: float
     """Degrees of freedom that it rests on."""
     stated: bool
+    significance: float = AdjustmentOptions().significance
+    """Probability of residuals as large, or as small, below which the stated noise does not hold."""
 
     @property
     def holds(self) -> bool:
         """Whether the residuals allow what is stated: they are not too large for it."""
-        return self.stated and not (self.redundancy > 0 and self._larger < REJECTED)
+        return self.stated and not (self.redundancy > 0 and self._larger < self.significance)
 
     @property
     def overstated(self) -> bool:
         """Whether the residuals are too small for what is stated."""
-        return self.stated and self.redundancy > 0 and 1 - self._larger < REJECTED
+        return self.stated and self.redundancy > 0 and 1 - self._larger < self.significance
 
     @property
     def _larger(self) -> float:
@@ -61,8 +61,13 @@ class Noise:
         return dim * float(fdtri(dim, self.redundancy, COVERED)) / float(chdtri(dim, 1 - COVERED))
 
 
-def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float) -> Bool[Tensor, " n"]:
-    """Arcs whose squared whitened residual is within LIMIT of the variance of the noise, `taken` parameters having been fitted.
+def largest_square(significance: float) -> float:
+    """Squared whitened residual of both ends of an arc that noise of unit variance exceeds with this probability."""
+    return float(chdtri(2, significance))
+
+
+def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float, significance: float) -> Bool[Tensor, " n"]:
+    """Arcs whose residuals are not too large for the noise, `taken` parameters having been fitted.
 
     The variance is told by the median first, then by the arcs that are within, and is `least` squared at least. Good arcs
     vary by less than the noise, as they have decided the parameters, so that hardly any is cut off.
@@ -73,9 +78,9 @@ def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float) -> Bool[
     if left <= 0:
         return finite
     variance = NORMAL_MAD**2 * float(whitened[finite].square().median()) * 2 * int(finite.sum()) / left
-    within = finite
+    within, limit = finite, largest_square(significance)
     for _ in range(MOST_TURNS):
-        before, within = within, finite & (square <= LIMIT * max(variance, least**2, 1e-24))
+        before, within = within, finite & (square <= limit * max(variance, least**2, 1e-24))
         left = 2 * int(within.sum()) - taken
         if left <= 0 or bool((before == within).all()):
             break

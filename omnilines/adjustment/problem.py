@@ -14,7 +14,7 @@ from omnilines.adjustment.gauge import open_similarities
 from omnilines.adjustment.intrinsics import distance_by_parameters, weights_to_hold
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
-from omnilines.costs import cost_function
+from omnilines.costs import IN_PIXELS, cost_function, cost_named
 from omnilines.costs._cost import CostFunction, line_residual, mixed_distances
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation, Structure
 
@@ -46,6 +46,7 @@ class LineProblem:
         freedom: Freedom,
         state: LinesAndPoses,
         prior: PosePrior | None = None,
+        *,
         mix: Float[Tensor, "n 2 2"] | None = None,
     ) -> None:
         """`prior` is in the unit of the cost (`PosePrior.weighing`). With `mix` residuals are mix @ (V . Mh) instead of the
@@ -95,7 +96,7 @@ class LineProblem:
         arcs, cost = self.arcs, self.cost
         if self.bases:
             arcs = arcs.seen_by(state.models)
-            cost = self._cost_of(arcs) if self.held_weights is None else cost_function("bartoli-sturm", arcs)
+            cost = self._cost_of(arcs) if self.held_weights is None else cost_function(IN_PIXELS, arcs)
         poses, chart = state.cam_from_world[arcs.image], state.chart[arcs.track]
         r, by_pose, by_line = line_residual(cost, arcs.bearings, chart, poses)
         by_cameras = self._by_cameras(arcs, state, chart.projection_normal(poses)[0]) if self.bases else []
@@ -126,7 +127,8 @@ class LineProblem:
             mine = torch.nonzero(arcs.observed.camera == index).flatten()
             full = normal.new_zeros(len(arcs), 2, basis.shape[1])
             if len(mine):
-                noise = arcs.covariance_px2[mine] if self.cost_name == "whitened" and self.held_weights is None else None
+                whitened = cost_named(self.cost_name).is_whitened and self.held_weights is None
+                noise = arcs.covariance_px2[mine] if whitened else None
                 full[mine] = distance_by_parameters(model, arcs.bearings[mine], arcs.by_pixel[mine], normal[mine], noise) @ basis
             found.append(full)
         return found

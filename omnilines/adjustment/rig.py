@@ -11,17 +11,15 @@ from camera_models.pose import Pose
 from omnilines.adjustment.state import Rig
 from omnilines.records import ImagePoses
 
-TURNED_RAD = math.radians(20)
-"""Photos of one frame whose poses differ by more than this from what the rig says are not of that rig."""
-
 
 def rig_of_photos(
-    poses: ImagePoses, cameras: Sequence[str], rig: Mapping[str, RigCamera], needed: bool
+    poses: ImagePoses, cameras: Sequence[str], rig: Mapping[str, RigCamera], needed: bool, most_turned_deg: float
 ) -> tuple[Rig | None, Pose]:
     """The rig with the frame and camera of every photo, and `rig_from_world` of every frame, from its first photo; None and
     `cam_from_world` of every photo where the poses name no frames or the calibration has no rig.
 
-    Raises InputError where a rig is `needed` and not known, a photo names no camera, or its pose contradicts the rig.
+    Raises InputError where a rig is `needed` and not known, a photo names no camera, or its pose is turned
+    against the rig by more than `most_turned_deg`.
     """
     if not rig or poses.frames is None:
         if needed:
@@ -42,7 +40,7 @@ def rig_of_photos(
     first = torch.tensor([poses.frames.index(name) for name in order])
     rig_from_world = from_photo[first]
     apart = (from_photo @ rig_from_world[frame].inverse()).log()[:, :3].norm(dim=-1)
-    if float(apart.max()) > TURNED_RAD:
+    if float(apart.max()) > math.radians(most_turned_deg):
         worst = int(apart.argmax())
         raise InputError(
             f"Photos of one frame were expected to be turned as the rig says, found {poses.images[worst]} "

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
@@ -17,26 +17,17 @@ from omnilines.adjustment.arcs import Arcs, ArcTable, arcs_from_segments
 from omnilines.adjustment.line_table import line_table, too_uncertain
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.memory import require_for_arcs
+from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
+from omnilines.adjustment.start import Method, no_chart, residual_sigma, scaled_loss, started
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.suspects import Suspect, suspects
-from omnilines.adjustment.weighting import weighting
-from omnilines.costs import cost_function
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
-from omnilines.least_squares.devices import usable_device
 from omnilines.records import ImagePoses, Lines, Segments
-from omnilines.triangulation.batches import triangulate_on
-from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
-from omnilines.triangulation.robust import noise_level, robust_triangulate
 
-LOSS_SCALE = 2.0
-"""Robust losses bend at this many times the stated noise. Where none is stated, at the median residual of the start first, and
-then at the noise that the residuals show."""
-ROUNDS = 3
-"""Times that poses are mended by the tracks that have a line before those that have none are triangulated again."""
 REFINABLE = ("lines", "poses", "intrinsics", "rig")
 
 
@@ -85,6 +76,7 @@ def reconstruct_lines(
     robust: bool = False,
     loss: str = "none",
     cautious: bool = False,
+    options: AdjustmentOptions = AdjustmentOptions(),
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
 ) -> LineScene:
@@ -100,17 +92,15 @@ def reconstruct_lines(
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras)
     arcs, names = table.arcs, segments.tracks
-    mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig)
-    models = tuple(cameras.values()) if refine_cameras else ()
-    state = LinesAndPoses(frames, _no_chart(), mounted, models)
-    state, first, member = _started(
-        arcs, state, (triangulation, triangulation_options or {}), robust, ROUNDS if refine_poses else 0, device
-    )
+    mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
+    state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
+    method = Method(triangulation, triangulation_options or {}, robust, device)
+    state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
     inner, tracks = drop_unknown(arcs.rows(member), first.known)
     centres = state.cam_from_world.centre[inner.image]
     state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
 
-    def adjust(start: LinesAndPoses, bent: Loss) -> Adjusted:
+    def adjust(start: LinesAndPoses, scaled: Loss) -> Adjusted:
         """From a start, with a loss at its scale."""
         return adjust_lines(
             inner,
@@ -122,37 +112,71 @@ def reconstruct_lines(
             refine_rig=refine_rig,
             models=start.models,
             prior=_prior(frames, pose_sigma),
-            loss=bent,
+            loss=scaled,
             cautious=cautious,
+            options=options,
             callback=callback,
             device=device,
         )
 
-    adjusted = adjust(state, _loss(loss, cost, inner, state))
+    adjusted = adjust(state, scaled_loss(loss, cost, inner, state, options))
     level = adjusted.noise.measured
     if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
         # Errors of the start are in the first scale.
-        adjusted = adjust(adjusted.state, Loss(loss, LOSS_SCALE * level * _unit(cost, inner, adjusted.state)))
-    final = inner.seen_by(adjusted.state.models) if models else inner
-    before, before_px = line_table(names, inner, tracks, first, state, None)
-    lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted)
-    used = member.clone()
-    used[member] = first.known[arcs.track[member]]
+        unit = residual_sigma(cost, inner, adjusted.state)
+        adjusted = adjust(adjusted.state, Loss(loss, options.loss_scale * level * unit))
     if refine_poses or refine_rig:
         poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
+    rests = _Rests(inner, tracks, member, first)
+    return _described(rests, state, adjusted, poses, names, table=table, refined_rig=refine_rig, options=options)
+
+
+@dataclass(frozen=True)
+class _Rests:
+    """What the lines rest on."""
+
+    inner: Arcs
+    """Arcs of tracks that have a line, which are renumbered."""
+    tracks: Int[Tensor, " k"]
+    """The old number of each."""
+    member: Bool[Tensor, " n"]
+    """Of all arcs, those that were not left out."""
+    first: Triangulation
+
+
+def _described(
+    rests: _Rests,
+    state: LinesAndPoses,
+    adjusted: Adjusted,
+    poses: ImagePoses,
+    names: tuple[str, ...],
+    *,
+    table: ArcTable,
+    refined_rig: bool,
+    options: AdjustmentOptions,
+) -> LineScene:
+    """The scene before (`state`) and after the adjustment, with what does not fit it."""
+    inner, tracks, member, first = rests.inner, rests.tracks, rests.member, rests.first
+    final = inner.seen_by(adjusted.state.models) if adjusted.state.models else inner
+    weak = options.weak_share
+    before, before_px = line_table(names, inner, tracks, first, state, adjusted=None, weak_share=weak)
+    lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted=adjusted, weak_share=weak)
+    used = member.clone()
+    used[member] = first.known[table.arcs.track[member]]
+    end, seen = adjusted.state, tuple(names[k] for k in tracks.tolist())
     return LineScene(
-        lines,
-        poses,
-        before,
-        adjusted,
-        table,
-        _scattered(after_px, used),
-        _scattered(before_px, used),
-        first.rests_on_one.numpy() & ~too_uncertain(lines),
-        _left_out(arcs, first, member, adjusted.state.cam_from_world, names, poses.images),
-        suspects(final, adjusted.state.normals(final), tuple(names[k] for k in tracks.tolist()), poses.images),
-        adjusted.state.models,
-        adjusted.state.rig.cam_from_rig if refine_rig and adjusted.state.rig is not None else None,
+        lines=lines,
+        poses=poses,
+        before=before,
+        adjusted=adjusted,
+        table=table,
+        residual_px=_scattered(after_px, used),
+        residual_before_px=_scattered(before_px, used),
+        rests_on_one=first.rests_on_one.numpy() & ~too_uncertain(lines, weak),
+        wrong=_left_out(table.arcs, first, member, end.cam_from_world, names, images=poses.images),
+        suspect=suspects(final, end.normals(final), seen, poses.images, options.significance),
+        cameras=end.models,
+        cam_from_rig=end.rig.cam_from_rig if refined_rig and end.rig is not None else None,
     )
 
 
@@ -162,56 +186,6 @@ def _prior(frames: Pose, sigma: tuple[float, float] | None) -> PosePrior | None:
         return None
     turn, shift = (torch.full((len(frames),), value, dtype=torch.float64) for value in sigma)
     return PosePrior(frames, turn, shift)
-
-
-def _no_chart() -> LineChart:
-    """The chart of no line, until there are some."""
-    none = torch.zeros(0, 3, dtype=torch.float64)
-    return LineChart(none, none[:, 0], none[..., None].expand(0, 3, 3), none[:, 0])
-
-
-def _started(
-    arcs: Arcs, state: LinesAndPoses, method: tuple[str, Mapping[str, Any]], robust: bool, rounds: int, device: str
-) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
-    """Poses mended up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
-    first, member = _triangulated(arcs, state.cam_from_world, method, robust, device)
-    for _ in range(rounds):
-        if bool(first.known.all()):
-            break
-        better = _mended(arcs.rows(member), first, state)
-        again, member_again = _triangulated(arcs, better.cam_from_world, method, robust, device)
-        if int(again.known.sum()) <= int(first.known.sum()):
-            break
-        state, first, member = better, again, member_again
-    return state, first, member
-
-
-def _mended(arcs: Arcs, first: Triangulation, state: LinesAndPoses) -> LinesAndPoses:
-    """Poses that are off leave some tracks without a line. Those that have one mend the poses, so that the others can follow."""
-    inner, tracks = drop_unknown(arcs, first.known)
-    lines = first.lines[tracks]
-    chart = LineChart.about_cameras(lines, state.cam_from_world.centre[inner.image], inner.track)
-    loss = _loss("cauchy", "sector", inner, replace(state, chart=chart))
-    adjusted = adjust_lines(inner, lines, state.rig_from_world, cost="sector", rig=state.rig, loss=loss)
-    return replace(state, rig_from_world=adjusted.state.rig_from_world)
-
-
-def _triangulated(
-    arcs: Arcs, cam_from_world: Pose, method: tuple[str, Mapping[str, Any]], robust: bool, device: str
-) -> tuple[Triangulation, Bool[Tensor, " n"]]:
-    """Lines of all tracks by a method with its options, and which arcs they rest on."""
-    name, options = method
-    covariance = arcs.covariance_px2 if arcs.sigma_known else None
-    poses = cam_from_world[arcs.image]
-    planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, covariance)
-    if not robust:
-        return triangulate_on(usable_device(device), name, planes, **options), torch.ones(len(arcs), dtype=torch.bool)
-    # Poses that are off enlarge residuals beyond the stated noise.
-    level = noise_level(planes)
-    if arcs.sigma_known and math.isfinite(level):
-        level = max(level, 1.0)
-    found = robust_triangulate(planes, method=name, sigma=level if math.isfinite(level) and level > 0 else None, **options)
-    return found.triangulation, found.inlier
 
 
 def _scattered(distance_px: Float[Tensor, "m 2"], used: Bool[Tensor, " n"]) -> Float[np.ndarray, "n 2"]:
@@ -226,6 +200,7 @@ def _left_out(
     member: Bool[Tensor, " n"],
     cam_from_world: Pose,
     names: tuple[str, ...],
+    *,
     images: tuple[str, ...],
 ) -> tuple[Suspect, ...]:
     """The observations that the robust triangulation left out, with their distance from the line that the others give."""
@@ -236,24 +211,6 @@ def _left_out(
     distance = own.orthogonal_px(normal).abs().amax(-1).tolist()
     rows = zip(own.track.tolist(), own.image.tolist(), distance, strict=True)
     return tuple(Suspect(names[track], images[image], px) for track, image, px in rows)
-
-
-def _loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses) -> Loss:
-    """The loss bent at the median size of the residuals of the start, which pose errors and outliers leave finite."""
-    if name == "none":
-        return Loss()
-    if arcs.sigma_known:
-        return Loss(name, LOSS_SCALE * _unit(cost, arcs, start))
-    size = cost_function(cost, arcs)(arcs.bearings, start.normals(arcs))[0].norm(dim=-1).median()
-    return Loss(name, max(LOSS_SCALE * float(size), 1e-12))
-
-
-def _unit(cost: str, arcs: Arcs, state: LinesAndPoses) -> float:
-    """Standard deviation of a residual of the cost for the stated noise, or for 1 px; two residuals an arc."""
-    return math.sqrt(
-        weighting(cost, arcs.seen_by(state.models) if state.models else arcs, state.normals(arcs), Loss(), 1.0).expected
-        / (2 * len(arcs))
-    )
 
 
 def parse_refine(text: str) -> tuple[str, ...]:

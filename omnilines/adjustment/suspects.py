@@ -7,8 +7,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.noise import LIMIT, NORMAL_MAD
-from omnilines.costs import cost_function
+from omnilines.adjustment.noise import largest_square
+from omnilines.costs import WHITENED, cost_function
+from omnilines.least_squares.variance import NORMAL_MAD
 
 
 @dataclass(frozen=True)
@@ -21,19 +22,21 @@ class Suspect:
     """Of the end that is farther from the line."""
 
 
-def suspect_rows(arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
-    """Arcs whose squared whitened residual exceeds LIMIT times the variance of all, which is told robustly from their median."""
-    whitened, _ = cost_function("whitened", arcs)(arcs.bearings, normal)
+def suspect_rows(arcs: Arcs, normal: Float[Tensor, "n 3"], significance: float) -> Bool[Tensor, " n"]:
+    """Arcs whose whitened residuals are too large for the noise of all, which their median tells robustly."""
+    whitened, _ = cost_function(WHITENED, arcs)(arcs.bearings, normal)
     finite = torch.isfinite(whitened).all(-1)
     if not bool(finite.any()):
         return finite
     scale = NORMAL_MAD * float(whitened[finite].abs().median())
-    return finite & (whitened.square().sum(-1) > LIMIT * max(scale, 1e-12) ** 2)
+    return finite & (whitened.square().sum(-1) > largest_square(significance) * max(scale, 1e-12) ** 2)
 
 
-def suspects(arcs: Arcs, normal: Float[Tensor, "n 3"], tracks: tuple[str, ...], images: tuple[str, ...]) -> tuple[Suspect, ...]:
+def suspects(
+    arcs: Arcs, normal: Float[Tensor, "n 3"], tracks: tuple[str, ...], images: tuple[str, ...], significance: float
+) -> tuple[Suspect, ...]:
     """The suspect observations, the farthest first."""
-    rows = torch.nonzero(suspect_rows(arcs, normal)).flatten()
+    rows = torch.nonzero(suspect_rows(arcs, normal, significance)).flatten()
     distance = arcs.orthogonal_px(normal).abs().amax(-1)
     order = rows[torch.argsort(distance[rows], descending=True)].tolist()
     return tuple(Suspect(tracks[int(arcs.track[k])], images[int(arcs.image[k])], float(distance[k])) for k in order)

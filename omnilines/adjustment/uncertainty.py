@@ -9,14 +9,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
-from omnilines.adjustment.engine import LineEngine, LineSolution
+from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import Layout
+from omnilines.adjustment.engine_solution import LineSolution, line_solution
 from omnilines.adjustment.noise import Noise, fitting
+from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.weighting import Weighting, weighting
-from omnilines.costs import cost_function
+from omnilines.costs import WHITENED, cost_function
 from omnilines.least_squares import Linearisation, Loss, Minimum, Solution, solve
 from omnilines.least_squares.sandwich import Sandwich
 from omnilines.least_squares.schur import eliminated_covariance, joint_eliminated_covariance, normal_equations
@@ -37,6 +39,7 @@ class Task:
     """Of the compiled engine, where that takes the problem."""
     cautious: bool = False
     """Whether the noise is what all residuals show, also those of arcs that stand out, whatever is stated."""
+    options: AdjustmentOptions = AdjustmentOptions()
 
     @property
     def stated(self) -> bool:
@@ -49,7 +52,7 @@ class Task:
 
     def weights(self, state: LinesAndPoses, level: float, informing: Bool[Tensor, " n"] | None = None) -> Weighting:
         """What the arcs weigh at a state for noise of this level."""
-        return weighting(self.cost, self.arcs, state.normals(self.arcs), self.loss, level, informing)
+        return weighting(self.cost, self.arcs, state.normals(self.arcs), self.loss, level, fitting=informing)
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,7 @@ def uncertainty(
     measured = math.nan
     if redundancy > LEAST_REDUNDANCY and left > 0:
         measured = at * math.sqrt(max(found.cost - _prior_cost(problem, found.state), 0.0) / left)
-    noise = Noise(measured, weights.share * redundancy, task.stated)
+    noise = Noise(measured, weights.share * redundancy, task.stated, task.options.significance)
     if prior is None:
         return Uncertain(found, problem, equations, noise, (noise.level / at) ** 2)
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, at)
@@ -150,10 +153,10 @@ def _for_other_noise(task: Task, done: Uncertain, weights: Weighting, prior: Pos
 def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, level: float | None) -> Uncertain:
     """With a robust loss: the noise of the arcs that do not stand out; the others weigh what the loss gives them."""
     state, arcs = found.state, task.arcs
-    whitened = cost_function("whitened", arcs)(arcs.bearings, state.normals(arcs))[0].detach()
-    plain = LineProblem(arcs, "whitened", task.freedom, state, prior)
-    taken, least = float(_parameters(plain, state)), 1.0 if task.stated else 0.0
-    fits = torch.isfinite(whitened).all(-1) if task.cautious else fitting(whitened, taken, least)
+    whitened = cost_function(WHITENED, arcs)(arcs.bearings, state.normals(arcs))[0].detach()
+    plain = LineProblem(arcs, WHITENED, task.freedom, state, prior)
+    taken, least, significance = float(_parameters(plain, state)), 1.0 if task.stated else 0.0, task.options.significance
+    fits = torch.isfinite(whitened).all(-1) if task.cautious else fitting(whitened, taken, least, significance)
     if level is None:
         noise = _noise_of(task, state, whitened, fits, taken)
         weights = task.weights(state, noise.level if math.isfinite(noise.level) else 1.0, fits)
@@ -163,7 +166,7 @@ def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, 
     problem, equations = _equations(task, state, weights, prior)
     taken -= equations.prior_share()
     if not task.cautious:
-        fits = fitting(whitened, taken, least)
+        fits = fitting(whitened, taken, least, significance)
     noise = _noise_of(task, state, whitened, fits, taken)
     return _for_other_noise(task, Uncertain(found, problem, equations, noise, 1.0), weights, prior, level)
 
@@ -174,19 +177,19 @@ def _noise_of(task: Task, state: LinesAndPoses, whitened: Float[Tensor, "n 2"], 
     count, square, stated = 2 * int(fits.sum()), float(whitened[fits].square().sum()), task.stated
     redundancy = count - taken
     if redundancy <= LEAST_REDUNDANCY:
-        return Noise(math.nan, redundancy, stated)
+        return Noise(math.nan, redundancy, stated, task.options.significance)
     left = redundancy + (task.weights(state, math.sqrt(square / count), fits).excess - 1) * taken
-    return Noise(math.sqrt(square / left), redundancy, stated)
+    return Noise(math.sqrt(square / left), redundancy, stated, task.options.significance)
 
 
 def _equations(
     task: Task, state: LinesAndPoses, weights: Weighting, prior: PosePrior | None
 ) -> tuple[LineProblem, GeneralSolution | LineSolution]:
     """The weighted equations at a state."""
-    problem = LineProblem(task.arcs, "whitened", task.freedom, state, prior, weights.mix)
+    problem = LineProblem(task.arcs, WHITENED, task.freedom, state, prior, mix=weights.mix)
     if task.layout is not None:
         engine = LineEngine(problem, Loss(), task.layout)
-        return problem, engine.finish(engine.minimise(state, 0), weights.scatter, weights.unit)
+        return problem, line_solution(engine, engine.minimise(state, 0), weights.scatter, weights.unit)
     solution = GeneralSolution(**vars(solve(problem, state, max_iterations=0)), unit=weights.unit)
     at = problem.linearise(state)
     if at.prior is not None:

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.adjustment.arcs import Arcs
-from omnilines.costs import cost_function
+from omnilines.costs import cost_function, cost_named
 from omnilines.costs._cost import by_bearings
 from omnilines.least_squares import Loss
 
@@ -50,7 +50,7 @@ class Weighting:
 
 def cost_weights(cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 2"]:
     """W = A'A of every arc, from the derivative of the cost by the end bearings: column e of A is dr / dV_e . Mh sigma_e."""
-    if cost == "whitened":
+    if cost_named(cost).is_whitened:
         return torch.eye(2, dtype=normal.dtype).expand(len(normal), 2, 2)
     unit = normal / normal.norm(dim=-1, keepdim=True)
     across = by_bearings(cost_function(cost, arcs), arcs.bearings, normal) @ unit[:, None, :, None]
@@ -70,11 +70,12 @@ def weighting(
     normal: Float[Tensor, "n 3"],
     loss: Loss,
     level: float,
+    *,
     fitting: Bool[Tensor, " n"] | None = None,
 ) -> Weighting:
     """The weights at a state with these plane normals. Arcs that are not `fitting` weigh what the loss gives them where they
     lie."""
-    if cost == "whitened" and loss.name == "none":
+    if cost_named(cost).is_whitened and loss.name == "none":
         return Weighting(None, None, level**2, 2 * len(arcs) * level**2)
     values, vectors = torch.linalg.eigh(cost_weights(cost, arcs, normal))
     values = values.clamp_min(0)
@@ -95,7 +96,7 @@ def weighting(
     mix = vectors @ torch.diag_embed(response.sqrt()) @ vectors.mT / end_sigma_rad(arcs, unit_normal)[:, None, :]
     share = float(values.sum()) ** 2 / (values.numel() * float(values.square().sum()))
     excess = float(second[fitting].mean() / first[fitting].mean() ** 2)
-    return Weighting(mix, spread, unit, level**2 * float(values.sum()), share, excess)
+    return Weighting(mix=mix, scatter=spread, unit=unit, expected=level**2 * float(values.sum()), share=share, excess=excess)
 
 
 def _expectations(weights: Float[Tensor, "n 2"], loss: Loss, level: float) -> tuple[Tensor, Tensor]:

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models import InputError
+from omnilines.calibration.options import REFINABLE, require_refinable
 
 TERM_NAMES = ("aspect", "bend_xx_m", "bend_xy_m", "bend_yy_m")
-REFINABLE: tuple[tuple[str, tuple[int, ...]], ...] = (("aspect", (0,)), ("flatness", (1, 2, 3)))
-"""What can be asked for, and the terms that it frees."""
+TERMS_OF = dict(zip(REFINABLE, ((0,), (1, 2, 3)), strict=True))
+"""The terms that each of what can be asked for frees."""
 
 
 def _no_terms() -> Tensor:
@@ -39,14 +39,8 @@ class BoardShape:
     @staticmethod
     def to_refine(names: tuple[str, ...], board_m: Float[Tensor, "n 3"]) -> "BoardShape":
         """A plane board of square squares with the terms of `names` (of REFINABLE) free. Raises InputError on another name."""
-        known = dict(REFINABLE)
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise InputError(
-                f"What can be refined of a board is {' and '.join(known)}, found '{unknown[0]}'; give one or both, as in "
-                "--refine-board aspect,flatness."
-            )
-        columns = sorted({column for name in names for column in known[name]})
+        require_refinable(names)
+        columns = sorted({column for name in names for column in TERMS_OF[name]})
         low, high = board_m[:, :2].amin(0), board_m[:, :2].amax(0)
         middle = (0.5 * (low + high)).tolist()
         free = torch.eye(len(TERM_NAMES), dtype=torch.float64)[:, columns]

@@ -8,22 +8,9 @@ from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
 from camera_models.pose import Pose
+from omnilines.calibration.thresholds import DegeneracyThresholds
 
-PARALLEL_DEG = 3.0
-"""Boards whose normals all agree within this angle count as parallel: their tilt is then mostly noise."""
-NEARLY_PARALLEL_DEG = 15.0
-"""Where the camera is left open, boards within this angle are named as the cause."""
-ONE_AXIS_DEG = 3.0
-"""Boards whose normals all lie within this angle of a plane count as tilted about one axis."""
-RIM_SHARE = 0.05
-RIM_FACTOR = 4.0
-"""Where more than this share of the outer corners is rejected, and this many times the share of the inner ones, the model is at
-fault."""
-BEYOND = 1.1
-"""The curve must grow up to this many times the radius of the outermost corner."""
 AZIMUTHS = 72
-OPEN_SHARE = 0.1
-"""A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
 
 
 def board_spread_deg(cam_from_board: Pose) -> float:
@@ -35,8 +22,8 @@ def board_spread_deg(cam_from_board: Pose) -> float:
     return math.degrees(float(away.max()))
 
 
-def refuse_parallel_boards(cam_from_board: Pose, limit_deg: float = PARALLEL_DEG) -> None:
-    """Raise GeometryError when all boards are parallel: focal length and distance cannot then be told apart."""
+def refuse_parallel_boards(cam_from_board: Pose, limit_deg: float) -> None:
+    """Raise GeometryError when all boards are parallel up to this angle: focal length and distance cannot then be told apart."""
     widest = board_spread_deg(cam_from_board)
     if widest < limit_deg:
         raise GeometryError(
@@ -45,7 +32,7 @@ def refuse_parallel_boards(cam_from_board: Pose, limit_deg: float = PARALLEL_DEG
         )
 
 
-def tilt_notes(cam_from_board: Pose, limit_deg: float = ONE_AXIS_DEG) -> tuple[str, ...]:
+def tilt_notes(cam_from_board: Pose, limit_deg: float) -> tuple[str, ...]:
     """A sentence where all boards are tilted about one axis: their normals lie in one plane, though not along one line."""
     normals = cam_from_board.rotation[..., 2]
     _, _, vt = torch.linalg.svd(normals)
@@ -59,9 +46,13 @@ def tilt_notes(cam_from_board: Pose, limit_deg: float = ONE_AXIS_DEG) -> tuple[s
 
 
 def refuse_open_camera(
-    model: CameraModel, covariance: Float[Tensor, "p p"], pixels: Float[Tensor, "n 2"], cam_from_board: Pose
+    model: CameraModel,
+    covariance: Float[Tensor, "p p"],
+    pixels: Float[Tensor, "n 2"],
+    cam_from_board: Pose,
+    thresholds: DegeneracyThresholds,
 ) -> None:
-    """Raise GeometryError when the angle off axis of the corners is uncertain by more than OPEN_SHARE of itself."""
+    """Raise GeometryError when the angle off axis of the corners is uncertain by more than `open_share` of itself."""
     radius = (pixels - model.centre_px).norm(dim=-1)
     outer = pixels[radius >= radius.median()]
     bearings, _ = model.unproject(outer)
@@ -69,8 +60,8 @@ def refuse_open_camera(
     by_parameter = model.unproject_jacobian(outer) @ by_parameter
     spread = (by_parameter @ covariance @ by_parameter.mT).diagonal(dim1=-2, dim2=-1).sum(-1).clamp_min(0).sqrt()
     share = float((spread / angles_off_axis(model, outer).clamp_min(1e-12)).median())
-    if not share <= OPEN_SHARE:
-        refuse_parallel_boards(cam_from_board, NEARLY_PARALLEL_DEG)
+    if not share <= thresholds.open_share:
+        refuse_parallel_boards(cam_from_board, thresholds.nearly_parallel_deg)
         found = f"an uncertainty of {100 * share:.0f} percent" if math.isfinite(share) else "that they do not"
         raise GeometryError(
             f"The corners of {len(cam_from_board)} views were expected to determine the angles of the camera, found {found}; "
@@ -107,7 +98,7 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
 
 
 def rejection_notes(
-    model: CameraModel, pixels: Float[Tensor, "n 2"], kept: Bool[Tensor, " n"], share: float = RIM_SHARE
+    model: CameraModel, pixels: Float[Tensor, "n 2"], kept: Bool[Tensor, " n"], thresholds: DegeneracyThresholds
 ) -> tuple[str, ...]:
     """A sentence where the corners that were rejected gather at the rim: then the model, not the corners, is at fault."""
     radius = (pixels - model.centre_px).norm(dim=-1)
@@ -115,17 +106,17 @@ def rejection_notes(
     if not bool(outer.any()) or bool(outer.all()):
         return ()
     lost = [float((~kept[part]).to(torch.float64).mean()) for part in (outer, ~outer)]
-    if lost[0] <= share or lost[0] <= RIM_FACTOR * lost[1]:
+    if lost[0] <= thresholds.rim_share or lost[0] <= thresholds.rim_factor * lost[1]:
         return ()
     return (
         f"{100 * lost[0]:.0f} percent of the corners in the outer third were rejected and {100 * lost[1]:.1f} percent of the "
-        f"others: the {model.NAME} model does not follow this lens to the rim; try --model auto.",
+        f"others: the {model.NAME} model does not follow this lens to the rim; try model auto.",
     )
 
 
-def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], share: float = BEYOND) -> bool:
-    """Whether the model is one-to-one over the part of the image up to `share` times the radius of the outermost pixel."""
-    radius = share * float((pixels - model.centre_px).norm(dim=-1).max())
+def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], beyond_factor: float) -> bool:
+    """Whether the model is one-to-one up to `beyond_factor` times the radius of the outermost pixel, within the image."""
+    radius = beyond_factor * float((pixels - model.centre_px).norm(dim=-1).max())
     azimuth = 2 * torch.pi * torch.arange(AZIMUTHS, dtype=torch.float64) / AZIMUTHS
     ring = model.centre_px + radius * torch.stack([torch.cos(azimuth), torch.sin(azimuth)], -1)
     limit = torch.tensor(model.image_size, dtype=torch.float64)

@@ -17,27 +17,24 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from camera_models.errors import InputError
+from omnilines.calibration.thresholds import DuplicateThresholds
 from omnilines.records import Corners
 
-NOISE_FACTOR = 3.0
-"""The difference of two corners has 1.4 times the noise of one; the rest is for a noise that is only estimated."""
-MIN_TOLERANCE_PX = 0.1
-"""However small the noise: files of corners are rounded, and a copy in another image format moves them."""
-MIN_COMMON = 6
-"""Fewer common corners do not tell."""
 _PAIRS_PER_BATCH = 2048
 
 Pairs = Int[np.ndarray, "_ 2"]
 
 
-def duplicate_views(corners: Corners, sigma_px: float) -> list[tuple[int, int]]:
+def duplicate_views(
+    corners: Corners, sigma_px: float, thresholds: DuplicateThresholds = DuplicateThresholds()
+) -> list[tuple[int, int]]:
     """Pairs (first, later) of views of one camera that show the same, by increasing first and later.
 
-    Two views are duplicates where at least MIN_COMMON corners, more than half of those of either, are common to both (the same
-    position on the board) and differ by at most max(3 sigma_px, 0.1 px), root mean square per axis. `sigma_px` is the standard
-    deviation of the noise of one coordinate of one corner. Each view is paired with the first that it duplicates and that is
-    itself no duplicate: three copies a, b, c give (a, b) and (a, c). So a slow drift is cut into pieces, and of every piece
-    the first view is left unnamed.
+    Two views are duplicates where at least `least_common` corners, more than half of those of either, are common to both (the
+    same position on the board) and differ by at most max(`noise_factor` sigma_px, `least_tolerance_px`), root mean square per
+    axis. `sigma_px` is the standard deviation of the noise of one coordinate of one corner. Each view is paired with the first
+    that it duplicates and that is itself no duplicate: three copies a, b, c give (a, b) and (a, c). So a slow drift is cut into
+    pieces, and of every piece the first view is left unnamed.
 
     A view whose corners are numbered the other way round, as a plain symmetric board allows after half a turn, is no duplicate
     even where all pixels are the same: corners are compared by name. A detector numbers copies of one photo alike, and a board
@@ -53,7 +50,7 @@ def duplicate_views(corners: Corners, sigma_px: float) -> list[tuple[int, int]]:
         )
     if not len(corners):
         return []
-    tolerance_px = max(NOISE_FACTOR * sigma_px, MIN_TOLERANCE_PX)
+    tolerance_px = max(thresholds.noise_factor * sigma_px, thresholds.least_tolerance_px)
     # The distance of two corners is root two times the RMS per axis.
     reach_px = np.sqrt(2.0) * tolerance_px
     _, corner = np.unique(np.round(corners.board_m, 8), axis=0, return_inverse=True)
@@ -61,11 +58,11 @@ def duplicate_views(corners: Corners, sigma_px: float) -> list[tuple[int, int]]:
     table: Float[np.ndarray, "views corners 2"] = np.full((int(corners.view.max()) + 1, int(corner.max()) + 1, 2), np.nan)
     table[corners.view, corner] = corners.pixels
 
-    pairs = _alike(table, _with_first_in_cell(corners.view, corner, corners.pixels, reach_px), tolerance_px)
+    pairs = _alike(table, _with_first_in_cell(corners.view, corner, corners.pixels, reach_px), tolerance_px, thresholds)
     while True:
         chosen = _to_first(pairs)
         left = ~np.isin(corners.view, chosen[:, 1])
-        more = _alike(table, _near(corners.view[left], corner[left], corners.pixels[left], reach_px), tolerance_px)
+        more = _alike(table, _near(corners.view[left], corner[left], corners.pixels[left], reach_px), tolerance_px, thresholds)
         if not len(more):
             return [(int(first), int(second)) for first, second in chosen]
         # A pair among those left is new, and may turn a first view into a duplicate: then look again at those paired with it.
@@ -98,7 +95,9 @@ def _near(view: Int[np.ndarray, " n"], corner: Int[np.ndarray, " n"], pixels: Fl
     return np.unique(np.sort(view[rows].reshape(-1, 2), axis=1), axis=0)
 
 
-def _alike(table: Float[np.ndarray, "views corners 2"], pairs: Pairs, tolerance_px: float) -> Pairs:
+def _alike(
+    table: Float[np.ndarray, "views corners 2"], pairs: Pairs, tolerance_px: float, thresholds: DuplicateThresholds
+) -> Pairs:
     """The pairs that are duplicates."""
     counts = np.isfinite(table[..., 0]).sum(1)
     kept: list[Bool[np.ndarray, " k"]] = [np.zeros(0, dtype=bool)]
@@ -106,7 +105,7 @@ def _alike(table: Float[np.ndarray, "views corners 2"], pairs: Pairs, tolerance_
         first, second = pairs[start : start + _PAIRS_PER_BATCH].T
         squares = ((table[first] - table[second]) ** 2).sum(-1)
         common = np.isfinite(squares).sum(1)
-        enough = (common >= MIN_COMMON) & (2 * common > np.maximum(counts[first], counts[second]))
+        enough = (common >= thresholds.least_common) & (2 * common > np.maximum(counts[first], counts[second]))
         kept.append(enough & (np.nansum(squares, axis=1) <= 2 * common * tolerance_px**2))
     return pairs[np.concatenate(kept)]
 
@@ -114,7 +113,7 @@ def _alike(table: Float[np.ndarray, "views corners 2"], pairs: Pairs, tolerance_
 def _to_first(pairs: Pairs) -> Pairs:
     """Of sorted or unsorted pairs of duplicates those that lead to the first view that is itself no duplicate."""
     chosen: dict[int, int] = {}
-    # In this order it is settled whether a view is a duplicate before its own pairs come.
+    # In this order it is decided whether a view is a duplicate before its own pairs come.
     for first, second in np.unique(pairs, axis=0).tolist():
         if first not in chosen and second not in chosen:
             chosen[second] = first

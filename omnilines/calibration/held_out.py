@@ -18,9 +18,6 @@ from torch import Tensor
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 
-NO_WORSE = 1.005
-"""A held-out error (RMS) that is greater by less than this factor is no reason for another parameter."""
-
 EXACT_PX = 1e-6
 """Errors below are those of rounding."""
 
@@ -40,12 +37,12 @@ class HeldOut:
         """Per point."""
         return math.sqrt(float(self.squares_px2.sum() / self.counts.sum()))
 
-    def as_good_as(self, best: "HeldOut") -> bool:
+    def as_good_as(self, best: "HeldOut", no_worse_factor: float) -> bool:
         """Whether what is lost against the best is within its standard error (paired over the views; L. Breiman et al. 1984),
-        and hardly anything."""
+        and hardly anything: its RMS is not greater by this factor."""
         difference = (self.squares_px2 - best.squares_px2) / self.counts.mean()
         within = bool(difference.mean() <= difference.std() / math.sqrt(len(difference)))
-        return self.rms_px <= max(best.rms_px, EXACT_PX) or (within and self.rms_px <= NO_WORSE * best.rms_px)
+        return self.rms_px <= max(best.rms_px, EXACT_PX) or (within and self.rms_px <= no_worse_factor * best.rms_px)
 
 
 @dataclass(frozen=True)

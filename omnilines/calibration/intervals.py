@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import Solution
 from omnilines.least_squares.valley import Quantities, curved_intervals
 from omnilines.least_squares.variance import VarianceFactor
@@ -16,34 +17,27 @@ from omnilines.records import Corners
 
 SHARE = 0.95
 """Of the cases, those in which an interval holds the truth."""
-DETECTOR_FLOOR_PX = 0.01
-"""Corners found in photos are never taken to be better than this when uncertainty is stated. On rendered boards without noise the
-detector is still off by some 0.004 px, neighbours alike, which residuals do not show: over 28 rendered sets the squared errors
-of the parameters were 1.5 times what residuals of 0.006 px promise."""
-WELL_BELOW = 0.5
-"""Residuals below this share of what is stated are named: the statement is then no better than a bound."""
-LARGE_FREEDOM = 30
-"""Degrees of freedom from which Student's t is the normal distribution to 4 percent."""
 
 
-def stated_variance_px2(corners: Corners, rows: Bool[np.ndarray, " n"]) -> float | None:
-    """Mean square of the stated standard deviations of corners, that of the weighted residuals; None where none are stated."""
+def stated_variance_px2(corners: Corners, rows: Bool[np.ndarray, " n"], corner_floor_px: float) -> float | None:
+    """Mean square of the stated standard deviations of corners, that of the weighted residuals, at least that of the floor;
+    None where none are stated."""
     if corners.sigma_px is None:
         return None
-    return max(float(np.mean(corners.sigma_px[rows] ** 2)), DETECTOR_FLOOR_PX**2)
+    return max(float(np.mean(corners.sigma_px[rows] ** 2)), corner_floor_px**2)
 
 
-def noise_notes(factor: VarianceFactor, stated_px2: float | None) -> tuple[str, ...]:
+def noise_notes(factor: VarianceFactor, stated_px2: float | None, thresholds: NoiseThresholds) -> tuple[str, ...]:
     """Whether the residuals bear out what is stated of the corners, or that there are few."""
     if stated_px2 is None:
-        return few_notes(factor)
+        return few_notes(factor, thresholds.large_freedom)
     stated = f"the {math.sqrt(stated_px2):.3g} px that are stated of them"
     if not factor.holds:
         return (
             f"Corners lie {factor.ratio:.3g} times as far from where the camera sees them as {stated} (chi-square test, "
             f"{factor.freedom:g} degrees of freedom): the standard deviations follow the residuals.",
         )
-    if factor.ratio is not None and factor.ratio < WELL_BELOW:
+    if factor.ratio is not None and factor.ratio < thresholds.well_below_share:
         return (
             f"Corners lie {factor.ratio:.2g} times as far from where the camera sees them as {stated}: the standard deviations "
             "rest on what is stated and are on the safe side.",
@@ -51,9 +45,9 @@ def noise_notes(factor: VarianceFactor, stated_px2: float | None) -> tuple[str, 
     return ()
 
 
-def few_notes(factor: VarianceFactor) -> tuple[str, ...]:
+def few_notes(factor: VarianceFactor, large_freedom: int) -> tuple[str, ...]:
     """That the noise was estimated from few residuals."""
-    if factor.freedom >= LARGE_FREEDOM:
+    if factor.freedom >= large_freedom:
         return ()
     return (
         f"The noise of the corners was estimated with {factor.freedom:g} degrees of freedom: 95 percent intervals are "
@@ -77,5 +71,5 @@ def camera_intervals(
     basis = problem.basis
     by_kept = torch.cat([basis, basis.new_zeros(len(basis), problem.structure.kept_size - basis.shape[1])], -1)
     quantities = Quantities[CameraAndBoards](lambda state: state.model.parameters, by_kept)
-    found = curved_intervals(problem, chosen, others, quantities, factor.value, factor.sigmas(SHARE))
+    found = curved_intervals(problem, chosen, others, quantities, variance=factor.value, sigmas=factor.sigmas(SHARE))
     return None if found is None else torch.stack(found, -1)

@@ -13,11 +13,7 @@ from camera_models.pose import Pose, hat
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, Solution, Structure, solve
-
-NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-FEW_RESIDUALS = 0.25
-"""Unknowns over residuals from which the median is taken without as many of the smallest."""
+from omnilines.least_squares.variance import NORMAL_MAD
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,7 @@ class BoardProblem:
         callback: Callable[[Progress], None] | None = None,
     ) -> Solution[CameraAndBoards]:
         """Levenberg-Marquardt from `start`."""
-        return solve(self, start, loss, max_iterations, tolerance, callback)
+        return solve(self, start, loss, max_iterations=max_iterations, tolerance=tolerance, callback=callback)
 
 
 def whitened(residual_px: Float[Tensor, "n 2"], weight: Float[Tensor, " n"] | None) -> Float[Tensor, "n 2"]:
@@ -104,13 +100,13 @@ def whitened(residual_px: Float[Tensor, "n 2"], weight: Float[Tensor, " n"] | No
     return residual_px if weight is None else residual_px * weight[:, None]
 
 
-def robust_scale_px(residual_px: Float[Tensor, "n 2"], unknowns: int = 0) -> float:
+def robust_scale_px(residual_px: Float[Tensor, "n 2"], many_unknowns_share: float, unknowns: int = 0) -> float:
     """Standard deviation per axis of the undisturbed part of the residuals, from their median absolute value.
 
-    A robust fit of many `unknowns` brings as many residuals near zero, which say nothing of the noise: where that is a good part
-    of all, the median is that of the others (R. A. Maronna et al., Robust Statistics, 2006, section 4.4.2).
+    A robust fit of many `unknowns` brings as many residuals near zero, which say nothing of the noise: where that is more than
+    `many_unknowns_share` of all, the median is that of the others (R. A. Maronna et al., Robust Statistics, 2006, section 4.4.2).
     """
     size = residual_px.abs().flatten()
-    if unknowns > FEW_RESIDUALS * len(size):
+    if unknowns > many_unknowns_share * len(size):
         size = size.sort().values[min(unknowns, len(size) - 1) :]
     return NORMAL_MAD * float(size.median())

@@ -10,19 +10,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.thresholds import ScreeningThresholds
 
 DEGREES = ((3, 24), (2, 14))
 """Degree of the polynomial, and the corners that a view must have for it: more than twice its terms."""
 ROUNDS = 12
-FAR = 6.0
-"""Corners farther from the polynomial than this many times the median distance of their view are gross errors."""
-LEAST_PX = 2.0
-"""Corners nearer to the polynomial are never gross errors."""
-NONSENSE_SHARE = 0.05
-"""A view whose typical distance from its polynomial is more than this share of its own extent is not a board in order."""
 
 
-def smooth_corners(points: BoardPoints) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " v"]]:
+def smooth_corners(
+    points: BoardPoints, thresholds: ScreeningThresholds = ScreeningThresholds()
+) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " v"]]:
     """Corners without gross error, and views whose corners are in an order that fits a board.
 
     Views with too few corners to tell are left as they are.
@@ -40,10 +37,10 @@ def smooth_corners(points: BoardPoints) -> tuple[Bool[Tensor, " n"], Bool[Tensor
         chosen = points.of_views(views)
         distance = _distance_from_polynomial(chosen, degree)
         typical = _median_by_view(distance, chosen)
-        kept[rows] = distance <= (FAR * typical[chosen.view]).clamp_min(LEAST_PX)
+        kept[rows] = distance <= (thresholds.far_factor * typical[chosen.view]).clamp_min(thresholds.near_px)
         middle = chosen.mean_by_view(chosen.pixels)
         extent = chosen.mean_by_view(((chosen.pixels - middle[chosen.view]) ** 2).sum(-1)).sqrt()
-        in_order[views] = typical <= (NONSENSE_SHARE * extent).clamp_min(LEAST_PX)
+        in_order[views] = typical <= (thresholds.disorder_share * extent).clamp_min(thresholds.near_px)
     return kept, in_order
 
 

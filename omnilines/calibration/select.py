@@ -18,14 +18,15 @@ from torch import Tensor
 
 from camera_models import MODELS, CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
-from omnilines.calibration.degree import LEAST_VIEWS, CommonCorners
 from omnilines.calibration.diagnose import grows_beyond
 from omnilines.calibration.held_out import HeldOut, held_out
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
-from omnilines.calibration.robust import Settled, nearest_fit
-from omnilines.calibration.single import CameraCalibration, calibrate_settled, refine_with_rivals, robust_camera
+from omnilines.calibration.robust import RobustFit, nearest_fit
+from omnilines.calibration.single import CameraCalibration, calibrate_from_fit, refine_with_rivals, robust_camera
 from omnilines.calibration.start import CameraKind
+from omnilines.calibration.thresholds import CalibrationThresholds, HeldOutThresholds
+from omnilines.calibration.variants import CommonCorners
 from omnilines.calibration.views import UsableCorners
 from omnilines.records import Corners
 
@@ -50,7 +51,7 @@ class Trial:
     candidate: Candidate
     failure: str | None
     """Why it could not be fitted."""
-    fit: Settled | None = None
+    fit: RobustFit | None = None
     """Fitted to the common corners; the poses are of all usable views."""
     monotone: bool = True
     in_sample_px: float = float("nan")
@@ -90,46 +91,49 @@ def select_model(
     loss: str = "cauchy",
     mirror: bool = False,
     candidates: Sequence[Candidate] | None = None,
+    thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[str, int, int], None] | None = None,
 ) -> Selection:
     """Fit all candidates and take one, as the module's header says.
 
-    `callback` is told (label, done, total). Raises InputError for fewer than LEAST_VIEWS views, and the first failure where no
-    candidate can be fitted.
+    `callback` is told (label, done, total). Raises InputError for too few views to compare models by, and the first failure where
+    no candidate can be fitted.
     """
     candidates = all_candidates() if candidates is None else tuple(candidates)
-    usable = UsableCorners.of(corners)
-    fits: list[Settled | GeometryError | InputError] = []
+    usable = UsableCorners.of(corners, thresholds.views)
+    fits: list[RobustFit | GeometryError | InputError] = []
     for done, candidate in enumerate(candidates):
         if callback is not None:
             callback(candidate.label, done, len(candidates))
         try:
             kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
-            fits.append(robust_camera(usable.points, kind, loss, usable.weight, None))
+            fits.append(robust_camera(usable.points, usable.weight, kind, loss, thresholds))
         except (GeometryError, InputError) as error:
             fits.append(error)
-    found = [fit for fit in fits if isinstance(fit, Settled)]
+    found = [fit for fit in fits if isinstance(fit, RobustFit)]
     if not found:
-        assert not isinstance(fits[0], Settled)
+        assert not isinstance(fits[0], RobustFit)
         raise fits[0]
     judge = nearest_fit(found, usable.points, usable.weight)
     if loss == "none":
         judge = replace(judge, kept=torch.ones_like(judge.kept))
-    common = CommonCorners.of(usable.points, usable.weight, judge.kept)
-    if len(common.views) < LEAST_VIEWS:
+    common = CommonCorners.of(usable.points, usable.weight, judge.kept, thresholds.views.least_corners)
+    if len(common.views) < thresholds.held_out.least_views:
         raise InputError(
-            f"At least {LEAST_VIEWS} usable views were expected to choose a camera model by held-out views, found "
-            f"{len(common.views)}; add photos or name a model with --model."
+            f"At least {thresholds.held_out.least_views} usable views were expected to choose a camera model by held-out views, "
+            f"found {len(common.views)}; add photos or name a `model`."
         )
     trials = [
-        _trial(candidate, fit, judge, usable, common) if isinstance(fit, Settled) else Trial(candidate, str(fit))
+        _trial(candidate, fit, judge, usable, common, thresholds=thresholds)
+        if isinstance(fit, RobustFit)
+        else Trial(candidate, str(fit))
         for candidate, fit in zip(candidates, fits, strict=True)
     ]
     while True:
-        chosen, reason = _choose(trials, len(common.views))
+        chosen, reason = _choose(trials, len(common.views), thresholds.held_out)
         assert chosen.fit is not None
         try:
-            result = calibrate_settled(usable, chosen.fit, loss=loss)
+            result = calibrate_from_fit(usable, chosen.fit, loss=loss, thresholds=thresholds)
         except (GeometryError, InputError) as error:
             trials[trials.index(chosen)] = Trial(chosen.candidate, str(error))
             if all(trial.error is None for trial in trials):
@@ -148,12 +152,20 @@ def fit_boards(
     return state.cam_from_board, state.residual_px(points)
 
 
-def _trial(candidate: Candidate, fit: Settled, judge: Settled, usable: UsableCorners, common: CommonCorners) -> Trial:
+def _trial(
+    candidate: Candidate,
+    fit: RobustFit,
+    judge: RobustFit,
+    usable: UsableCorners,
+    common: CommonCorners,
+    *,
+    thresholds: CalibrationThresholds,
+) -> Trial:
     """One candidate fitted to the common corners, without a loss."""
     poses = _nearer_poses(fit, judge, usable)
     start = CameraAndBoards(fit.state.model, poses[common.views])
     whole = BoardProblem(common.points, start.model.calibration_basis(), common.weight, start.shape)
-    solution = refine_with_rivals(whole, start, None)[0]
+    solution = refine_with_rivals(whole, start, thresholds.noise.tied_variances, None)[0]
     model = solution.state.model
     problem = BoardProblem(common.points, model.calibration_basis(), common.weight)
     rotation, translation = poses.rotation.clone(), poses.translation.clone()
@@ -161,16 +173,16 @@ def _trial(candidate: Candidate, fit: Settled, judge: Settled, usable: UsableCor
     translation[common.views] = solution.state.cam_from_board.translation
     state = CameraAndBoards(model, Pose(rotation, translation))
     return Trial(
-        candidate,
-        None,
-        Settled(state, common.rows, judge.scale_px),
-        grows_beyond(model, common.points.pixels),
-        (solution.cost / len(common.points.view)) ** 0.5,
-        held_out(problem, solution.state),
+        candidate=candidate,
+        failure=None,
+        fit=RobustFit(state, common.rows, judge.scale_px, judge.limit_px),
+        monotone=grows_beyond(model, common.points.pixels, thresholds.held_out.beyond_factor),
+        in_sample_px=(solution.cost / len(common.points.view)) ** 0.5,
+        error=held_out(problem, solution.state),
     )
 
 
-def _nearer_poses(fit: Settled, judge: Settled, usable: UsableCorners) -> Pose:
+def _nearer_poses(fit: RobustFit, judge: RobustFit, usable: UsableCorners) -> Pose:
     """The pose of every view by a fit or, where that does not fit the view, by the judge."""
     own, other = (
         whitened(CameraAndBoards(fit.state.model, source.state.cam_from_board).residual_px(usable.points), usable.weight)
@@ -183,11 +195,11 @@ def _nearer_poses(fit: Settled, judge: Settled, usable: UsableCorners) -> Pose:
     return Pose(rotation, torch.where(nearer[:, None], mine.translation, theirs.translation))
 
 
-def _choose(trials: Sequence[Trial], views: int) -> tuple[Trial, str]:
+def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) -> tuple[Trial, str]:
     sound = [(trial, trial.error) for trial in trials if trial.error is not None]
     growing = [(trial, error) for trial, error in sound if trial.monotone] or sound
     best, least = min(growing, key=lambda pair: pair[1].rms_px)
-    tied = [trial for trial, error in growing if error.as_good_as(least)]
+    tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"
     if chosen is best:

@@ -1,4 +1,4 @@
-"""One camera from views of a plane board: start from rays, settle robustly, refine by plain least squares, say how certain."""
+"""One camera from views of a plane board: start from rays, fit robustly, refine by plain least squares, say how certain."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -10,11 +10,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError, Scaramuzza
+from camera_models import CameraModel, GeometryError
 from omnilines.calibration.board_shape import TERM_NAMES, BoardShape
-from omnilines.calibration.degree import settle_degree
 from omnilines.calibration.diagnose import (
-    NEARLY_PARALLEL_DEG,
     angles_off_axis,
     coverage_notes,
     refuse_open_camera,
@@ -27,27 +25,22 @@ from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.robust import REJECT_SIGMA, Settled, settle
+from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
 from omnilines.calibration.terms import without_unsupported_terms
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.uncertainty import view_leverage
+from omnilines.calibration.variants import supported_fit
 from omnilines.calibration.views import UsableCorners, board_points, corner_weights, require_views, view_results, views_lost
 from omnilines.least_squares import Outcome, Progress, Solution
 from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners, ViewResult
 
-TIED = 9.0
-"""Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
 CURVED = (
     "Parameters make up for one another along a curved valley, where standard deviations of single ones do not hold: their 95 "
     "percent intervals are those of the profile likelihood. The projection uncertainty holds all the same."
 )
-GOOD_FIT = 0.001
-"""A robust fit with a scale below this share of the image's longer side needs no other start."""
-MOST_STARTS = 4
-HANGS_ON = 0.5
-"""A view with more than this share of the leverage is named."""
 
 
 @dataclass(frozen=True)
@@ -104,54 +97,72 @@ def calibrate_camera(
     mirror: bool = False,
     options: Mapping[str, Any] | None = None,
     refine_board: tuple[str, ...] = (),
+    thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[Progress], None] | None = None,
 ) -> CameraCalibration:
     """Calibrate without any guess of focal length or centre.
 
-    With `loss` "none" every corner counts and plain least squares is minimised. With "huber" or "cauchy" the loss is bent at the
-    scale of the data, corners beyond REJECT_SIGMA and views with fewer than half of their corners left are rejected, and the
-    kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a `degree`
-    that of a polynomial is chosen by held-out views (`calibration.degree`); without `coefficients`, distortion that they do not
-    support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board (`board_shape.REFINABLE`).
+    With `loss` "none" every corner counts and plain least squares is minimised. With "huber" or "cauchy" the loss is scaled
+    by the residuals, corners beyond `robust.reject_sigma` and views with fewer than half of their corners left are rejected, and
+    the kept corners are fitted again by plain least squares. `options` go to the model (`degree`, `coefficients`). Without a
+    `degree` that of a polynomial is chosen by held-out views (`calibration.variants`); without `coefficients`, distortion that
+    they do not support is held at 0 (`calibration.terms`). `refine_board` names what is estimated of the board
+    (`options.REFINABLE`).
 
     Raises InputError for too few views and GeometryError for degenerate sets.
     """
-    usable = UsableCorners.of(corners)
-    settled = robust_camera(usable.points, CameraKind(image_size, model, mirror, options), loss, usable.weight, callback)
-    choose = "coefficients" not in (options or {})
-    return calibrate_settled(usable, settled, loss=loss, refine_board=refine_board, hold_unsupported=choose, callback=callback)
+    usable = UsableCorners.of(corners, thresholds.views)
+    kind = CameraKind(image_size, model, mirror, options)
+    return calibrate_from_fit(
+        usable,
+        robust_camera(usable.points, usable.weight, kind, loss, thresholds, callback=callback),
+        loss=loss,
+        refine_board=refine_board,
+        hold_unsupported=kind.variant_open,
+        thresholds=thresholds,
+        callback=callback,
+    )
 
 
-def calibrate_settled(
+def calibrate_from_fit(
     usable: UsableCorners,
-    settled: Settled,
+    fit: RobustFit,
     *,
     loss: str = "cauchy",
     refine_board: tuple[str, ...] = (),
     hold_unsupported: bool = True,
+    thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[Progress], None] | None = None,
 ) -> CameraCalibration:
     """The rest of `calibrate_camera`: from the robust fit of all usable corners to plain least squares of those that it keeps."""
     corners, rows, refusals = usable.corners, usable.rows, dict(usable.refusals)
     shape = BoardShape.to_refine(refine_board, usable.points.board)
-    refuse_parallel_boards(settled.state.cam_from_board)
-    kept = settled.kept if loss != "none" else torch.ones_like(settled.kept)
+    parallel_deg = thresholds.degeneracy.parallel_deg
+    refuse_parallel_boards(fit.state.cam_from_board, parallel_deg)
+    kept = fit.kept if loss != "none" else torch.ones_like(fit.kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
-    refusals |= views_lost(corners, rows, fitting)
+    refusals |= views_lost(corners, rows, fitting, thresholds.views.least_corners)
     good = [k for k, v in enumerate(usable.views) if v not in refusals]
-    require_views(len(good), len(corners.view_names), refusals)
+    require_views(len(good), len(corners.view_names), refusals, thresholds.views.least_views)
     views = [usable.views[k] for k in good]
     final_rows = fitting & np.isin(corners.view, views)
     final = _Final(
-        corners, final_rows, views, board_points(corners, final_rows, views), corner_weights(corners, final_rows), refusals
+        corners=corners,
+        rows=final_rows,
+        views=views,
+        points=board_points(corners, final_rows, views),
+        weight=corner_weights(corners, final_rows),
+        refusals=refusals,
+        limit_px=fit.limit_px if loss != "none" else None,
+        thresholds=thresholds,
     )
-    start = CameraAndBoards(settled.state.model, settled.state.cam_from_board[good], shape)
+    start = CameraAndBoards(fit.state.model, fit.state.cam_from_board[good], shape)
     basis = start.model.calibration_basis()
     problem = BoardProblem(final.points, basis, final.weight, shape)
-    minima = refine_with_rivals(problem, start, callback)
+    minima = refine_with_rivals(problem, start, thresholds.noise.tied_variances, callback)
     solution = minima[0]
-    refuse_parallel_boards(solution.state.cam_from_board)
+    refuse_parallel_boards(solution.state.cam_from_board, parallel_deg)
     notes: tuple[str, ...] = ()
     held = None
     if solution.outcome is Outcome.DEGENERATE:
@@ -163,39 +174,47 @@ def calibrate_settled(
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
     elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
-        solution, notes = without_unsupported_terms(problem, solution)
-    return _result(final, solution, basis, (problem, minima), settled.limit_px if loss != "none" else None, notes)
+        solution, notes = without_unsupported_terms(problem, solution, thresholds.held_out)
+    return _result(final, solution, basis, (problem, minima), notes)
 
 
 def robust_camera(
     points: BoardPoints,
+    weight: Float[Tensor, " n"] | None,
     kind: CameraKind,
     loss: str,
-    weight: Float[Tensor, " n"] | None,
-    callback: Callable[[Progress], None] | None,
+    thresholds: CalibrationThresholds,
+    *,
+    callback: Callable[[Progress], None] | None = None,
     least_passes: int = 3,
-) -> Settled:
+) -> RobustFit:
     """The robust fit from the best start and, as long as the fit is poor, from the next ones; the one with the least scale."""
     # Plain least squares needs a robust fit too, to come near its minimum.
-    bent = "cauchy" if loss == "none" else loss
-    smooth, in_order = smooth_corners(points)
+    robust_loss = "cauchy" if loss == "none" else loss
+    smooth, in_order = smooth_corners(points, thresholds.screening)
     clean = points.chosen(smooth)
-    found: list[Settled] = []
-    for start in ranked_starts(clean, in_order, kind)[:MOST_STARTS]:
-        found.append(settle(points, clean, start.state, bent, weight, callback, least_passes=least_passes))
-        if found[-1].scale_px <= GOOD_FIT * max(kind.image_size):
+    task = RobustTask(
+        points=points, clean=clean, weight=weight, loss=robust_loss, thresholds=thresholds.robust, callback=callback
+    )
+    found: list[RobustFit] = []
+    for start in ranked_starts(clean, in_order, kind, thresholds)[: thresholds.start.most_starts]:
+        found.append(robust_fit(task, start.state, least_passes=least_passes))
+        if found[-1].scale_px <= thresholds.start.good_fit_share * max(kind.image_size):
             break
-    best = min(found, key=lambda settled: settled.scale_px)
-    if isinstance(best.state.model, Scaramuzza) and "degree" not in (kind.options or {}):
-        return settle_degree(points, clean, best, bent, weight, callback, least_passes)
+    best = min(found, key=lambda fit: fit.scale_px)
+    if best.state.model.NESTED_VARIANTS and kind.variant_open:
+        return supported_fit(task, best, thresholds, least_passes)
     return best
 
 
 def refine_with_rivals(
-    problem: BoardProblem, start: CameraAndBoards, callback: Callable[[Progress], None] | None
+    problem: BoardProblem,
+    start: CameraAndBoards,
+    tied_variances: float,
+    callback: Callable[[Progress], None] | None,
 ) -> list[Solution[CameraAndBoards]]:
     """Plain least squares from `start`, and from every other minimum that the model names: first the best of them, and of those
-    that the data do not tell apart (chi-square up to TIED) the one with the smallest shape parameters."""
+    that the data do not tell apart (chi-square up to `tied_variances`) the one with the smallest shape parameters."""
     points = problem.points
     solution = problem.solve(start, max_iterations=300, callback=callback)
     found = [solution]
@@ -205,7 +224,7 @@ def refine_with_rivals(
         found.append(problem.solve(CameraAndBoards(rival, poses, start.shape), max_iterations=300, callback=callback))
     best = min(candidate.cost for candidate in found)
     variance = best / max(1, 2 * len(points.view) - 6 * points.views - problem.structure.kept_size)
-    tied = [candidate for candidate in found if candidate.cost <= best + TIED * variance]
+    tied = [candidate for candidate in found if candidate.cost <= best + tied_variances * variance]
     taken = min(tied, key=lambda candidate: _shape(candidate.state.model))
     return [taken, *(candidate for candidate in found if candidate is not taken)]
 
@@ -225,6 +244,9 @@ class _Final:
     points: BoardPoints
     weight: Float[Tensor, " m"] | None
     refusals: Mapping[int, str]
+    limit_px: float | None
+    """Beyond which corners were rejected."""
+    thresholds: CalibrationThresholds
 
 
 def _result(
@@ -232,35 +254,70 @@ def _result(
     solution: Solution[CameraAndBoards],
     basis: Float[Tensor, "p q"],
     floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
-    limit_px: float | None,
     notes: tuple[str, ...],
 ) -> CameraCalibration:
     """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
-    state, model, corners = solution.state, solution.state.model, final.corners
+    state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
     unit = _unit_covariance(final, solution, basis)
-    stated = stated_variance_px2(corners, final.rows)
-    factor = variance_factor(solution.cost, _freedom(final, solution), stated)
+    stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
+    factor = variance_factor(solution.cost, _freedom(final, solution), stated, thresholds.noise.significance)
     variance, q = factor.value, basis.shape[1]
     covariance = basis @ unit[:q, :q] @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
-    refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board)
+    refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
     problem, minima = floor
     curved = camera_intervals(problem, minima[0], minima[1:], factor)
     intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
-    notes += noise_notes(factor, stated) + (() if curved is None else (CURVED,))
     squared = np.sum(residual[final.rows] ** 2)
     count = int(final.rows.sum())
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
-    notes += _rejected_corners(final, limit_px)
+    notes += noise_notes(factor, stated, thresholds.noise) + (() if curved is None else (CURVED,))
     freed = [TERM_NAMES[int(column.argmax())] for column in state.shape.free.mT]
-    notes += coverage_notes(model, final.points.pixels, model.image_size) + tilt_notes(state.cam_from_board)
-    seen = torch.as_tensor(corners.pixels[everywhere])
-    notes += rejection_notes(model, seen, torch.as_tensor(final.rows[everywhere]))
-    if float(leverage.max()) > HANGS_ON:
+    views = view_results(
+        corners,
+        final.rows,
+        final.views,
+        residual,
+        state.cam_from_board,
+        refusals=final.refusals,
+        leverage=leverage,
+        limit_px=final.limit_px,
+        many_rejected_share=thresholds.views.many_rejected_share,
+    )
+    return CameraCalibration(
+        model=model,
+        covariance=covariance.numpy(),
+        rms_px_per_axis=float(math.sqrt(squared / (2 * count))),
+        rms_px_per_point=float(math.sqrt(squared / count)),
+        residual_px=residual,
+        kept=final.rows,
+        views=views,
+        min_angle_deg=low,
+        max_angle_deg=high,
+        iterations=solution.iterations,
+        notes=notes + _data_notes(final, solution, everywhere, leverage),
+        board=state.shape,
+        board_sigma=dict(zip(freed, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+        interval_95=intervals.numpy(),
+        curved=curved is not None,
+    )
+
+
+def _data_notes(
+    final: _Final, solution: Solution[CameraAndBoards], everywhere: Bool[np.ndarray, " n"], leverage: Float[Tensor, " v"]
+) -> tuple[str, ...]:
+    """What is to be said of corners, views, and how the fit ended; `everywhere` are all corners of the views used."""
+    state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
+    notes = _rejected_corners(final)
+    notes += coverage_notes(model, final.points.pixels, model.image_size)
+    notes += tilt_notes(state.cam_from_board, thresholds.degeneracy.one_axis_deg)
+    seen, kept = torch.as_tensor(corners.pixels[everywhere]), torch.as_tensor(final.rows[everywhere])
+    notes += rejection_notes(model, seen, kept, thresholds.degeneracy)
+    if float(leverage.max()) > thresholds.views.leverage_share:
         name = corners.view_names[final.views[int(leverage.argmax())]]
         notes += (
             f"The calibration hangs on view {name}: it decides {100 * float(leverage.max()):.0f} percent of the parameters; add "
@@ -268,35 +325,19 @@ def _result(
         )
     if solution.outcome is not Outcome.CONVERGED:
         notes += (solution.outcome.value,)
-    return CameraCalibration(
-        model,
-        covariance.numpy(),
-        float(math.sqrt(squared / (2 * count))),
-        float(math.sqrt(squared / count)),
-        residual,
-        final.rows,
-        view_results(corners, final.rows, final.views, residual, state.cam_from_board, final.refusals, leverage, limit_px),
-        low,
-        high,
-        solution.iterations,
-        notes,
-        state.shape,
-        dict(zip(freed, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
-        intervals.numpy(),
-        curved is not None,
-    )
+    return notes
 
 
-def _rejected_corners(final: _Final, limit_px: float | None) -> tuple[str, ...]:
+def _rejected_corners(final: _Final) -> tuple[str, ...]:
     """How many corners of the views used were rejected, and why."""
     used = np.isin(final.corners.view, final.views)
     lost = used & ~final.rows
-    if limit_px is None or not lost.any():
+    if final.limit_px is None or not lost.any():
         return ()
     views = len(np.unique(final.corners.view[lost]))
     return (
-        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {limit_px:.2g} px "
-        f"({REJECT_SIGMA:g} robust standard deviations) from where the camera sees them.",
+        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {final.limit_px:.2g} px "
+        f"({final.thresholds.robust.reject_sigma:g} robust standard deviations) from where the camera sees them.",
     )
 
 
@@ -308,7 +349,7 @@ def _unit_covariance(final: _Final, solution: Solution[CameraAndBoards], basis: 
     """Covariance of the camera along its basis and of the free board terms for corners of unit variance. Raises GeometryError
     where the data leave a direction open."""
     if solution.outcome is Outcome.DEGENERATE or _freedom(final, solution) <= 0:
-        refuse_parallel_boards(solution.state.cam_from_board, NEARLY_PARALLEL_DEG)
+        refuse_parallel_boards(solution.state.cam_from_board, final.thresholds.degeneracy.nearly_parallel_deg)
         raise GeometryError(
             f"The corners of {len(final.views)} views were expected to determine the camera, found that they leave "
             f"{_weakest_name(solution, basis)} open; add photos with the board at other tilts and nearer to the rim."

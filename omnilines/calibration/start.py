@@ -12,14 +12,7 @@ from torch import Tensor
 from camera_models import GeometryError, model_class
 from omnilines.calibration.initialise import BoardPoints, centre_candidates, equidistant_start, radial_start, resect_boards
 from omnilines.calibration.refine import CameraAndBoards
-
-HALF_ANGLES_DEG = (25.0, 45.0, 70.0, 90.0, 110.0)
-"""Equidistant lenses tried beside the closed-form start, by the angle at the farthest corner."""
-GOOD_START = 0.005
-"""A closed-form start with a typical residual below this share of the image's longer side needs no alternatives."""
-ODD_VIEW = 5.0
-"""Views whose typical residual is this many times that of the others do not take part in the closed form."""
-LEAST_VIEWS = 3
+from omnilines.calibration.thresholds import CalibrationThresholds
 
 
 @dataclass(frozen=True)
@@ -30,6 +23,11 @@ class CameraKind:
     model: str
     mirror: bool = False
     options: Mapping[str, Any] | None = None
+
+    @property
+    def variant_open(self) -> bool:
+        """Whether the options leave open which of the model's VARIANTS it is."""
+        return model_class(self.model).variant_options().isdisjoint(self.options or {})
 
 
 @dataclass(frozen=True)
@@ -43,27 +41,30 @@ class Start:
     """Of each view: exp of that mean over its corners, minus 1."""
 
 
-def ranked_starts(clean: BoardPoints, in_order: Bool[Tensor, " v"], kind: CameraKind) -> list[Start]:
+def ranked_starts(
+    clean: BoardPoints, in_order: Bool[Tensor, " v"], kind: CameraKind, thresholds: CalibrationThresholds
+) -> list[Start]:
     """Starts from the best to the worst: the closed form at each candidate for the centre, without the views that do not fit
     the others, and where none of these comes near the corners a few equidistant lenses.
 
     `clean` and `in_order` are what `smooth_corners` leaves. Raises GeometryError where the corners reach farther off axis than
     the model can.
     """
-    if int(in_order.sum()) < LEAST_VIEWS:
+    limits, least_views = thresholds.start, thresholds.views.least_views
+    if int(in_order.sum()) < least_views:
         in_order = torch.ones_like(in_order)
     found = _closed_forms(clean, in_order, kind)
     for _ in range(2):
         if not found:
             break
         typical = min(found, key=lambda start: start.score).typical_px
-        fits = in_order & (typical <= ODD_VIEW * typical[in_order].median().clamp_min(1.0))
-        if int(fits.sum()) < LEAST_VIEWS or bool((fits == in_order).all()):
+        fits = in_order & (typical <= limits.odd_view_factor * typical[in_order].median().clamp_min(1.0))
+        if int(fits.sum()) < least_views or bool((fits == in_order).all()):
             break
         in_order = fits
         found += _closed_forms(clean, in_order, kind)
-    if not found or min(start.score for start in found) > math.log1p(GOOD_START * max(kind.image_size)):
-        found += _equidistant(clean, in_order, kind)
+    if not found or min(start.score for start in found) > math.log1p(limits.good_start_share * max(kind.image_size)):
+        found += _equidistant(clean, in_order, kind, limits.half_angles_deg)
     return sorted(found, key=lambda start: start.score)
 
 
@@ -79,11 +80,13 @@ def _closed_forms(points: BoardPoints, in_order: Bool[Tensor, " v"], kind: Camer
     return found
 
 
-def _equidistant(points: BoardPoints, in_order: Bool[Tensor, " v"], kind: CameraKind) -> list[Start]:
+def _equidistant(
+    points: BoardPoints, in_order: Bool[Tensor, " v"], kind: CameraKind, half_angles_deg: tuple[float, ...]
+) -> list[Start]:
     found = []
     for centre in centre_candidates(points, kind.image_size):
         reach = float((points.pixels - centre).norm(dim=-1).max())
-        for angle in HALF_ANGLES_DEG:
+        for angle in half_angles_deg:
             if math.radians(angle) < model_class(kind.model).LARGEST_ANGLE:
                 curve = equidistant_start(points, centre, math.radians(angle), reach)
                 found.append(_start_from(points, in_order, curve, centre, kind))
@@ -111,5 +114,5 @@ def _refuse_wide_angles(angle: float, model: str) -> None:
     if angle > limit + math.radians(2):
         raise GeometryError(
             f"Camera model {model} holds angles below {math.degrees(limit):.0f} degrees off axis, found corners at about "
-            f"{math.degrees(angle):.0f} degrees; use --model scaramuzza or opencv-fisheye."
+            f"{math.degrees(angle):.0f} degrees; use `model` scaramuzza or opencv-fisheye."
         )

@@ -10,22 +10,19 @@ from dataclasses import replace
 
 import torch
 
-from omnilines.calibration.held_out import NO_WORSE, ViewTerms, held_out
+from omnilines.calibration.held_out import ViewTerms, held_out
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.least_squares import Solution
-
-FEW = 2 * (NO_WORSE - 1)
-"""Parameters for each corner below which terms that a lens does without do no harm: q of them raise the held-out error (RMS) of n
-corners by a share of about q / 2n."""
 
 
 def without_unsupported_terms(
-    problem: BoardProblem, solution: Solution[CameraAndBoards]
+    problem: BoardProblem, solution: Solution[CameraAndBoards], thresholds: HeldOutThresholds
 ) -> tuple[Solution[CameraAndBoards], tuple[str, ...]]:
     """The solution with the unsupported of the model's OPTIONAL_TERMS at zero and the other parameters fitted anew, and a note;
     the same solution without a note where all are supported."""
     state, points = solution.state, problem.points
-    if not state.model.OPTIONAL_TERMS or problem.structure.kept_size < FEW * len(points.view):
+    if not state.model.OPTIONAL_TERMS or problem.structure.kept_size < thresholds.few_parameters_share * len(points.view):
         return solution, ()
     values = state.model.named_parameters()
     # Each parameter that is estimated moves along a column of its own.
@@ -33,7 +30,7 @@ def without_unsupported_terms(
     every = ViewTerms.of(problem, state)
     with_all = every.held_out()
     step = torch.zeros(problem.structure.kept_size, dtype=torch.float64)
-    tried, held, least = list[str](), list[str](), NO_WORSE * with_all.rms_px
+    tried, held, least = list[str](), list[str](), thresholds.no_worse_factor * with_all.rms_px
     for group in reversed(state.model.OPTIONAL_TERMS):
         tried = [*(name for name in group if name in columns), *tried]
         for name in tried:
@@ -50,7 +47,7 @@ def without_unsupported_terms(
     fewer = BoardProblem(points, problem.basis[:, free], problem.weight, state.shape)
     found = fewer.solve(start, max_iterations=300)
     error = held_out(fewer, found.state)
-    if error.rms_px > NO_WORSE * with_all.rms_px:
+    if error.rms_px > thresholds.no_worse_factor * with_all.rms_px:
         return solution, ()
     at = problem.solve(found.state, max_iterations=0)
     note = (

@@ -11,14 +11,8 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.thresholds import ViewThresholds
 from omnilines.records import Corners, ViewResult
-
-LEAST_VIEWS = 3
-LEAST_CORNERS = 6
-"""Corners a view must have: fewer do not determine its radial start."""
-
-MANY_REJECTED = 0.1
-"""A view with more than this share of its corners rejected is named by itself."""
 
 
 def board_points(corners: Corners, rows: Bool[np.ndarray, " n"], views: list[int]) -> BoardPoints:
@@ -54,16 +48,23 @@ class UsableCorners:
     weight: Float[Tensor, " m"] | None
 
     @staticmethod
-    def of(corners: Corners) -> "UsableCorners":
+    def of(corners: Corners, thresholds: ViewThresholds) -> "UsableCorners":
         """Raises InputError for too few views."""
-        refusals = unusable_views(corners)
+        refusals = unusable_views(corners, thresholds.least_corners)
         views = [v for v in range(len(corners.view_names)) if v not in refusals]
-        require_views(len(views), len(corners.view_names), refusals)
+        require_views(len(views), len(corners.view_names), refusals, thresholds.least_views)
         rows = np.isin(corners.view, views)
-        return UsableCorners(corners, refusals, views, rows, board_points(corners, rows, views), corner_weights(corners, rows))
+        return UsableCorners(
+            corners=corners,
+            refusals=refusals,
+            views=views,
+            rows=rows,
+            points=board_points(corners, rows, views),
+            weight=corner_weights(corners, rows),
+        )
 
 
-def unusable_views(corners: Corners, rows: Bool[np.ndarray, " n"] | None = None) -> dict[int, str]:
+def unusable_views(corners: Corners, least_corners: int, rows: Bool[np.ndarray, " n"] | None = None) -> dict[int, str]:
     """Views that cannot be used whatever the camera is, each with its reason; by the corners of `rows` only, where given."""
     views = len(corners.view_names)
     view, board = (corners.view, corners.board_m) if rows is None else (corners.view[rows], corners.board_m[rows])
@@ -76,9 +77,9 @@ def unusable_views(corners: Corners, rows: Bool[np.ndarray, " n"] | None = None)
     on_line = xx * yy - xy**2 <= 1e-12 * (xx + yy) ** 2
     raised = np.bincount(view, board[:, 2] != 0, views) > 0
     refusals = {}
-    for v in np.flatnonzero((counts < LEAST_CORNERS) | on_line | raised):
-        if counts[v] < LEAST_CORNERS:
-            refusals[int(v)] = f"only {counts[v]} corners, at least {LEAST_CORNERS} are needed"
+    for v in np.flatnonzero((counts < least_corners) | on_line | raised):
+        if counts[v] < least_corners:
+            refusals[int(v)] = f"only {counts[v]} corners, at least {least_corners} are needed"
         elif on_line[v]:
             refusals[int(v)] = "all its corners lie on one line of the board"
         else:
@@ -86,21 +87,24 @@ def unusable_views(corners: Corners, rows: Bool[np.ndarray, " n"] | None = None)
     return refusals
 
 
-def views_lost(corners: Corners, rows: Bool[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]) -> dict[int, str]:
+def views_lost(
+    corners: Corners, rows: Bool[np.ndarray, " n"], kept: Bool[np.ndarray, " n"], least_corners: int
+) -> dict[int, str]:
     """Of the views with corners in `rows`, those that cannot be used with the corners `kept` that fit the camera, and why."""
     count = len(corners.view_names)
     seen, used = (np.bincount(corners.view[chosen], minlength=count) for chosen in (rows, kept))
-    lost = {v: f"of the corners that fit the camera: {reason}" for v, reason in unusable_views(corners, kept).items() if seen[v]}
+    unusable = unusable_views(corners, least_corners, kept)
+    lost = {v: f"of the corners that fit the camera: {reason}" for v, reason in unusable.items() if seen[v]}
     wrong = "more than half of its corners do not fit the camera (wrong detection or numbering)"
     return lost | {int(v): wrong for v in np.flatnonzero(2 * used < seen)}
 
 
-def require_views(found: int, total: int, refusals: Mapping[int, str]) -> None:
+def require_views(found: int, total: int, refusals: Mapping[int, str], least_views: int) -> None:
     """Raise InputError where too few views are left, with the reason that the first was dropped for."""
-    if found < LEAST_VIEWS:
+    if found < least_views:
         why = f" ({len(refusals)} of {total} dropped, the first because {next(iter(refusals.values()))})" if refusals else ""
         raise InputError(
-            f"Too few views: a calibration needs at least {LEAST_VIEWS}, found {found}{why}; "
+            f"Too few views: a calibration needs at least {least_views}, found {found}{why}; "
             "add photos of the board at other angles."
         )
 
@@ -111,9 +115,11 @@ def view_results(
     views: list[int],
     residual_px: Float[np.ndarray, "n 2"],
     poses: Pose,
+    *,
     refusals: Mapping[int, str],
     leverage: Float[Tensor, " v"],
     limit_px: float | None,
+    many_rejected_share: float,
 ) -> tuple[ViewResult, ...]:
     """One record a view, used or not; `limit_px` is the distance beyond which corners were rejected."""
     count = len(corners.view_names)
@@ -123,11 +129,13 @@ def view_results(
     place = {v: k for k, v in enumerate(views)}
     results = []
     for v, (name, image) in enumerate(zip(corners.view_names, corners.images, strict=True)):
-        result = ViewResult(name, image, v in place, refusals.get(v), 0, int(seen[v]))
+        result = ViewResult(
+            name=name, image=image, used=v in place, reason=refusals.get(v), corners_used=0, corners_rejected=int(seen[v])
+        )
         if v in place:
             rejected = int(seen[v] - used[v])
             remarks: tuple[str, ...] = ()
-            if rejected > MANY_REJECTED * seen[v] and limit_px is not None:
+            if rejected > many_rejected_share * seen[v] and limit_px is not None:
                 remarks = (
                     f"{rejected} of {seen[v]} corners rejected: more than {limit_px:.2g} px from where the camera sees them",
                 )

@@ -10,6 +10,7 @@ import typer
 from camera_models.errors import OmnilinesError
 from omnilines.cli._shared import app
 from omnilines.cli._stopping import stoppable
+from omnilines.cli.spelling import with_flags
 
 # The order of the commands in the help is the order of these imports.
 from omnilines.cli import targets, extraction, scenes, cameras, lines, experiments  # isort: skip
@@ -24,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
         with stoppable():
             app(arguments, standalone_mode=True)
     except OmnilinesError as error:
-        typer.echo(f"omnilines: {error}", err=True)
+        typer.echo(f"omnilines: {with_flags(str(error))}", err=True)
         sys.exit(2)
     except OSError as error:
         typer.echo(f"omnilines: {error.filename or 'a file'} cannot be read or written ({error.strerror}).", err=True)

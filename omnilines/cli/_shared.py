@@ -11,12 +11,13 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
+from omnilines.cli.spelling import Application, with_flags
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
-app = typer.Typer(
+app = Application(
     name="omnilines",
     help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
     no_args_is_help=True,
@@ -24,8 +25,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-render_app = typer.Typer(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
-experiment_app = typer.Typer(help="The dissertation's experiments.", no_args_is_help=True)
+render_app = Application(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
+experiment_app = Application(help="The dissertation's experiments.", no_args_is_help=True)
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
@@ -46,6 +47,10 @@ FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view of the c
 Views = Annotated[int, typer.Option("--views", help="Number of photos.")]
 NoiseGrey = Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")]
 BlurPx = Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="An option by its name, such as scene.min_views=3; may be given again.", show_default=False),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
@@ -120,13 +125,13 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:
-        typer.echo(f"note: {warning}", err=True)
+        typer.echo(f"note: {with_flags(warning)}", err=True)
     if as_json:
         checks = [vars(check) for check in result.checks]
         report = str(result.report) if result.report else None
         files = [str(path) for path in result.files]
         data = {**result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
-        typer.echo(json.dumps(data, indent=2, allow_nan=False))
+        typer.echo(with_flags(json.dumps(data, indent=2, allow_nan=False)))
     else:
         _print_tables(result)
     if not result.holds:

@@ -1,5 +1,6 @@
 """Commands on cameras: calibrate, convert, validate."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ from omnilines.cli._shared import (
     Out,
     Photos,
     Seed,
+    Settings,
     Size,
     Views,
     app,
@@ -23,6 +25,7 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
+from omnilines.options import with_settings
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -47,11 +50,11 @@ def calibrate(
     boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
     calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
-    from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
-    from omnilines.commands.calibrate_rig import RigOptions, calibrate_rig_corners, calibrate_rig_photos, is_rig
+    from omnilines.pipelines.detect_rig import is_rig
 
     tables = [path for path in photos if path.suffix.lower() == ".csv"]
     if tables and (len(photos) > 1 or image_size is None):
@@ -61,12 +64,9 @@ def calibrate(
         )
     if not tables and pattern is None:
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
-    board = tuple(name.strip() for name in refine_board.split(",") if name.strip())
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model, "--model")
     rig = is_rig(photos)
-    if rig and board:
-        raise InputError("--refine-board is for one camera, found a rig; calibrate one of its cameras alone for that.")
     if not rig and (boards != "fixed" or calibration is not None or hold or set(models) != {""} or set(sizes) - {""}):
         raise InputError(
             "A rig was expected with --boards, --calibration, --hold and options by camera, found one camera; give a folder with "
@@ -75,21 +75,30 @@ def calibrate(
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        if rig:
-            options = RigOptions(models, degree, coefficients, loss, mirror, boards, calibration, hold)
-            if tables:
-                return calibrate_rig_corners(tables[0], sizes, out, options, progress=progress)
-            patterns = [text.strip() for text in (pattern or "").split(",")]
-            return calibrate_rig_photos(photos[0], patterns, out, options, progress=progress)
+        from camera_models import load
+        from omnilines.calibration.options import CalibrationOptions
+        from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
+        from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
+        from omnilines.pipelines.calibrate_rig import RigSetup
+
+        options = CalibrationOptions(
+            degree=degree,
+            coefficients=coefficients,
+            loss=loss,
+            mirror=mirror,
+            refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
+            **({} if rig else {"model": model}),
+        )
+        options = with_settings(options, settings or (), "calibration.")
+        if not rig and tables:
+            return calibrate_corners(tables[0], sizes[""], out, options, progress=progress)
+        if not rig:
+            return calibrate_photos(photos, pattern or "", out, options, progress=progress)
+        setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
         if tables:
-            return calibrate_corners(
-                tables[0], sizes[""], out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
-                refine_board=board, progress=progress,
-            )  # fmt: skip
-        return calibrate_photos(
-            photos, pattern or "", out, model=model, degree=degree, coefficients=coefficients, loss=loss, mirror=mirror,
-            refine_board=board, progress=progress,
-        )  # fmt: skip
+            return calibrate_rig_corners(tables[0], sizes, out, setup, progress=progress)
+        patterns = [text.strip() for text in (pattern or "").split(",")]
+        return calibrate_rig_photos(photos[0], patterns, out, setup, progress=progress)
 
     run(command, as_json)
 
@@ -156,18 +165,16 @@ def validate(
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
+        from omnilines.pipelines.render import RenderOptions
+
+        options = RenderOptions(fov_deg, views, image_size, noise, blur, mirror=mirror, seed=seed)
         if scene is not None:
             from omnilines.commands.validate_scene import validate_scene
 
-            return validate_scene(
-                out, scene=scene, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
-                seed=seed, mirror=mirror, progress=progress,
-            )  # fmt: skip
-        from omnilines.commands.validate import validate
+            return validate_scene(out, scene, model, options, progress=progress)
+        from omnilines.commands.validate import TARGET, validate
 
-        return validate(
-            out, model=model, fov_deg=190.0 if fov_deg is None else fov_deg, views=views, size=image_size, noise=noise,
-            blur=blur, seed=seed, pattern_spec=pattern or "checkerboard:8x6:30mm", progress=progress,
-        )  # fmt: skip
+        options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
+        return validate(out, pattern or TARGET, model, options, progress=progress)
 
     run(command, as_json)

@@ -1,10 +1,11 @@
 """The experiments: board, wide, short, room, house, book."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from camera_models.errors import InputError
 from omnilines.cli._shared import (
     Json,
     Model,
@@ -17,11 +18,6 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
-
-if TYPE_CHECKING:
-    pass
-
-
 from omnilines.cli.lines import Bandwidth, Cost, Subset, Triangulation, Weights
 from omnilines.triangulation import method_options
 
@@ -43,16 +39,12 @@ def board(
     as_json: Json = False,
 ) -> None:
     """Calibrate from photos of a board, rebuild its rows and columns as 3D lines from disturbed poses, before and after."""
-    from omnilines.commands.experiment import experiment_board
+    from omnilines.commands.experiment_board import experiment_board
+    from omnilines.studies.board import BoardOptions
 
-    options = method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights)
-    run(
-        lambda progress: experiment_board(
-            data, out, pattern_spec=pattern, model=model, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
-            triangulation=triangulation, triangulation_options=options, cost=cost, progress=progress,
-        ),
-        as_json,
-    )  # fmt: skip
+    method = method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights)
+    options = BoardOptions(perturb_deg, perturb_m, seed, triangulation, method, cost)
+    run(lambda progress: experiment_board(data, out, pattern, model, options, progress=progress), as_json)
 
 
 Noise = Annotated[str, typer.Option("--noise", help="Standard deviations of the end points, pixels, with commas.")]
@@ -66,6 +58,14 @@ STUDIES = {
     "short": "The same with cameras 9 degrees apart.",
     "room": "The same in a room of lines through a fisheye of 190 degrees.",
 }
+
+
+def parse_noise(text: str) -> tuple[float, ...]:
+    """Numbers with commas between, such as 0.5,1,2. Raises InputError on anything else."""
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise InputError(f"--noise was expected as numbers with commas between, such as 0.5,1,2, found '{text}'.") from None
 
 
 def _add_study(name: str) -> None:
@@ -82,17 +82,12 @@ def _add_study(name: str) -> None:
         as_json: Json = False,
     ) -> None:
         """One set-up of STUDIES, with noise and errors of the first poses as asked."""
-        from omnilines.commands.experiment_lines import experiment_lines, parse_noise
+        from omnilines.commands.experiment_lines import experiment_lines
+        from omnilines.studies.line_experiments import LineStudyOptions
 
-        levels = parse_noise(noise)
         averaging = method_options("averaging", subset=subset, bandwidth=bandwidth)
-        run(
-            lambda progress: experiment_lines(
-                name, out, noise_px=levels, trials=trials, perturb_deg=perturb_deg, perturb_m=perturb_m, seed=seed,
-                averaging=averaging, progress=progress,
-            ),
-            as_json,
-        )  # fmt: skip
+        options = LineStudyOptions(parse_noise(noise), trials, perturb_deg, perturb_m, seed, averaging)
+        run(lambda progress: experiment_lines(name, out, options, progress=progress), as_json)
 
 
 for _name in STUDIES:
@@ -129,12 +124,8 @@ def book(
 ) -> None:
     """Poses from a sheet of paper, lines of the books around it before and after adjustment, in rendered photos."""
     from omnilines.commands.experiment_book import experiment_book
+    from omnilines.pipelines.render import RenderOptions
+    from omnilines.studies.book import BookOptions
 
-    image_size = parse_size(size, "--size")
-    run(
-        lambda progress: experiment_book(
-            out, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, hand_px=hand_px, lines=lines, seed=seed,
-            progress=progress,
-        ),
-        as_json,
-    )  # fmt: skip
+    rendered = RenderOptions(fov_deg, views, parse_size(size, "--size"), noise, seed=seed)
+    run(lambda progress: experiment_book(out, model, rendered, BookOptions(hand_px, lines), progress=progress), as_json)

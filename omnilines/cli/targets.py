@@ -74,13 +74,8 @@ def targets(
     as_json: Json = False,
 ) -> None:
     """Photos of a calibration target, with the true camera, poses and corners."""
-    from omnilines.commands.render import render_targets
+    from omnilines.commands.render_targets import render_targets
+    from omnilines.pipelines.render import RenderOptions
 
-    image_size = parse_size(size, "--size")
-    run(
-        lambda progress: render_targets(
-            out, pattern_spec=pattern, model=model, fov_deg=fov_deg, views=views, size=image_size, noise=noise, blur=blur,
-            seed=seed, progress=progress,
-        ),
-        as_json,
-    )  # fmt: skip
+    options = RenderOptions(fov_deg, views, parse_size(size, "--size"), noise, blur, seed=seed)
+    run(lambda progress: render_targets(out, pattern, model, options, progress=progress), as_json)

@@ -1,256 +1,49 @@
-"""omnilines experiment book: poses from a sheet of paper, lines of the books around it (Srestasathiern 2012, table 5.2).
+"""omnilines experiment book: poses from a sheet of paper, lines of the books around it, in rendered photos."""
 
-The dissertation's photos are not public: a rendered table stands in for them. Everything is done twice: with the sides of the
-sheet and the lines as they are found in the photos, and as a hand would pick them, four corners and two ends of each line.
-"""
-
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
-from jaxtyping import Float
-
-from camera_models import Calibration, CameraModel, GeometryError, InputError, load
-from camera_models.pose import Pose
-from omnilines import report
-from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import reconstruct_lines
-from omnilines.commands.render_scene import RenderedScene, write_scene
+from camera_models import load
 from omnilines.commands.result import CommandResult
-from omnilines.costs import COSTS
-from omnilines.evaluation.arcs import arc_scores
-from omnilines.files import PhotoRef, find_photos, write_lines, write_ply, write_poses
+from omnilines.files import find_photos, write_lines, write_ply, write_poses
 from omnilines.files.folders import output_folder
-from omnilines.geometry.line import PlueckerLines
-from omnilines.pages.book import (
-    ADJUSTMENT,
-    BY_HAND,
-    COLUMNS,
-    FOUND,
-    SHEET,
-    SHOWN,
-    TRIANGULATION,
-    BookSetting,
-    book_checks,
-    book_sections,
-    book_summaries,
-    rms_of_each,
-)
-from omnilines.pages.distances import figures_of, json_rows, write_distance_figures
-from omnilines.pipelines.photo_arcs import find_arcs
-from omnilines.pipelines.photo_poses import photo_poses
-from omnilines.pipelines.viewed_arcs import segments_of
-from omnilines.posing.from_corners import poses_from_corners
-from omnilines.posing.rectangle import PREFIX
+from omnilines.pages.book import book_data, book_sections, book_summaries
+from omnilines.pipelines.render import RenderOptions, render_scene
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Corners, ImagePoses, Segments
-from omnilines.scenes import sheet_from_world
-from omnilines.studies.line_errors import aligned_rms_m
-from omnilines.synthetic.targets import generator
-from omnilines.triangulation import TRIANGULATIONS, WEIGHTS, method_options, triangulate
-from omnilines.triangulation.observations import PlaneObservations
+from omnilines.report import write_report
+from omnilines.studies.book import COLUMNS, MODEL, NARROW_DEG, VIEWS, BookOptions, book_checks, book_study
+from omnilines.studies.distances import write_distance_figures
 
-LEAST_LINES = 4
-POSE_ERRORS = ("rms_deg", "rms_m", "rms_over_stated")
-NARROW_DEG = 60.0
-"""Field of view of a pinhole camera."""
+TITLE = "A sheet of paper and books"
 
 
 def experiment_book(
     out: str | Path,
+    model: str = MODEL,
+    rendering: RenderOptions = RenderOptions(views=VIEWS),
+    options: BookOptions = BookOptions(),
     *,
-    model: str = "pinhole",
-    fov_deg: float | None = None,
-    views: int = 9,
-    size: tuple[int, int] = (1280, 960),
-    noise: float = 2.0,
-    hand_px: float = 1.0,
-    lines: int = 25,
-    seed: int = 0,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Render the table, find the sheet, triangulate lines that all photos show with every method, adjust with every cost.
+    """Render the table, and do with its photos what `book_study` says.
 
-    `lines` bounds their number, the longest first; which arcs are one line is told by the truth, as a person would. `hand_px` is
-    the standard deviation of what a hand picks. Writes the photos, figures.csv, report.html and, as the sector cost adjusts the
-    lines that were found, lines.csv, lines.ply and poses.csv. Raises GeometryError where too few photos show the sheet.
+    Writes the photos, figures.csv, report.html and, as the sector cost adjusts the lines that were found, lines.csv, lines.ply
+    and poses.csv. Raises InputError for options out of range and GeometryError where too few photos show the sheet.
     """
-    if not (hand_px > 0 and lines >= LEAST_LINES and views >= 2):
-        raise InputError(
-            f"A --hand-px above 0, {LEAST_LINES} --lines and 2 --views or more were expected, found {hand_px:g}, {lines} and "
-            f"{views}; correct the options."
-        )
-    fov_deg = NARROW_DEG if fov_deg is None and model == "pinhole" else fov_deg
+    if model == MODEL and rendering.fov_deg is None:
+        rendering = replace(rendering, fov_deg=NARROW_DEG)
     folder = output_folder(out)
-    rendered = write_scene(
-        folder / "photos", scene="books", model=model, fov_deg=fov_deg, views=views, size=size, noise=noise, blur=0.5, seed=seed,
-        progress=progress,
-    )  # fmt: skip
-    photos, cameras = find_photos([folder / "photos"]), load(folder / "photos" / "calibration.yaml")
-    posed, segments = _found(rendered, photos, cameras, lines, folder, seed, progress)
-    world_from_sheet = _world_from_sheet(rendered, posed)
-    rng = generator(seed, "picked by hand")
-    picked = replace(
-        segments,
-        endpoints_px=segments.endpoints_px + hand_px * rng.standard_normal(segments.endpoints_px.shape),
-        covariance_px2=None,
-        sigma_px=np.full(len(segments), hand_px),
-    )
-    corners = _picked_corners(rendered, posed, world_from_sheet, hand_px, rng)
-    of_hand = poses_from_corners(corners, cameras, dict.fromkeys(posed.images, "cam0")).poses
-    settings: list[BookSetting] = []
-    for name, poses, own in ((FOUND, posed, segments), (BY_HAND, of_hand, picked)):
-        progress(f"lines as they are {name}", len(settings), 2)
-        settings.append(_measured(name, poses, own, rendered, cameras, world_from_sheet))
-    return _written(folder, rendered, settings)
-
-
-def _found(
-    rendered: RenderedScene,
-    photos: list[PhotoRef],
-    cameras: Calibration,
-    lines: int,
-    folder: Path,
-    seed: int,
-    progress: ProgressCallback,
-) -> tuple[ImagePoses, Segments]:
-    """Poses from the sheet, and the arcs of the longest edges that all of these photos show, a track each."""
-    camera_of = {photo.name: "cam0" for photo in photos}
-    arcs = find_arcs(photos, cameras, camera_of, None, folder / "work", progress)
-    source = f"{PREFIX}{1e3 * SHEET.width_m:g}x{1e3 * SHEET.height_m:g}mm"
-    poses = photo_poses(source, photos, cameras, camera_of, folder / "work", arcs=arcs, seed=seed, progress=progress).poses
-    segments = segments_of(arcs, poses)
-    scores = arc_scores(rendered.model, rendered.poses, rendered.edges, rendered.stretches, segments)
-    ends = segments.endpoints_px
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    rows = np.flatnonzero(scores.on_edge)
-    # The longest arc of each edge in each photo.
-    rows = rows[np.argsort(-length[rows], kind="stable")]
-    key = scores.edge[rows] * len(poses) + segments.image[rows]
-    rows = rows[np.unique(key, return_index=True)[1]]
-    edge = scores.edge[rows]
-    seen = np.bincount(edge, minlength=len(rendered.edges))
-    total = np.bincount(edge, length[rows], minlength=len(rendered.edges)) * (seen == len(poses))
-    chosen = np.sort(np.argsort(-total, kind="stable")[: min(lines, int((total > 0).sum()))])
-    if len(chosen) < LEAST_LINES:
-        raise GeometryError(
-            f"{LEAST_LINES} edges that all {len(poses)} photos show were expected, found {len(chosen)}; take another seed, a "
-            "larger --size or fewer --views."
-        )
-    track = np.full(len(rendered.edges), -1)
-    track[chosen] = np.arange(len(chosen))
-    rows = rows[track[edge] >= 0]
-    names = tuple(rendered.edges.names[k] for k in chosen.tolist())
-    assert segments.covariance_px2 is not None
-    return poses, Segments(
-        segments.image[rows], segments.images, track[scores.edge[rows]], names, ends[rows],
-        covariance_px2=segments.covariance_px2[rows], cameras=segments.cameras,
-    )  # fmt: skip
-
-
-def _true_poses(rendered: RenderedScene, poses: ImagePoses) -> Pose:
-    place = {name: k for k, name in enumerate(rendered.poses.images)}
-    return rendered.poses.cam_from_world[torch.tensor([place[name] for name in poses.images])]
-
-
-def _world_from_sheet(rendered: RenderedScene, posed: ImagePoses) -> Pose:
-    """Where the sheet lies, its ends as the poses have them."""
-    true, lies = _true_poses(rendered, posed), sheet_from_world().inverse()
-    ways = [lies, lies @ SHEET.half_turn]
-    return min(ways, key=lambda way: float(((true @ way).centre - posed.cam_from_world.centre).norm(dim=-1).sum()))
-
-
-def _picked_corners(
-    rendered: RenderedScene, posed: ImagePoses, world_from_sheet: Pose, hand_px: float, rng: np.random.Generator
-) -> Corners:
-    """The four corners in each photo, as a hand would pick them."""
-    points, count = SHEET.corners_m, len(posed)
-    seen = (_true_poses(rendered, posed) @ world_from_sheet).rotation @ torch.as_tensor(points.T)
-    seen = seen.mT + (_true_poses(rendered, posed) @ world_from_sheet).translation[:, None]
-    pixels = rendered.model.project(seen)[0].numpy().reshape(-1, 2)
-    return Corners(
-        np.repeat(np.arange(count), 4),
-        posed.images,
-        posed.images,
-        np.tile(points, (count, 1)),
-        pixels + hand_px * rng.standard_normal(pixels.shape),
-        np.full(4 * count, max(hand_px, 1e-3)),
-    )
-
-
-def _measured(
-    name: str,
-    poses: ImagePoses,
-    segments: Segments,
-    rendered: RenderedScene,
-    cameras: Mapping[str, CameraModel],
-    world_from_sheet: Pose,
-) -> BookSetting:
-    """Every triangulation from the poses of the sheet, and every adjustment of lines and poses."""
-    place = {edge: k for k, edge in enumerate(rendered.edges.names)}
-    ends = torch.as_tensor(rendered.edges.ends_m[[place[edge] for edge in segments.tracks]])
-    true = world_from_sheet.inverse().transform(ends)
-    arcs = arcs_from_segments(segments, poses, cameras).arcs
-    seen_from = poses.cam_from_world[arcs.image]
-    planes = PlaneObservations.from_arcs(
-        arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, arcs.covariance_px2 if arcs.sigma_known else None
-    )
-    methods: list[tuple[str, str, dict[str, Any]]] = [(method, method, {}) for method, _ in TRIANGULATIONS]
-    methods += [(f"dual, {weights} weights", "dual", method_options("dual", weights=weights)) for weights in WEIGHTS[1:]]
-    figures = []
-    for label, method, options in methods:
-        result = triangulate(method, planes, **options)
-        distance = arcs.orthogonal_px(result.lines[arcs.track].projection_normal(seen_from)).abs().numpy()
-        off = _rms_3d_m(result.lines, result.known, true)
-        figures.append(figures_of(f"{name}, {TRIANGULATION}", label, int(result.known.sum()), distance, rms_3d_m=off))
-    scenes = {cost: reconstruct_lines(segments, poses, cameras, cost=cost, refine_poses=True) for cost, _ in COSTS}
-    for cost, scene in scenes.items():
-        known = torch.as_tensor(scene.lines.known)
-        points = torch.as_tensor(np.where(known.numpy()[:, None, None], scene.lines.ends_m, true.numpy()))
-        off = _rms_3d_m(PlueckerLines.from_points(points[:, 0], points[:, 1]), known, true)
-        figures.append(figures_of(f"{name}, {ADJUSTMENT}", cost, int(known.sum()), np.abs(scene.residual_px), rms_3d_m=off))
-    before = reconstruct_lines(segments, poses, cameras)
-    return BookSetting(
-        name, poses, segments, tuple(figures), before, scenes[SHOWN], _pose_errors(rendered, poses, world_from_sheet)
-    )
-
-
-def _rms_3d_m(lines: PlueckerLines, known: torch.Tensor, true_m: Float[torch.Tensor, "t 2 3"]) -> float:
-    """After the best turn and shift; the scale is the sheet's."""
-    batch = PlueckerLines(lines.direction[None], lines.moment[None])
-    return float(aligned_rms_m(batch, known[None], true_m, with_scale=False)[0])
-
-
-def _pose_errors(rendered: RenderedScene, poses: ImagePoses, world_from_sheet: Pose) -> Float[np.ndarray, "n 3"]:
-    true = _true_poses(rendered, poses) @ world_from_sheet
-    off = (poses.cam_from_world @ true.inverse()).log().numpy()
-    assert poses.covariance is not None
-    stated = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)
-    shift = (poses.cam_from_world.centre - true.centre).norm(dim=-1).numpy()
-    return np.stack([np.degrees(np.linalg.norm(off[:, :3], axis=-1)), shift, np.sqrt(stated / 6.0)], -1)
-
-
-def _written(folder: Path, rendered: RenderedScene, settings: list[BookSetting]) -> CommandResult:
-    figures = [f for setting in settings for f in setting.figures]
-    checks = book_checks(rendered, settings)
-    summaries = book_summaries(rendered, settings)
+    shown = folder / "photos"
+    rendered = render_scene("books", model, rendering, progress=progress)
+    rendered.save(shown, progress)
+    photos, cameras = find_photos([shown]), load(shown / "calibration.yaml")
+    settings = book_study(rendered, photos, cameras, folder / "work", options, progress=progress)
     files = tuple(folder / name for name in ("figures.csv", "lines.csv", "lines.ply", "poses.csv"))
-    shown = settings[0].after
-    write_distance_figures(files[0], figures, COLUMNS)
-    write_lines(files[1], shown.lines)
-    write_ply(files[2], shown.lines, camera_centres_m=shown.poses.cam_from_world.centre.numpy())
-    write_poses(files[3], shown.poses)
-    page = report.write_report(
-        folder / "report.html", "A sheet of paper and books", book_sections(folder, rendered, summaries, checks, settings)
-    )
-    data = {
-        "views": len(rendered.poses),
-        "posed": len(settings[0].poses),
-        "tracks": len(settings[0].segments.tracks),
-        "rows": json_rows(figures, COLUMNS),
-        "poses": {s.name: dict(zip(POSE_ERRORS, rms_of_each(s.pose_errors), strict=True)) for s in settings},
-    }
-    return CommandResult(summaries, data, checks, (*files, page), page)
+    found = settings[0].after
+    write_distance_figures(files[0], [f for setting in settings for f in setting.figures], COLUMNS)
+    write_lines(files[1], found.lines)
+    write_ply(files[2], found.lines, camera_centres_m=found.poses.cam_from_world.centre.numpy())
+    write_poses(files[3], found.poses)
+    page = write_report(folder / "report.html", TITLE, book_sections(rendered, settings, shown))
+    checks = book_checks(rendered, settings)
+    return CommandResult(book_summaries(rendered, settings), book_data(rendered, settings), checks, (*files, page), page)

@@ -1,157 +1,38 @@
-"""omnilines experiment house: line triangulation and adjustment on the Oxford model house (Srestasathiern 2012, section 5.3)."""
+"""omnilines experiment house: line triangulation and adjustment on the Oxford model house."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-import torch
-
-from omnilines import report
-from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.commands.result import CommandResult
-from omnilines.costs import COSTS
-from omnilines.files import read_vgg_lines, read_vgg_points, write_lines, write_ply, write_poses
+from omnilines.files import write_lines, write_ply, write_poses
 from omnilines.files.folders import output_folder
-from omnilines.files.vgg_house import MatchedLines, MatchedPoints
-from omnilines.pages.distances import DistanceFigures, figures_of, json_rows, write_distance_figures
-from omnilines.posing.from_matches import poses_from_matches
-from omnilines.posing.photo_poses import align_to
+from omnilines.pages.house import house_data, house_sections, house_summaries
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Check, ImagePoses, Summary
-from omnilines.triangulation import TRIANGULATIONS, WEIGHTS, method_options, triangulate
-from omnilines.triangulation.observations import PlaneObservations
-
-PUBLISHED_PX = {"dual, published weights": 0.85, "averaging": 0.63, "svd": 0.62}
-"""RMS of the triangulations in the dissertation, whose poses came from the point matches (by a factorisation)."""
-FROM_MATRICES, FROM_MATCHES, ADJUSTMENT = "triangulation", "triangulation from matched points", "adjustment"
-"""Stages: poses of the given matrices, poses from the point matches, and lines adjusted with the first of these."""
-CORNER_SIGMA_PX = 0.5
-"""Of the matched corners; it decides what is a gross error."""
-SVD_LIMIT_PX, SECTOR_LIMIT_PX = 0.65, 0.435
-SHOWN = "sector"
-"""The cost whose lines and poses are written."""
+from omnilines.report import write_report
+from omnilines.studies.distances import write_distance_figures
+from omnilines.studies.house import house_study
 
 
 def experiment_house(
-    data: str | Path, out: str | Path, *, averaging: Mapping[str, Any] | None = None, progress: ProgressCallback = silent
+    data: str | Path,
+    out: str | Path,
+    *,
+    averaging: Mapping[str, Any] = MappingProxyType({}),
+    progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Triangulate the lines of the house with every method, adjust lines and poses with every cost, compare the distances.
+    """Write figures.csv, report.html and, as the sector cost adjusts them, lines.csv, lines.ply and poses.csv of the house.
 
-    Lines are triangulated twice: from the poses of the given matrices, and from poses found anew from the given point matches
-    and the calibration, as in the dissertation. `averaging` holds the options of that method.
-
-    Writes figures.csv, report.html and, as the sector cost adjusts them, lines.csv, lines.ply and poses.csv. Raises InputError
-    for a folder that does not hold the data.
+    `averaging` holds the options of that triangulation. Raises InputError for a folder that does not hold the data.
     """
-    house = read_vgg_lines(data)
-    figures = _triangulations(FROM_MATRICES, house, house.poses, averaging or {})
-    progress("finding poses from point matches", 0, 0)
-    figures += _triangulations(FROM_MATCHES, house, poses_of_matches(house, read_vgg_points(data)), averaging or {})
-    scenes: dict[str, LineScene] = {}
-    for done, (cost, _) in enumerate(COSTS):
-        progress("adjusting lines and poses", done, len(COSTS))
-        scenes[cost] = reconstruct_lines(house.segments, house.poses, house.cameras, cost=cost, refine_poses=True)
-        distance = np.abs(scenes[cost].residual_px)
-        figures.append(figures_of(ADJUSTMENT, cost, int(scenes[cost].lines.known.sum()), distance))
-    checks = _checks(house, figures)
+    study = house_study(data, averaging, progress)
     folder = output_folder(out)
     files = tuple(folder / name for name in ("figures.csv", "lines.csv", "lines.ply", "poses.csv"))
-    scene = scenes[SHOWN]
-    write_distance_figures(files[0], figures)
+    scene = study.shown
+    write_distance_figures(files[0], study.figures)
     write_lines(files[1], scene.lines)
     write_ply(files[2], scene.lines, camera_centres_m=scene.poses.cam_from_world.centre.numpy())
     write_poses(files[3], scene.poses)
-    summaries = _summaries(house, figures)
-    page = report.write_report(folder / "report.html", "The model house", _sections(summaries, checks, figures, scene))
-    data_out = {
-        "tracks": len(house.segments.tracks),
-        "views": len(house.poses),
-        "segments": len(house.segments),
-        "rows": json_rows(figures),
-    }
-    return CommandResult(summaries, data_out, checks, (*files, page), page)
-
-
-def poses_of_matches(house: MatchedLines, points: MatchedPoints) -> ImagePoses:
-    """Poses from the point matches, in the world of the matrices: the published weights depend on the world."""
-    cameras = list(house.cameras.values())
-    bearings, sigma_rad = np.empty((len(points.view), 3)), np.empty(len(points.view))
-    for k, camera in enumerate(cameras):
-        own = points.view == k
-        bearings[own], _ = camera.unproject(points.pixels[own])
-        jacobian = camera.unproject_jacobian(torch.as_tensor(points.pixels[own])).detach()
-        sigma_rad[own] = CORNER_SIGMA_PX * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
-    poses, _ = poses_from_matches(bearings, points.view, points.point, sigma_rad)
-    return align_to(replace(house.poses, cam_from_world=poses), house.poses)[0]
-
-
-def _triangulations(stage: str, house: MatchedLines, given: ImagePoses, averaging: Mapping[str, Any]) -> list[DistanceFigures]:
-    """Every method of the registry, and the dual space as published and with the most likely weights, from some poses."""
-    arcs = arcs_from_segments(house.segments, given, house.cameras).arcs
-    poses = given.cam_from_world[arcs.image]
-    planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel)
-    methods = [(name, name, dict(averaging) if name == "averaging" else {}) for name, _ in TRIANGULATIONS]
-    methods += [(f"dual, {weights} weights", "dual", method_options("dual", weights=weights)) for weights in WEIGHTS[1:]]
-    found = []
-    for name, method, options in methods:
-        result = triangulate(method, planes, **options)
-        distance = arcs.orthogonal_px(result.lines[arcs.track].projection_normal(poses)).abs().numpy()
-        published_px = PUBLISHED_PX.get(name, math.nan)
-        found.append(figures_of(stage, name, int(result.known.sum()), distance, published_px=published_px))
-    return found
-
-
-def _checks(house: MatchedLines, figures: list[DistanceFigures]) -> tuple[Check, ...]:
-    by_name = {(f.stage, f.method): f for f in figures}
-    start, adjusted = by_name[FROM_MATRICES, "svd"], by_name[ADJUSTMENT, "sector"]
-    tracks = float(len(house.segments.tracks))
-    fewest = float(min(start.lines, adjusted.lines))
-    return (
-        Check("lines of the SVD start and of the sector adjustment", fewest, tracks, "lines", fewest == tracks),
-        Check("RMS of the SVD start", start.rms_px, SVD_LIMIT_PX, "px", start.rms_px <= SVD_LIMIT_PX),
-        Check(
-            "RMS after adjustment with the sector cost",
-            adjusted.rms_px,
-            SECTOR_LIMIT_PX,
-            "px",
-            adjusted.rms_px <= SECTOR_LIMIT_PX,
-        ),
-    )
-
-
-def _summaries(house: MatchedLines, figures: list[DistanceFigures]) -> tuple[Summary, ...]:
-    segments = house.segments
-    setting = Summary(
-        "The model house",
-        (("lines, views, segments", f"{len(segments.tracks)}, {len(house.poses)}, {len(segments)}"),),
-    )
-    given, found, adjusted = (
-        tuple((f.method, f.described()) for f in figures if f.stage == stage)
-        for stage in (FROM_MATRICES, FROM_MATCHES, ADJUSTMENT)
-    )
-    note = "Orthogonal distance of both end points of every segment from the projected line, without sign."
-    published = "The published figures rest on poses from the same point matches, by a factorisation."
-    return (
-        setting,
-        Summary("Triangulation from the poses of the matrices", given, (note,)),
-        Summary("Triangulation from poses of the point matches", found, (published,)),
-        Summary("Lines and poses adjusted", adjusted),
-    )
-
-
-def _sections(
-    summaries: tuple[Summary, ...], checks: tuple[Check, ...], figures: list[DistanceFigures], scene: LineScene
-) -> list[report.Section]:
-    quantity = "orthogonal distance of an end point (px)"
-    by_stage = {stage: {f.method: f.distance_px for f in figures if f.stage == stage} for stage in (FROM_MATRICES, ADJUSTMENT)}
-    return [
-        report.summary_section(*summaries),
-        report.checks_section(checks),
-        report.histogram_section("Residuals after triangulation", by_stage[FROM_MATRICES], quantity, logarithmic=True),
-        report.histogram_section("Residuals after adjustment", by_stage[ADJUSTMENT], quantity, logarithmic=True),
-        report.scene_section(lines=scene.lines, cameras=scene.poses, title=f"Lines and cameras, {SHOWN} cost"),
-    ]
+    page = write_report(folder / "report.html", "The model house", house_sections(study))
+    return CommandResult(house_summaries(study), house_data(study), study.checks, (*files, page), page)

@@ -11,9 +11,8 @@ from camera_models import Calibration, CameraModel, InputError, load, save
 from camera_models.pose import Pose
 from camera_models.resampling import SamplingGrid, resample, sampling_grid
 from camera_models.views import View, axis_from_camera, views
-from omnilines.commands.render_scene import write_png
 from omnilines.commands.result import CommandResult
-from omnilines.files import find_photos, read_photo, read_poses, write_poses
+from omnilines.files import find_photos, read_photo, read_poses, write_png, write_poses
 from omnilines.files.colmap_scene import check_colmap_folder, write_colmap_scene
 from omnilines.files.folders import output_folder
 from omnilines.files.photos import PhotoRef

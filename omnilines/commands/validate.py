@@ -3,37 +3,34 @@
 from pathlib import Path
 
 from camera_models import load
+from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.commands.reconstruct import write_scene
-from omnilines.commands.render import write_targets
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
 from omnilines.files.folders import output_folder
 from omnilines.pages.validation import validation_data, validation_sections, validation_summaries
+from omnilines.pipelines.render import MODEL, RenderOptions, render_targets
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.validation import compare
 
+TARGET = "checkerboard:8x6:30mm"
 PHOTOS = "photos"
 """Folder of the photos and of the truth, inside the output folder."""
 
 
 def validate(
     out: str | Path,
+    pattern_spec: str = TARGET,
+    model: str = MODEL,
+    options: RenderOptions = RenderOptions(),
     *,
-    model: str = "opencv-fisheye",
-    fov_deg: float = 190.0,
-    views: int = 20,
-    size: tuple[int, int] = (1280, 960),
-    noise: float = 2.0,
-    blur: float = 0.5,
-    seed: int = 0,
-    pattern_spec: str = "checkerboard:8x6:30mm",
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Check that the software recovers what it is given, from pixels to lines.
 
-    Renders photos of a target with a camera drawn from `seed` (see `render_targets` for the options), calibrates from the photo
+    Renders photos of a target with a camera drawn from the seed, calibrates from the photo
     files, rebuilds the rows and columns of the board as 3D lines with the calibrated camera and poses, and compares:
 
     - at most 5 percent of the photos (rounded up) are without a usable target;
@@ -51,30 +48,21 @@ def validate(
     holds when every check does. Raises InputError for options out of range and GeometryError where the data determine nothing.
     """
     folder = output_folder(out)
-    truth = write_targets(
-        folder / PHOTOS,
-        pattern_spec=pattern_spec,
-        model=model,
-        fov_deg=fov_deg,
-        views=views,
-        size=size,
-        noise=noise,
-        blur=blur,
-        seed=seed,
-        progress=progress,
-    )
-    photos = [folder / PHOTOS / name for name in truth.images]
-    calibrated = calibrate_photos(photos, pattern_spec, folder, model=model, progress=progress)
+    truth = render_targets(pattern_spec, model, options)
+    shown = truth.save(folder / PHOTOS, progress)
+    photos = [folder / PHOTOS / name for name in truth.photos]
+    calibrated = calibrate_photos(photos, pattern_spec, folder, CalibrationOptions(model), progress=progress)
     progress("rebuilding lines", 0, 0)
     corners = read_corners(folder / "corners.csv")
-    validation = compare(truth, fov_deg, load(folder / "calibration.yaml"), corners)
+    validation = compare(truth, load(folder / "calibration.yaml"), corners)
     scene = validation.scene
-    inputs = {"photos": folder / PHOTOS, "model": model, "fov_deg": fov_deg, "views": views, "noise": noise, "blur": blur}
-    tables = write_scene(folder, scene, validation.board.segments, validation.calibration, {**inputs, "seed": seed})
+    asked = {"fov_deg": truth.fov_deg, "views": options.views, "noise": options.noise_grey, "blur": options.blur_px}
+    inputs = {"photos": folder / PHOTOS, "model": model, **asked, "seed": options.seed}
+    tables = write_scene(folder, scene, validation.board.segments, validation.calibration, inputs)
     progress("writing the report", 0, 0)
-    summaries = validation_summaries(validation, fov_deg, seed)
+    summaries = validation_summaries(validation)
     sections = validation_sections(validation, summaries, folder / PHOTOS)
     page = write_report(folder / "report.html", f"Validation of a {model} camera", sections)
-    files = (*truth.files, folder / "corners.csv", *tables, page)
-    data = validation_data(validation, fov_deg, seed)
+    files = (*shown, folder / "corners.csv", *tables, page)
+    data = validation_data(validation)
     return CommandResult(summaries, data, validation.checks, files, page, calibrated.warnings)

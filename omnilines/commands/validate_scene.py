@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from omnilines.commands.reconstruct_photos import reconstruct_photos
-from omnilines.commands.render_scene import write_scene
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PHOTOS
 from omnilines.files.folders import output_folder
@@ -12,6 +11,7 @@ from omnilines.pages.scene_validation import (
     scene_validation_sections,
     scene_validation_summaries,
 )
+from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.scene_validation import compare_scene, read_rebuilt
@@ -22,21 +22,15 @@ SCENE = "scene"
 
 def validate_scene(
     out: str | Path,
-    *,
     scene: str = "room",
-    model: str = "opencv-fisheye",
-    fov_deg: float | None = None,
-    views: int = 20,
-    size: tuple[int, int] = (1280, 960),
-    noise: float = 2.0,
-    blur: float = 0.5,
-    seed: int = 0,
-    mirror: bool = False,
+    model: str = MODEL,
+    options: RenderOptions = RenderOptions(),
+    *,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Check that the lines of a scene are rebuilt from its photos, with the calibration and poses they were rendered with.
 
-    Renders a room or a street (see `render_scene` for the options), finds arcs, matches, triangulates and adjusts lines as
+    Renders a room, a flat or a street, finds arcs, matches, triangulates and adjusts lines as
     `omnilines reconstruct` does with its defaults, and compares what it wrote with the truth. docs/scenes.md lists the checks
     and why their limits are what they are. The result holds when every check does.
 
@@ -44,26 +38,15 @@ def validate_scene(
     of range and GeometryError naming the stage where no line is left, or where no edge is seen by enough photos.
     """
     folder = output_folder(out)
-    truth = write_scene(
-        folder / PHOTOS,
-        scene=scene,
-        model=model,
-        fov_deg=fov_deg,
-        views=views,
-        size=size,
-        noise=noise,
-        blur=blur,
-        seed=seed,
-        mirror=mirror,
-        progress=progress,
-    )
-    photos = [folder / PHOTOS / name for name in truth.poses.images]
+    truth = render_scene(scene, model, options, progress=progress)
+    shown = truth.save(folder / PHOTOS, progress)
+    photos = [folder / PHOTOS / name for name in truth.photos]
     tables = [folder / PHOTOS / name for name in ("calibration.yaml", "poses.csv")]
-    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, seed=seed, progress=progress)
+    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, seed=truth.seed, progress=progress)
     progress("comparing with the truth", 0, 0)
     validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
-    summaries = scene_validation_summaries(validation, scene, seed)
+    summaries = scene_validation_summaries(validation)
     sections = scene_validation_sections(validation, summaries, folder / PHOTOS)
     page = write_report(folder / "report.html", f"Validation on a rendered {scene}", sections)
-    data = scene_validation_data(validation, scene, seed)
-    return CommandResult(summaries, data, validation.checks, (*truth.files, *done.files, page), page, done.warnings)
+    data = scene_validation_data(validation)
+    return CommandResult(summaries, data, validation.checks, (*shown, *done.files, page), page, done.warnings)

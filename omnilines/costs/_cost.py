@@ -7,7 +7,7 @@ arc; r does not depend on the length of M. From r and d r / d M all Jacobians fo
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -18,6 +18,8 @@ from omnilines.geometry.line_chart import LineChart
 
 CostFunction = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """(end bearings (n, 2, 3), M (n, 3)) -> residuals (n, m) and d r / d M (n, m, 3)."""
+NODES = 3
+"""Places along the image of each arc at which costs integrate."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +75,70 @@ def scaled_distance(
     return h, bearings / width[..., None] - (h / width2)[..., None] * across[..., 0]
 
 
+def plane_distance(
+    rows: Float[Tensor, "n m 3"], normal: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "n m"], Float[Tensor, "n m 3"]]:
+    """r = F Mh and d r / d M = (F - r Mh') / |M|."""
+    length = normal.norm(dim=-1, keepdim=True)
+    unit = normal / length
+    r = (rows @ unit[..., None])[..., 0]
+    return r, (rows - r[..., None] * unit[:, None]) / length[..., None]
+
+
+def _themselves(bearings: Tensor) -> Tensor:
+    return bearings
+
+
+@dataclass(frozen=True)
+class ScaledRows:
+    """Two residuals r_a = F_a . M / w_a: what the compiled engine takes."""
+
+    rows: Callable[[Tensor], Tensor] = _themselves
+    """F (n, 2, 3) from the end bearings (n, 2, 3)."""
+    spread: Callable[[Tensor, Tensor], Tensor] | None = None
+    """B (n, 2, 3, 3) with w_a^2 = M' B_a M, from d bearing / d pixel (n, 2, 3, 2) and the covariance of the end points in px^2
+    (n, 2, 2, 2); without one w = |M|."""
+
+    def of_arcs(self, arcs: ObservedArcs) -> CostFunction:
+        """The cost of observed arcs."""
+        own = arcs.bearings
+        rows_of_own = self.rows(own)
+        spread = None if self.spread is None else self.spread(arcs.by_pixel, arcs.covariance_px2)
+
+        def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+            rows = rows_of_own if bearings is own else self.rows(bearings)
+            return plane_distance(rows, normal) if spread is None else scaled_distance(rows, spread, normal)
+
+        return evaluate
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A cost, and what the adjustment has to know of it."""
+
+    of_arcs: Callable[[ObservedArcs], CostFunction]
+    scaled_rows: ScaledRows | None = None
+    """The same for the compiled engine; costs without are adjusted by the general one."""
+    distances_in: Literal["px", "sigma"] | None = None
+    """Unit of residuals that are the distances of both ends from the image of the line, pixels or their own standard deviations:
+    these have no other weights, which would have to be held while cameras move."""
+
+    @property
+    def is_whitened(self) -> bool:
+        """Whether residuals have unit variance for the stated noise."""
+        return self.distances_in == "sigma"
+
+    @staticmethod
+    def of_rows(scaled_rows: ScaledRows, distances_in: Literal["px", "sigma"] | None = None) -> "Cost":
+        """A cost in the form that the compiled engine takes."""
+        return Cost(scaled_rows.of_arcs, scaled_rows, distances_in)
+
+
 def mixed_distances(mix: Float[Tensor, "n m 2"]) -> CostFunction:
-    """The cost with residuals mix @ (V . Mh), the distances of both ends from the plane, and d r / d M = (F - r Mh') / |M|."""
+    """The cost with residuals mix @ (V . Mh), the distances of both ends from the plane."""
 
     def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        factor, length = mix @ bearings, normal.norm(dim=-1, keepdim=True)
-        unit = normal / length
-        r = (factor @ unit[..., None])[..., 0]
-        return r, (factor - r[..., None] * unit[:, None]) / length[..., None]
+        return plane_distance(mix @ bearings, normal)
 
     return evaluate
 

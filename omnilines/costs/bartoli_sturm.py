@@ -6,16 +6,15 @@ For a pinhole camera it agrees with the distance of the end points from the line
 to first order; where the noise is isotropic it is the whitened cost but for its unit.
 """
 
+from jaxtyping import Float
 from torch import Tensor
 
-from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
+from omnilines.costs._cost import Cost, ScaledRows
 
 
-def of_arcs(arcs: ObservedArcs) -> CostFunction:
-    """The cost of observed arcs, two residuals each, in pixels."""
-    spread = arcs.by_pixel @ arcs.by_pixel.mT
+def spread(by_pixel: Float[Tensor, "n 2 3 2"], covariance_px2: Float[Tensor, "n 2 2 2"]) -> Float[Tensor, "n 2 3 3"]:
+    """J J' of both ends: |J' M|^2 = M' J J' M."""
+    return by_pixel @ by_pixel.mT
 
-    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        return scaled_distance(bearings, spread, normal)
 
-    return evaluate
+COST = Cost.of_rows(ScaledRows(spread=spread), "px")

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._arrays import array_function
-from omnilines.costs._cost import CostFunction, ObservedArcs
+from omnilines.costs._cost import Cost, ScaledRows
 from omnilines.geometry.sphere import sector_moment_factor
 
 
@@ -35,13 +35,9 @@ def jacobian(factor: Float[Tensor, "*batch 2 3"], normal: Float[Tensor, "*batch 
     return (factor - r[..., :, None] * unit[..., None, :]) / length[..., None]
 
 
-def of_arcs(arcs: ObservedArcs) -> CostFunction:
-    """The cost of observed arcs, two residuals each, in radians to the power of 3/2."""
-    own = arcs.bearings
-    factor_of_own = prepare(own[:, 0], own[:, 1])
+def rows(bearings: Float[Tensor, "n 2 3"]) -> Float[Tensor, "n 2 3"]:
+    """F of each arc; residuals are in radians to the power of 3/2."""
+    return prepare(bearings[:, 0], bearings[:, 1])
 
-    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        factor = factor_of_own if bearings is own else prepare(bearings[:, 0], bearings[:, 1])
-        return residual(factor, normal), jacobian(factor, normal)
 
-    return evaluate
+COST = Cost.of_rows(ScaledRows(rows))

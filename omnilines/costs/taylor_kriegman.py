@@ -11,10 +11,8 @@ segment of length l (C. J. Taylor, D. J. Kriegman, PAMI 17(11), 1995). The resid
 from torch import Tensor
 
 from camera_models.errors import InputError
-from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
+from omnilines.costs._cost import Cost, CostFunction, ObservedArcs, scaled_distance
 from omnilines.geometry.sphere import points_on_arc
-
-NODES = 3
 
 
 def of_arcs(arcs: ObservedArcs) -> CostFunction:
@@ -32,3 +30,6 @@ def of_arcs(arcs: ObservedArcs) -> CostFunction:
         return root * h, root[..., None] * by_normal
 
     return evaluate
+
+
+COST = Cost(of_arcs)

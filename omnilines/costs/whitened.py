@@ -7,16 +7,15 @@ sector's factor F cancels, and it attains the Cramer-Rao bound. The derivative i
 that of the sum of squares itself.
 """
 
+from jaxtyping import Float
 from torch import Tensor
 
-from omnilines.costs._cost import CostFunction, ObservedArcs, scaled_distance
+from omnilines.costs._cost import Cost, ScaledRows
 
 
-def of_arcs(arcs: ObservedArcs) -> CostFunction:
-    """The cost of observed arcs, two residuals each, in standard deviations."""
-    spread = arcs.by_pixel @ arcs.covariance_px2 @ arcs.by_pixel.mT
+def spread(by_pixel: Float[Tensor, "n 2 3 2"], covariance_px2: Float[Tensor, "n 2 2 2"]) -> Float[Tensor, "n 2 3 3"]:
+    """J Sigma J' of both ends."""
+    return by_pixel @ covariance_px2 @ by_pixel.mT
 
-    def evaluate(bearings: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        return scaled_distance(bearings, spread, normal)
 
-    return evaluate
+COST = Cost.of_rows(ScaledRows(spread=spread), "sigma")

@@ -28,7 +28,7 @@ PARALLEL_DEG = 10.0
 ON_EDGE = 0.9
 """Share of an arc's length that has to lie on one edge."""
 SAME_LINE_M = 1e-3
-LEAST_PX, LEAST_CONTRAST = 40.0, 10.0
+MIN_PX, MIN_CONTRAST = 40.0, 10.0
 """Stretches that an extraction is expected to find."""
 GAP_PX = 1.0
 """A stretch goes on across a shorter gap."""
@@ -82,9 +82,10 @@ def arc_scores(
     edges: TrueEdges,
     stretches: Stretches,
     segments: Segments,
+    *,
     colour: bool = True,
-    least_px: float | int = LEAST_PX,
-    least_contrast: float | int = LEAST_CONTRAST,
+    min_px: float | int = MIN_PX,
+    min_contrast: float | int = MIN_CONTRAST,
 ) -> ArcScores:
     """Score the segments extracted from photos of one camera, all photos of `poses` together.
 
@@ -102,7 +103,7 @@ def arc_scores(
     line, parts = lines_of_edges(edges), []
     for k in range(len(poses)):
         rows, own = np.flatnonzero(of_segment == k), of_stretch == k
-        seen = unbroken(stretches.keep(own), contrast[own] >= least_contrast, least_px)
+        seen = unbroken(stretches.keep(own), contrast[own] >= min_contrast, min_px)
         photo = _score_photo(camera, poses.cam_from_world[k], edges, line, seen, segments.endpoints_px[rows])
         parts.append((rows, photo))
     return _together(len(segments), parts)
@@ -133,7 +134,7 @@ class Unbroken:
     count: int
 
 
-def unbroken(table: Stretches, strong: Bool[np.ndarray, " n"], least_px: float | int) -> Unbroken:
+def unbroken(table: Stretches, strong: Bool[np.ndarray, " n"], min_px: float | int) -> Unbroken:
     """Join the strong stretches of one photo that touch, or nearly so, and number those of at least that length."""
     rows = np.flatnonzero(strong)
     edge, t, length = table.edge[rows], table.t[rows], table.length_px[rows]
@@ -142,7 +143,7 @@ def unbroken(table: Stretches, strong: Bool[np.ndarray, " n"], least_px: float |
     pace = length / (t[:, 1] - t[:, 0])
     begins[1:] = (edge[1:] != edge[:-1]) | ((t[1:, 0] - t[:-1, 1]) * pace[:-1] > GAP_PX)
     group = np.cumsum(begins) - 1
-    long = np.bincount(group, length) >= least_px
+    long = np.bincount(group, length) >= min_px
     number = np.where(long, np.cumsum(long) - 1, -1)
     whole = np.full(len(table), -1)
     whole[rows] = number[group]

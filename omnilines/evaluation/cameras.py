@@ -1,6 +1,6 @@
 """Estimates against a known truth, with the freedoms that the data leave open taken out first.
 
-Bearings: a common rotation. Scaramuzza's parameters: the rotation about the axis. Lines from bearings alone: a similarity.
+Bearings: a common rotation. Parameters: a rotation about the axis. Lines from bearings alone: a similarity.
 """
 
 import math
@@ -12,12 +12,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError, Scaramuzza
+from camera_models import CameraModel, GeometryError
 from camera_models._arrays import as_tensor
 from camera_models.pose import hat
+from camera_models.rotations import common_rotation
 from omnilines.adjustment.accuracy import AlignedLines, align_lines
 from omnilines.adjustment.lines import Adjusted, motion_across
-from omnilines.geometry.sphere import angle_between, common_rotation
+from omnilines.geometry.sphere import angle_between
 
 GRID_POINTS = 160
 """Pixels along the longer side of the image at which bearings are compared."""
@@ -84,22 +85,6 @@ def bearing_error_deg(estimated: CameraModel, truth: CameraModel, max_angle_rad:
     return errors.rms_deg, errors.max_deg
 
 
-def symmetric_form(model: Scaramuzza) -> Scaramuzza:
-    """The same camera turned about its axis until its affine matrix is symmetric (e = d), as calibration holds it.
-
-    With A = [[1, e], [d, c]] and a turn R by alpha, tan(alpha) = (d - e) / (1 + c), A R' = k [[1, e'], [e', c']] has the polar
-    form. Plane coordinates become k R (x, y), so that a_j turns into k^(1-j) a_j and every bearing is turned by R about z.
-    """
-    cx, cy, c, d, e, *a = model.parameters.detach().tolist()
-    alpha = math.atan2(d - e, 1.0 + c)
-    cos, sin = math.cos(alpha), math.sin(alpha)
-    k = cos - e * sin
-    shear = (sin + e * cos) / k
-    orders = (0, *range(2, model.degree + 1))
-    scaled = [value * k ** (1 - order) for order, value in zip(orders, a, strict=True)]
-    return Scaramuzza([cx, cy, (d * sin + c * cos) / k, shear, shear, *scaled], model.image_size)
-
-
 @dataclass(frozen=True)
 class ParameterErrors:
     """Estimated minus true parameters in units of their standard deviations, over the directions that are estimated."""
@@ -128,7 +113,7 @@ class ParameterErrors:
 def parameter_errors(
     estimated: CameraModel, covariance: Float[np.ndarray, "p p"], truth: CameraModel, freedom: float | int = math.inf
 ) -> ParameterErrors:
-    """Errors of a calibrated camera against its covariance, along `calibration_basis()`; Scaramuzza in the symmetric form.
+    """Errors of a calibrated camera against its covariance, along `calibration_basis()`, the truth in its `calibrated_form()`.
 
     `freedom` is that of the residuals which scaled the covariance. Raises GeometryError where the models differ in kind, or the
     truth in a parameter that the calibration held, or where a direction has no variance.
@@ -138,8 +123,7 @@ def parameter_errors(
             f"Parameters of one model were expected, found those of {estimated.NAME} ({' '.join(estimated.PARAMETER_NAMES)}) and "
             f"{truth.NAME} ({' '.join(truth.PARAMETER_NAMES)}); compare their bearings instead."
         )
-    if isinstance(truth, Scaramuzza):
-        truth = symmetric_form(truth)
+    truth = truth.calibrated_form()
     basis = estimated.calibration_basis().numpy()
     into = np.linalg.pinv(basis)
     true, found = truth.parameters.detach().numpy(), estimated.parameters.detach().numpy()

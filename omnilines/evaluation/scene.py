@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from camera_models import InputError
+from camera_models.rotations import similarity_alignment
 from omnilines.files.true_edges import Stretches, TrueEdges
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 
 THRESHOLDS_M = (0.001, 0.005, 0.010)
-LEAST_VIEWS = 4
+MIN_VIEWS = 4
 """Photos that have to see a piece of an edge for it to be expected."""
-LEAST_CONTRAST = 10.0
+MIN_CONTRAST = 10.0
 """Grey levels between both sides of an edge from which a photo counts as seeing it."""
 ON_EDGE = 0.9
 """Share of a line's length that has to lie near edges for the line to be right."""
@@ -75,16 +75,17 @@ def scene_scores(
     edges: TrueEdges,
     stretches: Stretches,
     thresholds_m: Sequence[float] = THRESHOLDS_M,
-    least_views: int = LEAST_VIEWS,
-    least_contrast: float | int = LEAST_CONTRAST,
-    least_px: float | int = 0.0,
+    *,
+    min_views: int = MIN_VIEWS,
+    min_contrast: float | int = MIN_CONTRAST,
+    min_px: float | int = 0.0,
     colour: bool = True,
 ) -> SceneScores:
     """Score lines, given by their ends, against all edges of `truth.csv`, seen or not, and recall against `visibility.csv`.
 
-    A piece of an edge is expected where at least `least_views` photos see it with at least `least_contrast` grey levels between
+    A piece of an edge is expected where at least `min_views` photos see it with at least `min_contrast` grey levels between
     its sides (of the channel that differs most with `colour`, else in grey), each as part of an unbroken stretch of at least
-    `least_px` in the photo. LIMAP's measures are those of Liu et al., 3D Line Mapping Revisited, CVPR 2023, as its evaluation
+    `min_px` in the photo. LIMAP's measures are those of Liu et al., 3D Line Mapping Revisited, CVPR 2023, as its evaluation
     counts them, with the edges in place of a mesh.
 
     Raises InputError where a line has no finite ends or no length, a threshold is not positive, there are no edges, or stretches
@@ -96,13 +97,13 @@ def scene_scores(
     if not thresholds_m or min(thresholds_m) <= 0:
         raise InputError(f"Thresholds above 0 m were expected, found {list(thresholds_m)}; give some.")
     true = edges.ends_m
-    seen = _clear(stretches, least_contrast, least_px, colour)
+    seen = _clear(stretches, min_contrast, min_px, colour)
     views = _Spans(seen.edge, seen.t * _length(true)[seen.edge, None])
     pieces = _pieces(len(true), [views])
-    visible = pieces.total(pieces.depth[:, 0] >= least_views)
+    visible = pieces.total(pieces.depth[:, 0] >= min_views)
     line, other = _near_pairs(ends_m, true, max(thresholds_m))
     inside = np.stack([_covered(len(ends_m), _near(ends_m, line, true, other, tau)) for tau in thresholds_m])
-    found = np.stack([_found(len(true), views, _near(true, other, ends_m, line, tau), least_views) for tau in thresholds_m])
+    found = np.stack([_found(len(true), views, _near(true, other, ends_m, line, tau), min_views) for tau in thresholds_m])
     share, unknown = inside / _length(ends_m), np.full(len(thresholds_m), math.nan)
     total, count = float(visible.sum()), len(ends_m)
     nearest, error = _nearest(ends_m, true)
@@ -152,18 +153,18 @@ def _require_lines(ends: Float[np.ndarray, "n 2 3"]) -> None:
         )
 
 
-def _clear(stretches: Stretches, least_contrast: float | int, least_px: float | int, colour: bool) -> Stretches:
+def _clear(stretches: Stretches, min_contrast: float | int, min_px: float | int, colour: bool) -> Stretches:
     """The stretches above the least contrast that are part of one long enough; raises on those without contrast."""
     contrast = stretches.contrast_rgb if colour else stretches.contrast_grey
     if np.isnan(contrast).any():
         raise InputError("Stretches with their contrast were expected, found some without; add its column to visibility.csv.")
-    strong = stretches.keep(contrast >= least_contrast)
+    strong = stretches.keep(contrast >= min_contrast)
     begins = np.ones(len(strong), dtype=bool)
     # Rows that touch are one stretch whose contrast changes.
     touch = (strong.image[1:] == strong.image[:-1]) & (strong.edge[1:] == strong.edge[:-1])
     begins[1:] = ~(touch & (strong.t[1:, 0] <= strong.t[:-1, 1]))
     whole = np.cumsum(begins) - 1
-    return strong.keep((np.bincount(whole, strong.length_px) >= least_px)[whole])
+    return strong.keep((np.bincount(whole, strong.length_px) >= min_px)[whole])
 
 
 def _length(ends: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, " n"]:
@@ -216,10 +217,10 @@ def _covered(owners: int, spans: _Spans) -> Float[np.ndarray, " owners"]:
     return pieces.total(pieces.depth[:, 0] > 0)
 
 
-def _found(edges: int, views: _Spans, near: _Spans, least_views: int) -> Float[np.ndarray, " edges"]:
+def _found(edges: int, views: _Spans, near: _Spans, min_views: int) -> Float[np.ndarray, " edges"]:
     """Length of each edge that enough photos see and that lies near a line."""
     pieces = _pieces(edges, [views, near])
-    return pieces.total((pieces.depth[:, 0] >= least_views) & (pieces.depth[:, 1] > 0))
+    return pieces.total((pieces.depth[:, 0] >= min_views) & (pieces.depth[:, 1] > 0))
 
 
 def _chunks(rows: int, columns: int) -> Iterator[slice]:

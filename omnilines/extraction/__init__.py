@@ -5,5 +5,6 @@ found.endpoints_px                          # (n, 2, 2) pixels; found.covariance
 """
 
 from omnilines.extraction.extract import ExtractedArcs, extract_arcs
+from omnilines.extraction.options import ExtractionOptions
 
-__all__ = ["ExtractedArcs", "extract_arcs"]
+__all__ = ["ExtractedArcs", "ExtractionOptions", "extract_arcs"]

@@ -13,6 +13,7 @@ from omnilines.extraction.kernels.bearing import read_bearings, smooth_cells
 
 STEP_PX = 16.0
 MOST_ERROR_PX = 3e-4
+"""Of places that are interpolated."""
 _BEYOND = 3
 """Nodes around the image."""
 AT_A_TIME = 8_000

@@ -9,26 +9,18 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, across_px
-from omnilines.extraction.curves import Samples, samples
-from omnilines.extraction.edgels import grey_unit
+from omnilines.extraction.curves import samples
 from omnilines.extraction.kernels.crossing import crossings
 from omnilines.extraction.kernels.profile import mean_profiles
 from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.tables import Crossed, Samples, Stepped, Window
+from omnilines.extraction.options import NeighbourOptions
 from omnilines.extraction.refit import Photo, joined
 
 _BETWEEN_PX = 0.5
 OFFSETS_PX = np.arange(-12, 13) * _BETWEEN_PX
-BLOCK_PX = 5
-"""Length along an arc over which profiles are averaged."""
-LEAST_BLOCKS = 4
-"""Of an arc whose profiles are fitted: a circle through fewer is not asked for."""
-REACH_PX = 6.0
-LEAST_COSINE = 0.95
-"""Between an arc and an edge beside it: 18 degrees."""
 BEYOND_PX = 3
 """Edges are taken to go on beyond the ends of their arcs."""
-STIFF_PX = np.array([1.0, 0.3])
-"""Standard deviations of the own step's place and of the others' about where their arcs are."""
 LEAST_WEIGHT = 0.03
 """Of the outermost value of a profile in a fit."""
 _LANES = 8
@@ -44,9 +36,14 @@ def pieces(at: Samples, wanted: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m1"]
     return np.append(begins, len(at.owner))
 
 
+def window_weights(taper_px: float) -> Float[np.ndarray, " k"]:
+    """Weights of the values of a profile, whose squares have a standard deviation of `taper_px`."""
+    return np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
+
+
 @dataclass(frozen=True)
 class Blocks:
-    """Pieces of arcs of BLOCK_PX, arc after arc."""
+    """Pieces of arcs, arc after arc."""
 
     arcs: int
     """How many there are."""
@@ -60,7 +57,7 @@ class Blocks:
     """In the middle, as the direction across."""
     across: Float[np.ndarray, "m 2"]
     profile: Float32[np.ndarray, "m c k"]
-    """Mean grey levels of 255 at OFFSETS_PX; 0 for arcs of fewer than LEAST_BLOCKS, which are then not `whole`."""
+    """Mean grey levels of 255 at OFFSETS_PX; 0 for arcs of too few blocks, which are then not `whole`."""
     sigma: Float[np.ndarray, " m"]
     place: Float[np.ndarray, "m s"]
     """Where its profile is crossed: by its own arc at 0, then by its neighbours."""
@@ -124,34 +121,27 @@ class Profiled:
         """These arcs, and others after them."""
         return Profiled(joined([self.arcs, more.arcs]), _appended(self.blocks, more.blocks), _appended(self.path, more.path))
 
-    def crossed(self, model: CameraModel, rows: Int[np.ndarray, " k"]) -> Blocks:
-        """The blocks of some of the arcs, and where all others cross them."""
+    def crossed(self, model: CameraModel, rows: Int[np.ndarray, " k"], min_cosine: float) -> Blocks:
+        """The blocks of some of the arcs, and where all others that are as parallel as this cross them."""
         blocks, path = _kept(self.blocks, rows), self.path
-        width, height = model.image_size
         place, count = crossings(
-            blocks.pixel,
-            blocks.across,
-            rows[blocks.owner],
-            path.pixel,
-            path.across,
-            path.owner,
-            height,
-            width,
-            model.PERIODIC,
-            REACH_PX,
-            LEAST_COSINE,
+            Crossed(rows[blocks.owner], blocks.pixel, blocks.across),
+            Crossed(path.owner, path.pixel, path.across),
+            size=model.image_size,
+            closed=model.PERIODIC,
+            reach_px=float(OFFSETS_PX[-1]),
+            min_cosine=min_cosine,
         )
         return replace(blocks, place=place, count=count)
 
 
-def profiled(photo: Photo, arcs: Arcs, noise: float) -> Profiled:
+def profiled(photo: Photo, arcs: Arcs, noise: float, options: NeighbourOptions) -> Profiled:
     """Profiles across arcs in a photo whose grey levels of 255 have `noise`."""
     at = samples(photo.model, arcs, 0.0)
-    starts = pieces(at, np.diff(at.starts) // BLOCK_PX)
+    starts = pieces(at, np.diff(at.starts) // options.block_px)
     begins, length = starts[:-1], np.diff(starts)
-    unit, closed = grey_unit(photo.image), photo.model.PERIODIC
-    wanted = np.bincount(at.owner[begins], minlength=len(arcs))[at.owner[begins]] >= LEAST_BLOCKS
-    mean, whole = mean_profiles(photo.image, unit, at.pixel, at.across, at.valid, starts, wanted, OFFSETS_PX, closed)
+    wanted = np.bincount(at.owner[begins], minlength=len(arcs))[at.owner[begins]] >= options.min_blocks
+    mean, whole = mean_profiles(photo.picture, at, starts, wanted, OFFSETS_PX)
     middle, count = begins + length // 2, len(begins)
     blocks = Blocks(
         len(arcs),
@@ -184,13 +174,32 @@ def _path(model: CameraModel, arcs: Arcs, at: Samples) -> Path:
     return Path(len(arcs), *names)
 
 
+@dataclass(frozen=True)
+class StepFit:
+    """How steps are fitted to profiles: the standard deviation of the weights of a profile, the photo's blur, those of the places
+    of the own step and of the others about where their arcs are, and rounds at most."""
+
+    taper_px: float
+    blur_px: float
+    own_sigma_px: float
+    other_sigma_px: float
+    rounds: int = ROUNDS
+
+
 def fit_places(
-    blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS
+    blocks: Blocks, start: Float[np.ndarray, "m s"], fit: StepFit
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """`fit_steps` of the profiles of blocks in a window of `taper_px`, the standard deviation of its weights."""
-    weight = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2)
+    """`fit_steps` of the profiles of blocks, begun at `start`."""
+    weight = window_weights(fit.taper_px)
     near = np.flatnonzero(weight >= LEAST_WEIGHT)
     # Rounded up to whole lanes by values of no weight.
     offsets, weight = OFFSETS_PX[near[0]] + _BETWEEN_PX * np.arange(len(near) + -len(near) % _LANES), weight[near]
     weight = np.pad(weight, (0, len(offsets) - len(weight)))
-    return fit_steps(blocks.profile, near[0], offsets, weight, start, blocks.count, STIFF_PX, blocks.sigma, blur_px, rounds)
+    return fit_steps(
+        Stepped(blocks.profile, start, blocks.count),
+        blocks.sigma,
+        Window(int(near[0]), offsets, weight),
+        stiff=np.array([fit.own_sigma_px, fit.other_sigma_px]),
+        blur=fit.blur_px,
+        rounds=fit.rounds,
+    )

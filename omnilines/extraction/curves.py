@@ -5,41 +5,23 @@ fourth differences of the nodes say that the cubics are not good enough (near th
 domain ends, the model is asked for every point.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import COARSE, LONGEST_RAD, STEP_RAD, Arcs, across_px, changes, steps
-from omnilines.extraction.bearings import pixels_at
+from omnilines.extraction.bearings import MOST_ERROR_PX, pixels_at
 from omnilines.extraction.kernels.curve import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
+from omnilines.extraction.kernels.tables import Curves, Samples
 
 NODE_PX = 10.0
 LEAST_INTERVALS, MOST_INTERVALS = 4, 128
 """Between the nodes of an arc: powers of 2."""
-MOST_ERROR_PX = 3e-4
 MOST_ERROR_SHARE = 3e-5
-"""Of the change of a pixel with the angle along the arc and across it."""
+"""Error of the cubics, of the change of a pixel with the angle along the arc and across it."""
 _SAFETY = 3.0
 """Over the bound of Hermite's cubic: its derivatives are differences themselves."""
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Points along arcs about a pixel apart, arc after arc."""
-
-    owner: Int[np.ndarray, " m"]
-    starts: Int[np.ndarray, " n1"]
-    """Where each arc begins, and one more."""
-    angle: Float[np.ndarray, " m"]
-    pixel: Float[np.ndarray, "m 2"]
-    across: Float[np.ndarray, "m 2"]
-    """Unit vector across the curve in the photo, towards the side of the normal."""
-    rate: Float[np.ndarray, " m"]
-    """Pixels along `across` per radian that the circle moves towards its normal."""
-    valid: Bool[np.ndarray, " m"]
 
 
 def _five_nodes() -> Float[np.ndarray, "5 5"]:
@@ -60,11 +42,9 @@ def samples(model: CameraModel, arcs: Arcs, beyond_px: float) -> Samples:
     wanted = np.log2((COARSE * np.maximum(first, last) + 2.0 * beyond_px) / NODE_PX + 1e-9)
     intervals = np.exp2(np.ceil(wanted)).clip(LEAST_INTERVALS, MOST_INTERVALS).astype(np.int64)
     curves = _curves(model, arcs, low, high, intervals)
-    run = lengths_along(curves.table, curves.slope, curves.starts, COARSE)
+    run = lengths_along(curves, COARSE)
     starts = np.concatenate([[0], np.cumsum(np.maximum(np.ceil(run[:, -1]), 2).astype(np.int64))])
-    owner, angle, pixel, across, rate, smooth = read_curves(
-        curves.angle, run, starts, curves.table, curves.slope, curves.good, curves.starts
-    )
+    owner, angle, pixel, across, rate, smooth = read_curves(curves, run, starts)
     valid = np.ones(len(owner), dtype=bool)
     rows = np.flatnonzero(~smooth)
     if len(rows):
@@ -83,27 +63,13 @@ def _ends_px(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, " n"], F
     return step[:, 0], step[:, 2]
 
 
-@dataclass(frozen=True)
-class _Curves:
-    """Nodes of arcs, and the cubics between them."""
-
-    starts: Int[np.ndarray, " n1"]
-    angle: Float[np.ndarray, " m"]
-    table: Float[np.ndarray, "m 6"]
-    """Pixel (going on across a seam), change along and change across per radian."""
-    slope: Float[np.ndarray, "m 6"]
-    """Derivatives of the table times the step to the next node."""
-    good: Bool[np.ndarray, " m"]
-    """Of the cubic to the next node."""
-
-
 def _curves(
     model: CameraModel,
     arcs: Arcs,
     low: Float[np.ndarray, " n"],
     high: Float[np.ndarray, " n"],
     intervals: Int[np.ndarray, " n"],
-) -> _Curves:
+) -> Curves:
     starts = np.concatenate([[0], np.cumsum(intervals + 1)])
     owner = np.repeat(np.arange(len(arcs)), intervals + 1)
     step = (high - low) / intervals
@@ -113,10 +79,10 @@ def _curves(
     if model.PERIODIC:
         unwrapped(table, starts, float(model.image_size[0]))
     slope = slopes(table, starts, step, _WEIGHTS, STEP_RAD)
-    good = smooth_intervals(table, valid, starts, MOST_ERROR_PX, MOST_ERROR_SHARE, _SAFETY)
+    good = smooth_intervals(table, valid, starts, most_px=MOST_ERROR_PX, most_share=MOST_ERROR_SHARE, safety=_SAFETY)
     if model.max_angle < np.pi:
         with torch.no_grad():
             axis = model.unproject(model.centre_px.detach().numpy())[0]
         limit = float(np.cos(model.max_angle - 3.0 * STEP_RAD))
-        leave_out_far(good, angle, starts, arcs.first @ axis, arcs.second @ axis, limit)
-    return _Curves(starts, angle, table, slope, good)
+        leave_out_far(good, angle, starts, first=arcs.first @ axis, second=arcs.second @ axis, least=limit)
+    return Curves(starts, angle, table, slope, good)

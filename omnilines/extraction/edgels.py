@@ -4,8 +4,6 @@ The derivatives are those of the photo smoothed by a Gaussian. A colour photo is
 two colours of equal brightness counts like any other.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
@@ -13,29 +11,12 @@ from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.kernels.edgel import add_products, ridge_points, second_differences, strengths
+from omnilines.extraction.kernels.tables import Edgels, SeenChains
+from omnilines.extraction.options import EdgeOptions
 
-SMOOTHING_PX = 0.6
-"""Standard deviation of the Gaussian before differences are taken."""
-LEAST_SIGMAS = 4.0
-"""Strength of an edge point over the standard deviation of a derivative in the noise."""
-LEAST_STRENGTH = 1.2
-"""Grey levels (of 255) per pixel: a step of 4 in a sharp photo."""
 _BAND_ROWS = 256
 _MARGIN = 8
 _NOISE_ROWS = 64
-
-
-@dataclass(frozen=True)
-class Edgels:
-    """Edge points, row by row."""
-
-    number: Int32[np.ndarray, "h w"]
-    """Index of the edge point of each pixel, or -1."""
-    points: Float32[np.ndarray, "n 4"]
-    """(u, v) and the unit direction across the edge, either of two."""
-
-    def __len__(self) -> int:
-        return len(self.points)
 
 
 def grey_unit(image: UInt[np.ndarray, "h w *channels"]) -> float:
@@ -58,21 +39,23 @@ def noise_level(image: UInt[np.ndarray, "h w *channels"], allowed: Bool[np.ndarr
     return float(middle.mean()) / 6.0 / 0.6745 / grey_unit(image)
 
 
-def _derivatives(plane: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+def _derivatives(
+    plane: Float32[np.ndarray, "h w"], smoothing_px: float
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Along u and v, per pixel (Scharr's masks on the smoothed channel)."""
-    smooth = cv2.GaussianBlur(plane, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
+    smooth = cv2.GaussianBlur(plane, (0, 0), smoothing_px, borderType=cv2.BORDER_REFLECT_101)
     return cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
 
 
-def derivative_sigma() -> float:
+def derivative_sigma(smoothing_px: float) -> float:
     """Standard deviation of a derivative in white noise of 1."""
     impulse = np.zeros((21, 21), dtype=np.float32)
     impulse[10, 10] = 1.0
-    return float(np.sqrt(np.square(_derivatives(impulse)[0].astype(np.float64)).sum()))
+    return float(np.sqrt(np.square(_derivatives(impulse, smoothing_px)[0].astype(np.float64)).sum()))
 
 
 def find_points(
-    image: UInt[np.ndarray, "h w *channels"], closed: bool, allowed: Bool[np.ndarray, "h w"], noise: float
+    image: UInt[np.ndarray, "h w *channels"], closed: bool, allowed: Bool[np.ndarray, "h w"], noise: float, options: EdgeOptions
 ) -> tuple[Int32[np.ndarray, "n 2"], Float32[np.ndarray, "n 4"]]:
     """`cells` and `points` of the edge points at the pixels allowed, found in bands of rows one after another.
 
@@ -80,7 +63,7 @@ def find_points(
     """
     height, width = image.shape[:2]
     image = image.reshape(height, width, -1)
-    threshold = max(LEAST_STRENGTH, LEAST_SIGMAS * derivative_sigma() * noise)
+    threshold = max(options.min_slope_grey, options.min_sigmas * derivative_sigma(options.smoothing_px) * noise)
     side = _MARGIN if closed else 0
     cells, points = [], []
     for top in range(0, height, _BAND_ROWS):
@@ -89,11 +72,11 @@ def find_points(
         tensor = np.zeros((3, *band.shape[:2]), dtype=np.float32)
         for channel in range(band.shape[2]):
             plane = band[..., channel].astype(np.float32) / np.float32(grey_unit(image))
-            add_products(*_derivatives(plane), tensor)
+            add_products(*_derivatives(plane, options.smoothing_px), tensor)
         strength = np.empty(band.shape[:2], dtype=np.float32)
         strengths(tensor, strength)
         last = min(_BAND_ROWS, height - top) + top - low
-        cell, point = ridge_points(strength, tensor, _around(allowed[low:high], side), threshold, top - low, last)
+        cell, point = ridge_points(strength, tensor, _around(allowed[low:high], side), threshold, first=top - low, last=last)
         cell += np.array([low, -side], dtype=np.int32)
         point[:, :2] += np.array([-side, low], dtype=np.float32)
         own = (cell[:, 1] >= 0) & (cell[:, 1] < width)
@@ -106,22 +89,11 @@ def _around(rows: np.ndarray, side: int) -> np.ndarray:
     return np.concatenate([rows[:, -side:], rows, rows[:, :side]], 1) if side else rows
 
 
-def numbered(size: tuple[int, int], cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
+def numbered(size: tuple[int, int], closed: bool, cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:
     """Edge points in an image of this width and height."""
     number = np.full(size[::-1], -1, dtype=np.int32)
     number[cells[:, 0], cells[:, 1]] = np.arange(len(cells), dtype=np.int32)
-    return Edgels(number, points)
-
-
-@dataclass(frozen=True)
-class SeenChains:
-    """Chains of edge points that the camera model sees, one after another."""
-
-    starts: Int[np.ndarray, " n1"]
-    """Where each chain begins, and one more."""
-    bearings: Float[np.ndarray, "m 3"]
-    acrosses: Float[np.ndarray, "m 3"]
-    """Change of the bearing with a pixel along the direction across the edge."""
+    return Edgels(number, points, closed)
 
 
 def seen_chains(

@@ -8,39 +8,22 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.kernels.rim import first_light
+from omnilines.extraction.kernels.rim import Rays, first_light
+from omnilines.extraction.options import ImageCircleOptions
 
 RAYS = 360
-DARK_GREY = 40.0
-"""Grey level of 255 that what lies outside does not exceed, noise and all."""
-STEP_GREY = 6.0
-"""Above what lies outside: light."""
-DARK_PX = 8
-"""From the border inwards, without light on a ray that begins in the dark."""
-SAME_SHARE = 0.01
-"""Of the radius, to which rays agree."""
-LEAST_RAYS = 0.15
-"""Share of all rays that must end in the dark."""
-LEAST_AGREEING = 0.5
-"""Share of them that must meet the first light on one circle."""
-MOST_LIGHT = 0.2
-"""Share of the pixels outside the circle that may be brighter than DARK_GREY: flares, a halo of the rim, a printed date."""
+"""From the border inwards."""
 LOOKED_AT = 1000
 """Rows and columns, about, whose pixels are looked at in a larger photo."""
-MARGIN_SHARE, MARGIN_PX = 0.01, 4.0
-"""What is left out inside the rim."""
 MASK_MARGIN_PX = 3
-RIM_SHARE = 0.1
-"""Of the radius, within which the light may fall off towards the rim."""
-FULL_LIGHT = 0.8
-"""Of the light at the inner end of that: here the rim ends."""
-RIM_COSINE = 0.97
-"""Between the direction across an edge of the rim and the radius: 14 degrees."""
+"""Left out beside what a mask leaves out: the reach of the derivatives."""
 _BESIDE_PX = 3.0
 _TRIPLES = 500
 
 
-def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -> tuple[float, float, float] | None:
+def image_circle(
+    image: UInt[np.ndarray, "h w *channels"], model: CameraModel, options: ImageCircleOptions = ImageCircleOptions()
+) -> tuple[float, float, float] | None:
     """Centre (u, v) and radius (px) of the circle outside which a photo is dark, or None where there is none.
 
     From the border inwards along rays to the camera's centre pixel, each finds its first light. Where most of those that begin
@@ -55,22 +38,22 @@ def image_circle(image: UInt[np.ndarray, "h w *channels"], model: CameraModel) -
     way = np.stack([np.cos(turn), np.sin(turn)], -1)
     room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
     border = room.min(-1) - 1.0
-    outermost = centre + np.maximum(border[:, None] - np.arange(DARK_PX), 0.0)[..., None] * way[:, None]
+    outermost = centre + np.maximum(border[:, None] - np.arange(options.min_dark_px), 0.0)[..., None] * way[:, None]
     outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), 2, axis=1)
     dark = float(np.percentile(outer, 2))
     # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
-    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(LEAST_RAYS * RAYS)]]
-    threshold = max(dark + STEP_GREY, float(np.percentile(darkest, 98)))
-    if threshold >= DARK_GREY:
+    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(options.min_dark_rays * RAYS)]]
+    threshold = max(dark + options.min_step_grey, float(np.percentile(darkest, 98)))
+    if threshold >= options.max_dark_grey:
         return None
     threshold *= grey_unit(image)
     depths = int(border.max())
-    light = first_light(image.reshape(height, width, -1), centre, way, border, depths, threshold)
-    begins_dark = (light >= DARK_PX) & (light < depths)
-    if begins_dark.mean() < LEAST_RAYS:
+    light = first_light(image.reshape(height, width, -1), Rays(centre, way, border), depths, threshold)
+    begins_dark = (light >= options.min_dark_px) & (light < depths)
+    if begins_dark.mean() < options.min_dark_rays:
         return None
-    circle = _common_circle(centre + (border - light)[begins_dark, None] * way[begins_dark])
-    return circle if circle is not None and _dark_outside(image, circle) else None
+    circle = _common_circle(centre + (border - light)[begins_dark, None] * way[begins_dark], options)
+    return circle if circle is not None and _dark_outside(image, circle, options) else None
 
 
 def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarray, "*n 2"]) -> UInt[np.ndarray, "*n"]:
@@ -81,18 +64,20 @@ def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarra
     return functools.reduce(np.maximum, np.moveaxis(grey, -1, 0))
 
 
-def _dark_outside(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float]) -> bool:
+def _dark_outside(
+    image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], options: ImageCircleOptions
+) -> bool:
     """Whether hardly any pixel outside the circle is light, and some are outside."""
     u, v, radius = circle
     step = max(1, max(image.shape[:2]) // LOOKED_AT)
     sparse = image[::step, ::step]
     row, column = step * np.arange(sparse.shape[0])[:, None], step * np.arange(sparse.shape[1])
     grey = sparse.reshape(*sparse.shape[:2], -1).max(-1)
-    outside = grey[(column - u) ** 2 + (row - v) ** 2 > (radius * (1.0 + SAME_SHARE)) ** 2]
-    return len(outside) > 0 and float((outside > DARK_GREY * grey_unit(image)).mean()) < MOST_LIGHT
+    outside = grey[(column - u) ** 2 + (row - v) ** 2 > (radius * (1.0 + options.same_share)) ** 2]
+    return len(outside) > 0 and float((outside > options.max_dark_grey * grey_unit(image)).mean()) < options.max_light
 
 
-def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, float] | None:
+def _common_circle(points: Float[np.ndarray, "n 2"], options: ImageCircleOptions) -> tuple[float, float, float] | None:
     """The circle on which most of the points lie."""
     rng = np.random.default_rng(0)
     a, b, c = points[rng.integers(0, len(points), (3, _TRIPLES))]
@@ -105,9 +90,9 @@ def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, floa
     middle = np.linalg.solve(matrix[proper], right[proper][..., None])[..., 0]
     radius = np.linalg.norm(a[proper] - middle, axis=-1)
     off = np.abs(np.linalg.norm(points - middle[:, None], axis=-1) - radius[:, None])
-    agreeing = off < SAME_SHARE * radius[:, None]
+    agreeing = off < options.same_share * radius[:, None]
     best = int(agreeing.sum(-1).argmax())
-    if agreeing[best].mean() < LEAST_AGREEING:
+    if agreeing[best].mean() < options.min_agreeing:
         return None
     chosen = points[agreeing[best]]
     design = np.concatenate([2.0 * chosen, np.ones((len(chosen), 1))], -1)
@@ -116,14 +101,17 @@ def _common_circle(points: Float[np.ndarray, "n 2"]) -> tuple[float, float, floa
 
 
 def usable_pixels(
-    shape: tuple[int, int], circle: tuple[float, float, float] | None, mask: Bool[np.ndarray, "h w"] | None
+    shape: tuple[int, int],
+    circle: tuple[float, float, float] | None,
+    mask: Bool[np.ndarray, "h w"] | None,
+    options: ImageCircleOptions,
 ) -> Bool[np.ndarray, "h w"]:
     """Pixels at which an edge may be one of the scene: not near the rim of the image circle, nor near what `mask` leaves out."""
     height, width = shape
     allowed = np.ones((height, width), dtype=np.uint8)
     if circle is not None:
         u, v, radius = circle
-        inner = radius - max(MARGIN_PX, MARGIN_SHARE * radius)
+        inner = radius - _margin_px(radius, options)
         allowed[:] = (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] <= inner**2
     if mask is not None:
         side = 2 * MASK_MARGIN_PX + 1
@@ -131,34 +119,44 @@ def usable_pixels(
     return allowed.astype(bool)
 
 
-def rim_width(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float]) -> float:
+def _margin_px(radius: float, options: ImageCircleOptions) -> float:
+    """What is left out inside the rim."""
+    return max(options.margin_px, options.margin_share * radius)
+
+
+def rim_width(image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], options: ImageCircleOptions) -> float:
     """Pixels from the first light inwards over which the light rises: the median of all directions at each depth."""
     u, v, radius = circle
     turn = 2.0 * np.pi * np.arange(RAYS) / RAYS
-    depth = np.arange(max(int(RIM_SHARE * radius), 2))
+    depth = np.arange(max(int(options.slope_share * radius), 2))
     place = (radius - depth)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], -1) + np.array([u, v])
     height, width = image.shape[:2]
     inside = ((place >= 0) & (place <= np.array([width, height]) - 1.0)).all((0, 2))
     if not inside.any():
         return float(depth[-1])
     light = np.median(_brightest(image, place[:, inside]).astype(np.float64), axis=1)
-    full = light >= FULL_LIGHT * light[-1]
+    full = light >= options.full_light * light[-1]
     return float(full.argmax())
 
 
 def follows_rim(
-    image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], points: Float[np.ndarray, "n 4"]
+    image: UInt[np.ndarray, "h w *channels"],
+    circle: tuple[float, float, float],
+    points: Float[np.ndarray, "n 4"],
+    min_cosine: float,
+    options: ImageCircleOptions,
 ) -> Bool[np.ndarray, " n"]:
-    """Which edge points (u, v, direction across) belong to the rim: near it, along it, and darker outside.
+    """Which edge points (u, v, direction across) belong to the rim: near it, along it (the cosine of the
+    direction across and the radius is more than `min_cosine`), and darker outside.
 
     The rim of many lenses is no step but a slope of many pixels, with edges of its own.
     """
     u, v, radius = circle
-    rim = radius - max(MARGIN_SHARE * radius, MARGIN_PX) - rim_width(image, circle)
+    rim = radius - _margin_px(radius, options) - rim_width(image, circle, options)
     outwards = points[:, :2] - np.array([u, v])
     distance = np.maximum(np.linalg.norm(outwards, axis=-1), 1e-9)
     outwards /= distance[:, None]
-    along = np.abs((outwards * points[:, 2:]).sum(-1)) > RIM_COSINE
+    along = np.abs((outwards * points[:, 2:]).sum(-1)) > min_cosine
     rows = np.flatnonzero((distance > rim) & along)
     inner, outer = (_brightest(image, points[rows, :2] + side * _BESIDE_PX * outwards[rows]) for side in (-1, 1))
     result = np.zeros(len(points), dtype=bool)

@@ -12,27 +12,15 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2, spans
-from omnilines.extraction.curves import Samples
 from omnilines.extraction.kernels.pair import near_pairs
+from omnilines.extraction.kernels.tables import PairLimits, Ranked, Samples
+from omnilines.extraction.options import MergingOptions, SupportOptions
 from omnilines.extraction.refit import Photo, support_of
 
-NEAR_RAD = 0.08
-"""Normals farther apart are not compared."""
-MOST_CHI2 = 20.0
-"""Of two degrees of freedom; exceeded once in 22000 pairs of one edge."""
-BLIND_PX = 5.0
-"""A gap that is crossed without support."""
-MOST_GAP_PX, MOST_GAP_RAD = 60.0, 0.35
-GAP_SUPPORT = 0.8
-"""Share of a longer gap beside which there must be edge points."""
-SAME_PX = 1.0
-"""An arc that lies so near to a longer one over most of its length is the same edge seen twice."""
-MOST_OFF_PX = 2.0
-"""Of the ends of an arc from the circle of one that it is joined with; of the nearer one half of that."""
+MOST_GAP_RAD = 0.35
+"""A gap that is longer is not looked across, whatever its pixels."""
 _SAFETY = 1.5
 """Over the pixels for a radian where an arc has fewest of them, measured at a few places of it."""
-_BLINK_PX = 0.05
-"""Standard deviation across arcs added to what their covariances say: edges are not ideal."""
 
 
 @dataclass(frozen=True)
@@ -52,36 +40,44 @@ class _Pairs:
         return _Pairs(self.a[rows], self.b[rows], self.angles[rows], self.gap[rows], self.after[rows])
 
 
-def merged(photo: Photo, arcs: Arcs) -> Arcs:
+def merged(photo: Photo, arcs: Arcs, options: MergingOptions, support: SupportOptions) -> Arcs:
     """The arcs with pieces of one edge joined and duplicates dropped; joined ones want a refit."""
     if len(arcs) < 2:
         return arcs
     length_px, rate = spans(photo.model, arcs)
-    pairs = _pairs(arcs, length_px, rate, MOST_OFF_PX, MOST_GAP_PX)
+    pairs = _pairs(arcs, length_px, rate, options.max_off_px, options.max_gap_px, max_normal_rad=options.max_normal_rad)
     if not len(pairs.a):
         return arcs
     pixels_per_rad = length_px / np.maximum(arcs.high - arcs.low, 1e-9)
     gap_px = pairs.gap * np.minimum(pixels_per_rad[pairs.a], pixels_per_rad[pairs.b])
-    follows = gap_px < np.minimum(MOST_GAP_PX, 0.5 * (length_px[pairs.a] + length_px[pairs.b]))
+    follows = gap_px < np.minimum(options.max_gap_px, 0.5 * (length_px[pairs.a] + length_px[pairs.b]))
     offset = _offsets(photo, arcs, pairs)
-    allowed = follows & (offset.min(-1) < 0.5 * MOST_OFF_PX) & (offset.max(-1) < MOST_OFF_PX)
-    allowed[allowed] = _chi2(arcs, pairs.keep(allowed), pixels_per_rad) < MOST_CHI2
+    allowed = follows & (offset.min(-1) < 0.5 * options.max_off_px) & (offset.max(-1) < options.max_off_px)
+    allowed[allowed] = _chi2(arcs, pairs.keep(allowed), pixels_per_rad, options.edge_sigma_px) < options.max_chi2
     joins = pairs.keep(allowed)
-    joins = joins.keep((gap_px[allowed] <= BLIND_PX) | _filled(photo, arcs, joins, gap_px[allowed]))
-    twice = pairs.keep(_overlaps(arcs, pairs) & (offset.max(-1) < SAME_PX) & ~allowed)
+    gap_px = gap_px[allowed]
+    filled = _filled(photo, arcs, joins, gap_px, options, support=support)
+    joins = joins.keep((gap_px <= support.max_blind_px) | filled)
+    twice = pairs.keep(_overlaps(arcs, pairs) & (offset.max(-1) < options.same_px) & ~allowed)
     dropped = np.zeros(len(arcs), dtype=bool)
     dropped[np.where(length_px[twice.a] < length_px[twice.b], twice.a, twice.b)] = True
     return _joined(arcs, length_px, joins.keep(~dropped[joins.a] & ~dropped[joins.b]), dropped)
 
 
 def duplicates(
-    photo: Photo, arcs: Arcs, rank: Float[np.ndarray, " n"], kin: Int[np.ndarray, " n"], same_px: float = SAME_PX
+    photo: Photo,
+    arcs: Arcs,
+    rank: Float[np.ndarray, " n"],
+    kin: Int[np.ndarray, " n"],
+    same_px: float,
+    *,
+    max_normal_rad: float,
 ) -> Bool[np.ndarray, " n"]:
     """Arcs that lie beside one of higher rank over most of their length; those of the same number in `kin` are not compared."""
     dropped = np.zeros(len(arcs), dtype=bool)
     if len(arcs) < 2:
         return dropped
-    pairs = _pairs(arcs, rank, spans(photo.model, arcs)[1], same_px, 0.0)
+    pairs = _pairs(arcs, rank, spans(photo.model, arcs)[1], same_px, 0.0, max_normal_rad=max_normal_rad)
     pairs = pairs.keep(kin[pairs.a] != kin[pairs.b])
     if len(pairs.a):
         dropped[pairs.b[_offsets(photo, arcs, pairs).max(-1) < same_px]] = True
@@ -89,13 +85,18 @@ def duplicates(
 
 
 def _pairs(
-    arcs: Arcs, rank: Float[np.ndarray, " n"], rate: Float[np.ndarray, " n"], most_off_px: float, most_gap_px: float
+    arcs: Arcs,
+    rank: Float[np.ndarray, " n"],
+    rate: Float[np.ndarray, " n"],
+    max_off_px: float,
+    max_gap_px: float,
+    *,
+    max_normal_rad: float,
 ) -> _Pairs:
     """Each pair once, the arc of higher rank (its length in pixels, where gaps are allowed) first."""
-    beside = np.minimum(_SAFETY * most_off_px / np.maximum(rate, 1e-9), 1.0)
-    found, values, _ = near_pairs(
-        arcs.frame, arcs.low, arcs.high, rank, np.sin(beside), NEAR_RAD, most_gap_px, MOST_GAP_RAD, LONGEST_RAD
-    )
+    beside = np.minimum(_SAFETY * max_off_px / np.maximum(rate, 1e-9), 1.0)
+    table = Ranked(arcs.frame, arcs.low, arcs.high, rank, np.sin(beside))
+    found, values, _ = near_pairs(table, PairLimits(max_normal_rad, max_gap_px, MOST_GAP_RAD, LONGEST_RAD))
     rows = np.lexsort((found.max(-1), found.min(-1)))
     found, values = found[rows], values[rows]
     return _Pairs(found[:, 0], found[:, 1], values[:, :2], values[:, 2], values[:, 3] > 0)
@@ -109,9 +110,9 @@ def _seen_from(arcs: Arcs, a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"]) -
     return (basis.mT @ other[..., None])[..., 0], turn @ arcs.covariance[b] @ turn.mT
 
 
-def _chi2(arcs: Arcs, pairs: _Pairs, pixels_per_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+def _chi2(arcs: Arcs, pairs: _Pairs, pixels_per_rad: Float[np.ndarray, " n"], edge_sigma_px: float) -> Float[np.ndarray, " k"]:
     half = np.sin(np.clip(0.5 * (arcs.high - arcs.low), 1e-6, 0.5 * np.pi))
-    extra = (_BLINK_PX / pixels_per_rad) ** 2
+    extra = (edge_sigma_px / pixels_per_rad) ** 2
     loose = arcs.covariance.copy()
     loose[:, 0, 0] += extra
     loose[:, 1, 1] += extra / half**2
@@ -137,9 +138,17 @@ def _offsets(photo: Photo, arcs: Arcs, pairs: _Pairs) -> Float[np.ndarray, "k 2"
     return np.where(valid, offset, np.inf).reshape(-1, 2)
 
 
-def _filled(photo: Photo, arcs: Arcs, pairs: _Pairs, gap_px: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+def _filled(
+    photo: Photo,
+    arcs: Arcs,
+    pairs: _Pairs,
+    gap_px: Float[np.ndarray, " k"],
+    options: MergingOptions,
+    *,
+    support: SupportOptions,
+) -> Bool[np.ndarray, " k"]:
     """Whether edge points lie in the gap of each pair, on the circle of the first."""
-    count = np.clip(np.ceil(gap_px), 1, MOST_GAP_PX).astype(np.int64)
+    count = np.clip(np.ceil(gap_px), 1, options.max_gap_px).astype(np.int64)
     starts = np.concatenate([[0], np.cumsum(count)])
     owner = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(owner)) - starts[owner] + 0.5) / count[owner]
@@ -147,8 +156,8 @@ def _filled(photo: Photo, arcs: Arcs, pairs: _Pairs, gap_px: Float[np.ndarray, "
     end = np.where(pairs.after, pairs.angles[:, 0], arcs.low[pairs.a])
     angle = begin[owner] + share * (end - begin)[owner]
     pixel, across, rate, valid = across_px(photo.model, arcs, pairs.a[owner], angle)
-    there = support_of(photo, Samples(owner, starts, angle, pixel, across, rate, valid))
-    return np.bincount(owner, there, len(count)) >= GAP_SUPPORT * count
+    there = support_of(photo, Samples(owner, starts, angle, pixel, across, rate, valid), support)
+    return np.bincount(owner, there, len(count)) >= options.min_gap_support * count
 
 
 def _joined(arcs: Arcs, length_px: Float[np.ndarray, " n"], joins: _Pairs, dropped: Bool[np.ndarray, " n"]) -> Arcs:

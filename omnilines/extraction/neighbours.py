@@ -13,45 +13,28 @@ from scipy.special import stdtrit
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import LEAST_BLOCKS, Blocks, Profiled, fit_places
+from omnilines.extraction.blocks import Blocks, Profiled, StepFit, fit_places
 from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.step_edge import ROUNDS
+from omnilines.extraction.kernels.tables import Places
+from omnilines.extraction.options import ExtractionOptions, NeighbourOptions, RefitOptions
 from omnilines.extraction.refit import floor_covariance, moved
 
-TAPER_PX, WIDE_TAPER_PX = 1.0, 2.0
-"""Standard deviations of the weights of a profile: to fit an arc, and to see how much that depends on what lies beside it."""
-BLUR_FACTOR = 1.1
-"""Blur that another fit assumes, over the photo's."""
-WIDE_SHARE, BLUR_SHARE = 2.0, 1.0
-"""Standard deviation by either, over the difference between the fits."""
-CROWDED = 0.2
-"""Share of an arc's length that has others beside it, from which on it is fitted with them."""
-MOST_SHIFT_PX = 2.0
-SCATTER_PX = 0.02
-"""Standard deviation of a place in a profile without noise."""
-FLOOR_PX = 0.015
-"""Standard deviation across the arc that no number of pixels lowers."""
-MUCH_WORSE = 4.0
-"""Variance of an arc fitted with others over its own, from which on the former is not believed."""
-ALONE_SHARE = 2.0
-"""Standard deviation of the latter by what it does not know of, over the difference between both."""
-MOST_OFF_PX = 0.4
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
-TYPICAL_BLUR_PX = 0.7
-"""Where no arc tells the blur of the photo."""
 BLUR_ARCS, BLUR_STRIDE = 40, 3
-SHARP_CONTRAST = 20.0
+"""The longest arcs tell the blur; blurs that are skipped at first."""
 
 
-def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"]) -> float:
+def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"], options: ExtractionOptions) -> float:
     """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them."""
-    strong = np.flatnonzero((contrast >= SHARP_CONTRAST) & (np.diff(known.blocks.starts) >= LEAST_BLOCKS))
-    blocks = known.crossed(model, strong)
-    lone = np.flatnonzero(blocks.mean((blocks.count > 1).astype(np.float64)) < CROWDED)
+    beside = options.neighbours
+    strong = np.flatnonzero((contrast >= options.blur.min_grey) & (np.diff(known.blocks.starts) >= beside.min_blocks))
+    blocks = known.crossed(model, strong, beside.min_cosine)
+    lone = np.flatnonzero(blocks.mean((blocks.count > 1).astype(np.float64)) < beside.crowded_share)
     # Longest first.
     lone = np.sort(lone[np.argsort(-np.diff(blocks.starts)[lone], kind="stable")[:BLUR_ARCS]])
     if not len(lone):
-        return TYPICAL_BLUR_PX
+        return options.blur.typical_px
     blocks = known.blocks.keep(strong[lone])
     left = np.full((len(BLURS_PX), len(lone)), np.inf)
     # Some blurs first; then those around the median of the best, on which alone it depends.
@@ -59,7 +42,7 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     for _ in range(2):
         place = blocks.place
         for k in tried:
-            place, _, _, rest = fit_places(blocks, place, TAPER_PX, float(BLURS_PX[k]))
+            place, _, _, rest = fit_places(blocks, place, step_fit(beside, options.refit.taper_px, float(BLURS_PX[k])))
             left[k] = blocks.mean(rest)
         middle = round(float(np.median(left.argmin(0))))
         near = np.arange(max(middle - BLUR_STRIDE, 0), min(middle + BLUR_STRIDE + 1, len(BLURS_PX)))
@@ -67,16 +50,21 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     return float(np.median(BLURS_PX[left.argmin(0)]))
 
 
-def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], taper_px: float, blur_px: float, rounds: int = ROUNDS) -> tuple:
+def step_fit(options: NeighbourOptions, taper_px: float, blur_px: float, rounds: int = ROUNDS) -> StepFit:
+    """How the steps of arcs and their neighbours are fitted in a window."""
+    return StepFit(taper_px, blur_px, options.own_sigma_px, options.other_sigma_px, rounds)
+
+
+def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], fit: StepFit, options: NeighbourOptions) -> tuple:
     """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
-    place, variance, _, _ = fit_places(blocks, start, taper_px, blur_px, rounds)
-    weight = 1.0 / (variance + SCATTER_PX**2)
-    fit = fit_circles(blocks.starts, blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole, MOST_SHIFT_PX)
-    return (*fit, place, variance)
+    place, variance, _, _ = fit_places(blocks, start, fit)
+    weight = 1.0 / (variance + options.scatter_px**2)
+    places = Places(blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole)
+    return (*fit_circles(blocks.starts, places, options.max_shift_px), place, variance)
 
 
-def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
-    """Arcs that have others beside them over CROWDED of their length, fitted anew with them; the others are as they were.
+def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: NeighbourOptions, refit: RefitOptions) -> Arcs:
+    """Arcs that have others beside them over much of their length, fitted anew with them; the others are as they were.
 
     The covariance holds the scatter of the places, and how much the arc moves where the window is wider or the blur another:
     the first tells of edges beside it that are not known. Where that makes it much worse than that of the arc by itself, the
@@ -84,28 +72,33 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float) -> Arcs:
     its covariance.
     """
     arcs = known.arcs
-    whole = known.crossed(model, np.arange(len(arcs)))
+    whole = known.crossed(model, np.arange(len(arcs)), options.min_cosine)
     crowded_share = whole.mean((whole.count > 1).astype(np.float64))
-    rows = np.flatnonzero((crowded_share >= CROWDED) & (np.bincount(whole.owner, whole.whole, whole.arcs) >= LEAST_BLOCKS))
+    blocks_read = np.bincount(whole.owner, whole.whole, whole.arcs)
+    rows = np.flatnonzero((crowded_share >= options.crowded_share) & (blocks_read >= options.min_blocks))
     if not len(rows):
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
-    change, inverse, scatter, used, residual, place, variance = _circles(blocks, blocks.place, TAPER_PX, blur_px)
+    change, inverse, scatter, used, residual, place, variance = _circles(
+        blocks, blocks.place, step_fit(options, refit.taper_px, blur_px), options
+    )
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.
     few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
-    covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, FLOOR_PX)
-    for taper_px, blur, share in ((WIDE_TAPER_PX, blur_px, WIDE_SHARE), (TAPER_PX, BLUR_FACTOR * blur_px, BLUR_SHARE)):
-        # To first order: it is a standard deviation.
-        bias = _circles(blocks, place, taper_px, blur, 1)[0] - change
-        covariance += share**2 * bias[:, :, None] * bias[:, None]
-    low, high = _trimmed(crowded, blocks, residual, variance)
+    covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    # To first order: it is a standard deviation.
+    wide = step_fit(options, options.wide_taper_px, blur_px, 1)
+    blurred = step_fit(options, refit.taper_px, options.blur_factor * blur_px, 1)
+    for fit, sigmas in ((wide, refit.bias_sigmas), (blurred, options.blur_sigmas)):
+        bias = _circles(blocks, place, fit, options)[0] - change
+        covariance += sigmas**2 * bias[:, :, None] * bias[:, None]
+    low, high = _trimmed(crowded, blocks, residual, variance, refit.max_end_px)
     fitted = replace(moved(crowded, change, covariance), low=low, high=high)
-    alone = crowded.covariance + ALONE_SHARE**2 * change[:, :, None] * change[:, None]
-    worse = _across(crowded, covariance) > MUCH_WORSE * _across(crowded, crowded.covariance)
+    alone = crowded.covariance + refit.bias_sigmas**2 * change[:, :, None] * change[:, None]
+    worse = _across(crowded, covariance) > options.max_worse * _across(crowded, crowded.covariance)
     stays = replace(crowded, covariance=alone)
     result = arcs.keep(np.arange(len(arcs)))
     for better, those in ((fitted, ~worse), (stays, worse)):
-        those &= used >= LEAST_BLOCKS
+        those &= used >= options.min_blocks
         for field in fields(Arcs):
             getattr(result, field.name)[rows[those]] = getattr(better, field.name)[those]
     return result.centred()
@@ -118,10 +111,10 @@ def _across(arcs: Arcs, covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndar
 
 
 def _trimmed(
-    arcs: Arcs, blocks: Blocks, residual: Float[np.ndarray, " m"], variance: Float[np.ndarray, " m"]
+    arcs: Arcs, blocks: Blocks, residual: Float[np.ndarray, " m"], variance: Float[np.ndarray, " m"], max_end_px: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Ends of arcs moved inwards to where their edge lies on the circle: beyond, they follow another one."""
-    on = np.abs(residual) <= np.maximum(MOST_OFF_PX, 3.0 * np.sqrt(variance))
+    on = np.abs(residual) <= np.maximum(max_end_px, 3.0 * np.sqrt(variance))
     index = np.arange(len(on))
     filled = np.diff(blocks.starts) > 0
     first, last = np.zeros(len(arcs), dtype=np.int64), np.zeros(len(arcs), dtype=np.int64)

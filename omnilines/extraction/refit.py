@@ -4,23 +4,18 @@ import functools
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs, inverse_2x2
-from omnilines.extraction.curves import Samples, samples
-from omnilines.extraction.edgels import Edgels, grey_unit
-from omnilines.extraction.kernels.profile import TAPER_PX, WIDE_TAPER_PX, step_filters, supported
-from omnilines.extraction.kernels.refit import FIGURES, LAGS, LEAST_COSINE, WITHIN_PX, refit_arcs
+from omnilines.extraction.curves import samples
+from omnilines.extraction.edgels import grey_unit
+from omnilines.extraction.kernels.profile import along_weights, step_filters, supported
+from omnilines.extraction.kernels.refit import FIGURES, LAGS, Filters, Limits, refit_arcs
+from omnilines.extraction.kernels.tables import Edgels, Picture, Samples
+from omnilines.extraction.options import ExtractionOptions, RefitOptions, SupportOptions
 
-FLOOR_PX = 0.01
-"""Standard deviation across the arc that no number of pixels lowers: interpolation, and what the blur's shape hides."""
 SETTLED = 0.25
-BIAS = 2.0
-"""Standard deviation by what lies beside the edge, over the difference between a wide and a narrow window."""
-BEND_RATIO = 20.0
-"""An arc bends where two circles gain so much over one: F of two and n - 4 degrees of freedom, over the correlation of the
-residuals."""
 _LEAST_PAIRS = 50
 """Residuals so many px apart, from which on their correlation is known."""
 _ARCS = 4_000
@@ -34,6 +29,11 @@ class Photo:
     image: Shaped[np.ndarray, "h w c"]
     model: CameraModel
     edgels: Edgels
+
+    @property
+    def picture(self) -> Picture:
+        """As compiled loops read it."""
+        return Picture(self.image, grey_unit(self.image), self.model.PERIODIC)
 
 
 @dataclass(frozen=True)
@@ -77,38 +77,31 @@ class Refitted:
 
 
 @functools.cache
-def _filters() -> Float32[np.ndarray, "2 b k1 k"]:
-    return np.stack([step_filters(TAPER_PX), step_filters(WIDE_TAPER_PX)])
+def _filters(options: RefitOptions) -> Filters:
+    windows = np.stack([step_filters(options.taper_px), step_filters(options.wide_taper_px)])
+    return Filters(windows, along_weights(options.along_px))
 
 
-def refit(photo: Photo, arcs: Arcs, beyond_px: float, least_px: float) -> Refitted:
-    """Fit arcs anew and let them end where their edges do, at most `beyond_px` from where they ended; those that do not come out
-    at `least_px` are lost."""
+def refit(photo: Photo, arcs: Arcs, growth_px: float, min_px: float, options: ExtractionOptions) -> Refitted:
+    """Fit arcs anew and let them end where their edges do, at most `growth_px` from where they ended; those that do not come out
+    at `min_px` are lost."""
+    limits = Limits(min_px, options.pieces.min_px, options.support, options.refit)
     found, products = np.zeros(len(arcs), dtype=FIGURES), np.zeros((LAGS, 2))
     for k in range(0, len(arcs), _ARCS):
         rows = slice(k, k + _ARCS)
         part = arcs.keep(np.arange(len(arcs))[rows])
-        at = samples(photo.model, part, beyond_px)
+        at = samples(photo.model, part, growth_px)
         refit_arcs(
-            photo.image,
-            grey_unit(photo.image),
-            photo.edgels.number,
-            photo.edgels.points,
-            photo.model.PERIODIC,
-            at.starts,
-            at.angle,
-            at.pixel,
-            at.across,
-            at.rate,
-            at.valid,
-            part.low,
-            part.high,
-            least_px,
-            _filters(),
-            found[rows],
-            products,
+            photo.picture,
+            photo.edgels,
+            at,
+            ends=np.stack([part.low, part.high], -1),
+            limits=limits,
+            filters=_filters(options.refit),
+            table=found[rows],
+            products=products,
         )
-    return _refitted(arcs, found, _correlation(products))
+    return _refitted(arcs, found, _correlation(products), options.refit)
 
 
 def joined(parts: list[Arcs]) -> Arcs:
@@ -117,26 +110,26 @@ def joined(parts: list[Arcs]) -> Arcs:
     return Arcs(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def support_of(photo: Photo, at: Samples) -> Shaped[np.ndarray, " m"]:
+def support_of(photo: Photo, at: Samples, options: SupportOptions) -> Shaped[np.ndarray, " m"]:
     """Which samples have an edge point of the arc's direction beside them."""
-    closed = photo.model.PERIODIC
-    edgels = photo.edgels
-    return supported(edgels.number, edgels.points, at.pixel, at.across, WITHIN_PX, LEAST_COSINE, closed) & at.valid
+    return supported(photo.edgels, at.pixel, at.across, options) & at.valid
 
 
-def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float) -> Refitted:
+def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float, options: RefitOptions) -> Refitted:
     """Of what `refit_arcs` found."""
     rows = np.flatnonzero(found["used"] > 0)
     kept, own = arcs.keep(rows), found[rows]
     change = np.stack([own["a"], own["b"]], -1)
     bias = np.stack([own["wide_a"], own["wide_b"]], -1) - change
     matrix = np.stack([np.stack([own["m00"], own["m01"]], -1), np.stack([own["m01"], own["m11"]], -1)], -2)
-    covariance = inverse_2x2(matrix) * (own["variance"] * correlation)[:, None, None] + _floor(kept, own["rate"], FLOOR_PX)
+    covariance = inverse_2x2(matrix) * (own["variance"] * correlation)[:, None, None] + _floor(
+        kept, own["rate"], options.floor_px
+    )
     # What lies beside the edge pulls a wide window more than a narrow one.
-    covariance += BIAS**2 * bias[:, :, None] * bias[:, None]
+    covariance += options.bias_sigmas**2 * bias[:, :, None] * bias[:, None]
     low, high = own["low"], own["high"]
     # Angles are counted from the middle of the arc, which has moved.
-    bend = np.where(own["bend_ratio"] > BEND_RATIO * correlation, own["bend"] - 0.5 * (low + high), np.nan)
+    bend = np.where(own["bend_ratio"] > options.min_bend_ratio * correlation, own["bend"] - 0.5 * (low + high), np.nan)
     cut, settled = [], np.ones(len(rows), dtype=bool)
     for angle in (low, high):
         way = np.stack([np.cos(angle), np.sin(angle)], -1)

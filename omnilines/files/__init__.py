@@ -2,7 +2,18 @@
 
 from omnilines.files.corners import is_corners_table, is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.files.lines import read_lines, write_covariance, write_lines
-from omnilines.files.photos import PHOTO_SUFFIXES, PhotoRef, find_photos, read_photo
+from omnilines.files.photos import (
+    PHOTO_SUFFIXES,
+    Photo,
+    PhotoArray,
+    PhotoRef,
+    Photos,
+    find_photos,
+    photo_folder,
+    photos_of,
+    read_photo,
+    write_png,
+)
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
@@ -10,10 +21,15 @@ from omnilines.files.vgg_house import read_vgg_lines, read_vgg_points
 
 __all__ = [
     "PHOTO_SUFFIXES",
+    "Photo",
+    "PhotoArray",
     "PhotoRef",
+    "Photos",
     "find_photos",
     "is_corners_table",
     "is_rig_table",
+    "photo_folder",
+    "photos_of",
     "read_corners",
     "read_lines",
     "read_photo",
@@ -26,6 +42,7 @@ __all__ = [
     "write_covariance",
     "write_lines",
     "write_ply",
+    "write_png",
     "write_poses",
     "write_segments",
 ]

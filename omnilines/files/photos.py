@@ -1,20 +1,21 @@
-"""Photos on disk: finding them in folders, naming them as the tables do, reading them."""
+"""Photos on disk: finding them in folders, naming them as the tables do, reading and writing them."""
 
 import contextlib
 import os
 import re
 import threading
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import UInt
+from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import read_bytes
+from camera_models.formats.disk import read_bytes, write_atomically
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 
@@ -26,6 +27,62 @@ class PhotoRef:
     path: Path
     name: str
     """POSIX path relative to the photo folder."""
+
+    def read(self) -> UInt[np.ndarray, "h w *channels"]:
+        """The pixels, as `read_photo` gives them."""
+        return read_photo(self.path)
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoArray:
+    """A photo in memory and the name it has in tables."""
+
+    name: str
+    pixels: UInt[np.ndarray, "h w *channels"]
+
+    def read(self) -> UInt[np.ndarray, "h w *channels"]:
+        """The pixels."""
+        return self.pixels
+
+
+Photo: TypeAlias = PhotoRef | PhotoArray
+Photos: TypeAlias = str | Path | Sequence[str | Path] | Sequence[Photo] | Mapping[str, Any]
+"""What a user may give as photos: a folder, files and folders, what `photos_of` made of them, or names with their pixels (NumPy
+or torch)."""
+
+
+def photos_of(photos: Photos) -> list[Photo]:
+    """The photos of a folder, of files and folders, or of a mapping of names to arrays: (h, w) grey or (h, w, 3) BGR, of 8 or 16
+    bits.
+
+    Raises InputError as `find_photos` does, and where an array is no photo.
+    """
+    if isinstance(photos, Mapping):
+        if not photos:
+            raise InputError("Photos were expected as a mapping of names to arrays, found an empty one; give one or more.")
+        return [_photo_array(name, pixels) for name, pixels in photos.items()]
+    if isinstance(photos, str | Path):
+        return list(find_photos([photos]))
+    given = [photo for photo in photos if isinstance(photo, PhotoRef | PhotoArray)]
+    return given if given else list(find_photos([photo for photo in photos if isinstance(photo, str | Path)]))
+
+
+def _photo_array(name: str, pixels: Any) -> PhotoArray:
+    array = np.asarray(pixels)
+    if array.dtype not in (np.uint8, np.uint16) or array.shape[2:] not in ((), (3,)) or array.ndim < 2:
+        raise InputError(
+            f"The photo {name} was expected as an array (h, w) or (h, w, 3) of 8 or 16 bits, found {array.shape} of "
+            f"{array.dtype}; convert it."
+        )
+    return PhotoArray(name, array)
+
+
+def photo_folder(photos: Sequence[Photo]) -> Path | None:
+    """The folder that the photos' names are relative to; None of photos in memory or with names of their own."""
+    photo = photos[0]
+    if not isinstance(photo, PhotoRef) or photo.path.parts[-len(Path(photo.name).parts) :] != Path(photo.name).parts:
+        return None
+    return photo.path.parents[len(Path(photo.name).parts) - 1]
 
 
 def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
@@ -118,6 +175,12 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
     return pixels
+
+
+def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
+    """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
+    encoded = cv2.imencode(".png", photo)[1]
+    write_atomically(path, encoded.tobytes())
 
 
 _stderr_is_taken = threading.Lock()

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._arrays import array_function
-from camera_models.errors import GeometryError
 
 SERIES_BELOW_RAD = 0.03
 """Below this arc angle phi - sin(phi) cos(phi) is summed as a series; four terms are exact to double precision there."""
@@ -86,20 +85,3 @@ def sector_moment_factor(v1: Float[Tensor, "*batch 3"], v2: Float[Tensor, "*batc
     schur_over_sine2 = 1 / 3 + ratio - d12_over_sine**2 / d11
     first = d11.sqrt()[..., None] * v1 + (d12_over_sine / d11.sqrt())[..., None] * across
     return torch.stack([first, schur_over_sine2.sqrt()[..., None] * across], -2)
-
-
-@array_function
-def common_rotation(source: Float[Tensor, "*batch n 3"], target: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """The rotation R that minimises sum |target - R source|^2 over corresponding bearings (Kabsch 1976).
-
-    Raises GeometryError where the bearings lie (nearly) on one axis, which leaves the rotation about it free.
-    """
-    u, singular, vt = torch.linalg.svd(target.mT @ source)
-    if bool((singular[..., 1] <= 1e-12 * singular[..., 0]).any()):
-        raise GeometryError(
-            "The common rotation of two sets of bearings needs at least two that are not parallel, found all on one axis; "
-            "give bearings spread over the image."
-        )
-    sign = torch.ones_like(singular)
-    sign[..., 2] = torch.linalg.det(u) * torch.linalg.det(vt)
-    return (u * sign[..., None, :]) @ vt

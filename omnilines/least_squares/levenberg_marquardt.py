@@ -186,9 +186,9 @@ class Minimum(Generic[S]):
 class DenseEngine(Generic[S]):
     """Any problem: batched products in torch and a dense reduced system."""
 
-    def __init__(self, problem: Problem[S], state: S, loss: Loss, settle: Callable[[S], S] | None = None) -> None:
-        """`settle` takes the eliminated blocks of a state to lower costs of their own, after every step."""
-        self.problem, self.loss, self.settle = problem, loss, settle
+    def __init__(self, problem: Problem[S], state: S, loss: Loss, converge: Callable[[S], S] | None = None) -> None:
+        """`converge` takes the eliminated blocks of a state to lower costs of their own, after every step."""
+        self.problem, self.loss, self.converge = problem, loss, converge
         self._trial: tuple[S, Linearisation | CellLinearisation, Tensor] | None = None
         self._at: tuple[S, NormalEquations] | None = None
         self.residuals = 0
@@ -221,8 +221,8 @@ class DenseEngine(Generic[S]):
             return None
         eliminated = back_substitute(reduced, kept)
         trial = self.problem.retract(state, kept, eliminated)
-        if self.settle is not None:
-            trial = self.settle(trial)
+        if self.converge is not None:
+            trial = self.converge(trial)
         return Step(trial, self.cost(trial), equations.promised_decrease(kept, eliminated, damping))
 
 
@@ -230,6 +230,7 @@ def minimise(
     engine: Engine[S],
     state: S,
     max_iterations: int = 100,
+    *,
     tolerance: float = 1e-12,
     callback: Callable[[Progress], None] | None = None,
     damping: float = 1e-4,
@@ -278,15 +279,16 @@ def solve(
     problem: Problem[S],
     state: S,
     loss: Loss | None = None,
+    *,
     max_iterations: int = 100,
     tolerance: float = 1e-12,
     callback: Callable[[Progress], None] | None = None,
     damping: float = 1e-4,
-    settle: Callable[[S], S] | None = None,
+    converge: Callable[[S], S] | None = None,
 ) -> Solution[S]:
-    """Minimise sum loss(|r|^2) of any problem; the options are those of `minimise` and, `settle`, of `DenseEngine`."""
-    engine = DenseEngine(problem, state, loss or Loss(), settle)
-    found = minimise(engine, state, max_iterations, tolerance, callback, damping)
+    """Minimise sum loss(|r|^2) of any problem; the options are those of `minimise` and, `converge`, of `DenseEngine`."""
+    engine = DenseEngine(problem, state, loss or Loss(), converge)
+    found = minimise(engine, state, max_iterations, tolerance=tolerance, callback=callback, damping=damping)
     return _finish(problem, found, reduce(engine.equations(found.state), 0.0))
 
 
@@ -301,4 +303,14 @@ def _finish(problem: Problem[S], found: Minimum[S], reduced: Reduced) -> Solutio
         direction = basis @ vectors[:, 0] if len(values) else reduced.right_side
     if smallest < LEAST_EIGENVALUE:
         outcome = Outcome.DEGENERATE
-    return Solution(found.state, outcome, found.cost, found.initial_cost, found.iterations, reduced, gauge, smallest, direction)
+    return Solution(
+        state=found.state,
+        outcome=outcome,
+        cost=found.cost,
+        initial_cost=found.initial_cost,
+        iterations=found.iterations,
+        reduced=reduced,
+        gauge=gauge,
+        smallest_eigenvalue=smallest,
+        weakest_direction=direction,
+    )

@@ -30,7 +30,7 @@ LOSSES: tuple[tuple[str, LossFunction], ...] = (("none", _none), ("huber", _hube
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss by name, bent at `scale` times the unit of the residual; `none` is plain least squares."""
+    """A loss by name, of this scale in the unit of the residual; `none` is plain least squares."""
 
     name: str = "none"
     scale: float = 1.0

@@ -133,7 +133,14 @@ def _of_observations(structure: Structure, at: Linearisation, weight: Float[Tens
     for a in range(len(structure.groups)):
         for b in range(len(structure.groups)):
             _add_kept_blocks(kept, structure, a, b, jk)
-    return NormalEquations(structure, kept.view(k, k), eliminated, coupling, kept_gradient, eliminated_gradient)
+    return NormalEquations(
+        structure=structure,
+        kept=kept.view(k, k),
+        eliminated=eliminated,
+        coupling=coupling,
+        kept_gradient=kept_gradient,
+        eliminated_gradient=eliminated_gradient,
+    )
 
 
 def _shared_normal_equations(structure: Structure, at: Linearisation, root: Float[Tensor, "n 1 1"]) -> NormalEquations:
@@ -146,7 +153,14 @@ def _shared_normal_equations(structure: Structure, at: Linearisation, root: Floa
     # The table of the coupling goes group by group, block by block.
     columns = zip(structure.offsets, structure.offsets[1:], strict=False)
     coupling = torch.cat([gram[seen, e + low : e + high, :e].flatten(0, 1) for low, high in columns])
-    return NormalEquations(structure, whole[:k, :k], gram[:, :e, :e], coupling, whole[:k, k], gram[:, :e, e + k])
+    return NormalEquations(
+        structure=structure,
+        kept=whole[:k, :k],
+        eliminated=gram[:, :e, :e],
+        coupling=coupling,
+        kept_gradient=whole[:k, k],
+        eliminated_gradient=gram[:, :e, e + k],
+    )
 
 
 def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
@@ -170,7 +184,14 @@ def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor,
         coupling.index_add_(0, table.flatten(), full[:, e:, :e].flatten(0, 1))
         kept_gradient.index_add_(0, columns.flatten(), right[:, e:].flatten())
         kept.index_add_(0, (columns[:, :, None] * k + columns[:, None, :]).flatten(), full[:, e:, e:].flatten())
-    return NormalEquations(structure, kept.view(k, k), eliminated, coupling, kept_gradient, gradient)
+    return NormalEquations(
+        structure=structure,
+        kept=kept.view(k, k),
+        eliminated=eliminated,
+        coupling=coupling,
+        kept_gradient=kept_gradient,
+        eliminated_gradient=gradient,
+    )
 
 
 def _add_kept_blocks(kept: Tensor, structure: Structure, a: int, b: int, jk: list[Tensor]) -> None:

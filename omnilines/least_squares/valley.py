@@ -37,7 +37,7 @@ from omnilines.least_squares.schur import CellLinearisation, Linearisation, Redu
 
 S = TypeVar("S")
 
-BENT = 0.15
+CURVED_SHARE = 0.15
 """Of the half width of an interval: so much an end may be off before the valley counts as curved."""
 PACE = 0.5
 """By so much the root of the cost, in standard deviations, is to rise from stop to stop."""
@@ -95,7 +95,15 @@ class _Stop(Generic[S]):
         values, vectors = torch.linalg.eigh(reduced.matrix * scale[:, None] * scale)
         way = vectors[:, 0] * (1.0 if float(vectors[:, 0] / scale @ before) >= 0 else -1.0)
         slope = -2 * float(scale * way @ reduced.right_side)
-        return _Stop(state, cost, reduced, scale * way, way / scale, slope, max(float(values[0]), 0.0))
+        return _Stop(
+            state=state,
+            cost=cost,
+            reduced=reduced,
+            direction=scale * way,
+            held=way / scale,
+            slope=slope,
+            curvature=max(float(values[0]), 0.0),
+        )
 
     def length(self, rise: float) -> float:
         """The h at which the cost has risen by so much."""
@@ -124,7 +132,7 @@ class _Stop(Generic[S]):
         step = length * self.direction
         start = problem.retract(self.state, step, back_substitute(self.reduced, step))
         engine = DenseEngine(_Across(problem, self.held), start, Loss())
-        found = minimise(engine, start, MOST_ITERATIONS, TOLERANCE, damping=1e-8)
+        found = minimise(engine, start, MOST_ITERATIONS, tolerance=TOLERANCE, damping=1e-8)
         reduced = reduce(engine.equations(found.state), 0.0)
         if not (reduced.sound and math.isfinite(found.cost) and bool(torch.isfinite(reduced.matrix).all())):
             return None
@@ -136,6 +144,7 @@ def curved_intervals(
     chosen: Solution[S],
     others: Sequence[Solution[S]],
     quantities: Quantities[S],
+    *,
     variance: float,
     sigmas: float,
 ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]] | None:
@@ -163,7 +172,7 @@ def _half(solution: Solution[S], quantities: Quantities[S], limit: float) -> Flo
 
 
 def _is_curved(problem: Problem[S], solution: Solution[S], quantities: Quantities[S], limit: float) -> bool:
-    """Whether the ends of the floor lie elsewhere than the linear covariance says, by more than a share BENT of an interval; they
+    """Whether the ends of the floor lie elsewhere than the linear covariance says, by more than CURVED_SHARE of an interval; they
     are sought by one Gauss-Newton step each."""
     stop = _Stop.at(solution.state, solution.cost, solution.reduced, solution.weakest_direction)
     if stop.curvature < LEAST_EIGENVALUE:
@@ -177,7 +186,7 @@ def _is_curved(problem: Problem[S], solution: Solution[S], quantities: Quantitie
             return True
         rise = math.sqrt(max(end[1] - solution.cost, 0.0) / limit)
         off = quantities.of(end[0]) - quantities.of(solution.state) - side * along
-        if not abs(rise - 1) <= BENT or bool((off.abs() > BENT * half).any()):
+        if not abs(rise - 1) <= CURVED_SHARE or bool((off.abs() > CURVED_SHARE * half).any()):
             return True
     return False
 
@@ -195,19 +204,26 @@ def _profile(
         if bool(((place >= low) & (place <= high)).all()):
             continue
         back, forth = (
-            _walk(problem, _Stop.at(solution.state, solution.cost, solution.reduced, way), quantities, least, unit, wide)
+            _walk(
+                problem,
+                _Stop.at(solution.state, solution.cost, solution.reduced, way),
+                quantities,
+                least=least,
+                unit=unit,
+                sigmas=wide,
+            )
             for way in (-solution.weakest_direction, solution.weakest_direction)
         )
         floors.append(_Floor([*back[:0:-1], *forth], len(back) == MOST_STOPS, len(forth) == MOST_STOPS))
         # Beyond a ridge there may be a lower place than any that was known.
         least = min(least, *(stop.cost for stop in floors[-1].stops))
-        found = [floor.reach(quantities, least, unit, sigmas, wide) for floor in floors]
+        found = [floor.reach(quantities, least, unit, sigmas=sigmas, wide=wide) for floor in floors]
         low, high = torch.stack([ends[0] for ends in found]).amin(0), torch.stack([ends[1] for ends in found]).amax(0)
     return low, high
 
 
 def _walk(
-    problem: Problem[S], first: _Stop[S], quantities: Quantities[S], least: float, unit: float, sigmas: float
+    problem: Problem[S], first: _Stop[S], quantities: Quantities[S], *, least: float, unit: float, sigmas: float
 ) -> list[_Stop[S]]:
     """The stops in the direction of the first one as far as the cost allows, and the one beyond, where there is one."""
     stops, pace = [first], PACE
@@ -239,7 +255,7 @@ class _Floor(Generic[S]):
     open_forth: bool
 
     def reach(
-        self, quantities: Quantities[S], least: float, unit: float, sigmas: float, wide: float
+        self, quantities: Quantities[S], least: float, unit: float, *, sigmas: float, wide: float
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         """Lowest and highest values, of quantities that turn back by the `wide` limit."""
         values = torch.stack([quantities.of(stop.state) for stop in self.stops])
@@ -277,4 +293,4 @@ class _Floor(Generic[S]):
 def _turns_back(values: Float[Tensor, "n p"], across: Float[Tensor, "n p"]) -> Bool[Tensor, " p"]:
     """Quantities that go a way back along the floor that shows beside their spread across it."""
     extent, net = values.amax(0) - values.amin(0), (values[-1] - values[0]).abs()
-    return extent - net > BENT * across.median(0).values
+    return extent - net > CURVED_SHARE * across.median(0).values

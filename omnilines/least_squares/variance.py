@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from scipy import stats
 
-DOUBT = 0.01
-"""Residuals as large as those found have a smaller chance than this where the noise is as stated: then it is not."""
+NORMAL_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class VarianceFactor:
         return float(stats.t.ppf(0.5 + 0.5 * share, self.freedom))
 
 
-def variance_factor(squares: float, freedom: int, stated: float | None = None) -> VarianceFactor:
+def variance_factor(squares: float, freedom: int, stated: float | None, significance: float) -> VarianceFactor:
     """Of a sum of squared residuals with so many degrees of freedom, and the variance of a residual where it is `stated`.
 
-    Residuals larger than stated have their own variance (chi-square test at DOUBT); smaller ones do not shrink what is stated:
-    errors that neighbours share do not show in residuals. Without a degree of freedom the stated variance is all there is, and
-    the factor is NaN where there is none.
+    Residuals larger than stated have their own variance (chi-square test at this `significance`); smaller ones do not shrink what
+    is stated: errors that neighbours share do not show in residuals. Without a degree of freedom the stated variance is all there
+    is, and the factor is NaN where there is none.
     """
     if freedom <= 0:
         return VarianceFactor(math.nan, 0.0) if stated is None else VarianceFactor(stated, math.inf, math.nan)
@@ -49,6 +49,6 @@ def variance_factor(squares: float, freedom: int, stated: float | None = None) -
     if stated is None:
         return VarianceFactor(found, float(freedom))
     ratio = math.sqrt(found / stated)
-    if stats.chi2.sf(squares / stated, freedom) < DOUBT:
+    if stats.chi2.sf(squares / stated, freedom) < significance:
         return VarianceFactor(found, float(freedom), ratio)
     return VarianceFactor(stated, math.inf, ratio)

@@ -16,14 +16,9 @@ from camera_models import CameraModel
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.kernels.chance import at_least, shown_and_beside
-from omnilines.matching.known_lines import MOST_CHI_SQUARE, mean_colours
+from omnilines.matching.known_lines import mean_colours
+from omnilines.matching.options import MatchingOptions
 
-REACH_PX = 100.0
-"""A line is moved so far to both sides."""
-LEAST_PX = 15.0
-"""A photo that has less of a line in its field could not show it by an arc."""
-FARTHER = 1.5
-"""Photos farther from a line than so many times the farthest that shows it are not asked: other rooms do not see it."""
 SAMPLES = 33
 """Places along a line that are looked for in a photo."""
 
@@ -34,6 +29,7 @@ def chance_of_lines(
     positions_m: Float[np.ndarray, "l 2"],
     own: Int[np.ndarray, " n"],
     cameras: Sequence[CameraModel],
+    options: MatchingOptions = MatchingOptions(),
 ) -> Float[np.ndarray, " l"]:
     """Probability that as many photos would show each of l lines if it were not there, between 0 and 1.
 
@@ -56,17 +52,19 @@ def chance_of_lines(
         arcs.px_rad,
         arcs.colours,
         arcs.starts,
-        REACH_PX,
-        MOST_CHI_SQUARE,
+        options.chance.reach_px,
+        options.explained.max_chi_square,
+        options.hypotheses.min_overlap_share,
+        options.likeness,
     )
     shown = ~np.isnan(width_px)
     times = shown.sum(1)
     # One arc more than there are, as wide as those that show the line: no chance is 0.
     one_px = np.nansum(width_px, 1) / np.maximum(times, 1)
-    chance = np.minimum((beside_px + one_px[:, None]) / (2.0 * REACH_PX + one_px[:, None]), 1.0)
+    chance = np.minimum((beside_px + one_px[:, None]) / (2.0 * options.chance.reach_px + one_px[:, None]), 1.0)
     distance_m = _distances_m(lines, positions_m, arcs)
-    near = distance_m <= FARTHER * np.where(shown, distance_m, 0.0).max(1, keepdims=True)
-    could = shown | (near & (_lengths_px(lines, positions_m, arcs, cameras) >= LEAST_PX))
+    near = distance_m <= options.chance.farther * np.where(shown, distance_m, 0.0).max(1, keepdims=True)
+    could = shown | (near & (_lengths_px(lines, positions_m, arcs, cameras) >= options.chance.min_length_px))
     return at_least(chance, could, times)
 
 

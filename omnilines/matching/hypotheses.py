@@ -1,8 +1,5 @@
 """For every arc the 3D line that the other photos agree on, over all arcs of all photos (`kernels/voting.py`)."""
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +7,10 @@ from jaxtyping import Bool, Float, Int, Int32
 
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.kernels.voting import best_lines
+from omnilines.matching.options import MatchingOptions
+from omnilines.progress import ProgressCallback, on_all_cores, silent
 
-MOST_SUPPORTERS = 96
+MAX_SUPPORTERS = 96
 """Arcs that are remembered for each arc."""
 AT_ONCE = 256
 """Arcs that a core works on at a time."""
@@ -40,7 +39,8 @@ def find_hypotheses(
     neighbours: Bool[np.ndarray, "m m"],
     *,
     rows: Int[np.ndarray, " n"] | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    options: MatchingOptions = MatchingOptions(),
+    progress: ProgressCallback = silent,
 ) -> Hypotheses:
     """Compare every arc (or those of `rows`) with all arcs of the photos that are neighbours of its own, on all cores.
 
@@ -55,14 +55,20 @@ def find_hypotheses(
     packed, colours = arcs.packed[near], arcs.colours[near]
 
     def work(rows: Int[np.ndarray, " k"]) -> tuple[np.ndarray, ...]:
-        depth, score, support, tried = best_lines(rows, arcs.image, arcs.starts, neighbours, packed, colours, MOST_SUPPORTERS)
+        depth, score, support, tried = best_lines(
+            rows,
+            arcs.image,
+            arcs.starts,
+            neighbours,
+            packed,
+            colours,
+            MAX_SUPPORTERS,
+            options.hypotheses,
+            options.likeness,
+        )
         return depth, score, np.where(support >= 0, near[support], -1).astype(np.int32), tried
 
-    found = []
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for done, part in enumerate(pool.map(work, parts), 1):
-            found.append(part)
-            progress(done, len(parts))
+    found = on_all_cores(work, parts, "matching arcs", progress)
     back = np.searchsorted(asked, place[every])
     depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
     return Hypotheses(depth, score[:, 0], score[:, 1], support, candidates)

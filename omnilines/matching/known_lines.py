@@ -9,15 +9,11 @@ from jaxtyping import Bool, Float, Int
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.kernels.hypothesis import LEAST_LIKENESS, likenesses
+from omnilines.matching.kernels.hypothesis import likenesses
 from omnilines.matching.kernels.track import near_lines
+from omnilines.matching.options import LikenessOptions, MatchingOptions
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
-
-MOST_CHI_SQUARE = 18.0
-"""Of both ends of an arc from a line, in its noise and the line's: one true arc in 8,000 is farther off."""
-REACH_PX = 3.0
-"""An arc is compared with lines that pass so near, and as much farther as its noise asks for."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +56,12 @@ class KnownLines:
         track = np.concatenate([self.track, more.track])
         return KnownLines(track, chart, torch.cat([self.covariance, more.covariance]), *table)
 
-    def looks_like(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    def looks_like(
+        self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"], options: LikenessOptions
+    ) -> Float[np.ndarray, " k"]:
         """Likeness of the colours beside arcs and lines, in (0, 1]."""
         along = arcs.packed[:, 3:6] - arcs.packed[:, :3]
-        return likenesses(self.colours, arcs.colours, line, arc, (along[arc] * self.direction[line]).sum(-1) < 0)
+        return likenesses(self.colours, arcs.colours, line, arc, (along[arc] * self.direction[line]).sum(-1) < 0, options)
 
     def near(self, arcs: ViewedArcs, reach_rad: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
         """Arcs both ends of which lie within their reach of a line, where the line is known, and the line."""
@@ -78,12 +76,12 @@ class KnownLines:
         return torch.nan_to_num(square, nan=torch.inf).numpy()
 
     def explaining(
-        self, arcs: ViewedArcs
+        self, arcs: ViewedArcs, options: MatchingOptions
     ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
         """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square."""
-        arc, line = self.near(arcs, REACH_PX * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
-        square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line)
-        fits = (square <= MOST_CHI_SQUARE) & (alike >= LEAST_LIKENESS)
+        arc, line = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+        square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line, options.likeness)
+        fits = (square <= options.explained.max_chi_square) & (alike >= options.likeness.min_likeness)
         return arc[fits], line[fits], alike[fits], square[fits]
 
 

@@ -8,7 +8,6 @@ and cameras. Unless given, the slack is chosen by the data (`evidence_of_lines`)
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,26 +18,14 @@ from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
+from omnilines.matching.options import MatchingOptions
 from omnilines.matching.tracks import Tracks, build_tracks
+from omnilines.progress import ProgressCallback, silent
 from omnilines.triangulation.robust import noise_level
 
-SLACKS_PX = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-"""Standard deviations that are tried, from exact poses to poor ones."""
-SAMPLED_PAIRS, LEAST_SAMPLED = 2_000_000, 250
+SAMPLED_PAIRS, MIN_SAMPLED = 2_000_000, 250
 """Arcs that the slack is chosen by: as many as give so many pairs with another arc, or the least number."""
-PRECISE_SHARE = 0.25
-"""Of the arcs of each photo, those of least stated noise: the others do not tell one slack from another."""
-SHOWING_SHARE = 0.25
-"""Of them, those whose residuals are looked at."""
-ENOUGH = 0.6
-"""Of the most that any slack gains."""
-CHANCE_SIGMA = 4.0
-"""Standard errors by which the most that any slack gains has to exceed what it gains by chance."""
-CHANCE_TURN_RAD = (math.radians(4.0), math.radians(8.0))
 LEAST_VIEWS = 4
-NEIGHBOURS = 24
-"""Photos that each is compared with at most."""
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -64,15 +51,16 @@ def match_arcs(
     *,
     least_views: int = LEAST_VIEWS,
     slack_px: float | None = None,
-    neighbours: int = NEIGHBOURS,
+    options: MatchingOptions = MatchingOptions(),
     seed: int = 0,
-    progress: Progress = lambda stage, done, total: None,
+    progress: ProgressCallback = silent,
 ) -> Matched:
     """Put arcs into tracks that at least `least_views` photos (3 or more) see.
 
     Raises InputError on a wrong option and GeometryError where fewer than three photos have arcs, or all of them stand at one
     place: then nothing has a depth.
     """
+    neighbours = options.hypotheses.max_neighbours
     if least_views < 3 or neighbours < 2 or (slack_px is not None and not slack_px > 0):
         raise InputError(
             "Matching expects at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found "
@@ -81,10 +69,10 @@ def match_arcs(
     _require_parallax(arcs)
     near = _near(arcs, neighbours)
     if slack_px is None:
-        slack_px = evidence_of_lines(arcs, near, seed, lambda done, total: progress("choosing the slack", done, total)).slack_px
+        slack_px = evidence_of_lines(arcs, near, seed, options, progress).slack_px
     widened = arcs.widened(slack_px)
-    found = find_hypotheses(widened, near, progress=lambda done, total: progress("matching arcs", done, total))
-    tracks = build_tracks(widened, found, least_views, lambda done, total: progress("building tracks", done, total))
+    found = find_hypotheses(widened, near, options=options, progress=progress)
+    tracks = build_tracks(widened, found, least_views, options, progress)
     return Matched(widened, found, tracks, slack_px)
 
 
@@ -104,17 +92,18 @@ class Evidence:
     """Whether that is more than sampling explains."""
 
 
-def evidence_of_poses(arcs: ViewedArcs, seed: int = 0, neighbours: int = NEIGHBOURS) -> Evidence:
+def evidence_of_poses(arcs: ViewedArcs, seed: int = 0, options: MatchingOptions = MatchingOptions()) -> Evidence:
     """How well the arcs of all photos agree under the poses that they have. The same arcs are asked whatever the poses."""
     _require_parallax(arcs)
-    return evidence_of_lines(arcs, _near(arcs, neighbours), seed)
+    return evidence_of_lines(arcs, _near(arcs, options.hypotheses.max_neighbours), seed, options)
 
 
 def evidence_of_lines(
     arcs: ViewedArcs,
     neighbours: Bool[np.ndarray, "m m"],
     seed: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    options: MatchingOptions = MatchingOptions(),
+    progress: ProgressCallback = silent,
 ) -> Evidence:
     """The slack (px) that the arcs themselves ask for: the smallest that is enough, over a sample of the precise ones.
 
@@ -123,29 +112,30 @@ def evidence_of_lines(
     the more the larger the slack: none is taken beyond the one that gains most over chance, and the smallest where nothing
     stands out more than by chance.
     """
+    its, tried = options.tolerance, options.tolerance.tried_px
     rng = np.random.default_rng(seed)
-    chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), LEAST_SAMPLED), rng)
-    turned = arcs.with_poses(_turned(arcs.poses, rng))
+    chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), its.precise_share, rng)
+    turned = arcs.with_poses(_turned(arcs.poses, its.chance_turn_rad, rng))
     found, chance = [], []
-    for done, slack in enumerate(SLACKS_PX):
-        progress(done, len(SLACKS_PX))
-        found.append(find_hypotheses(arcs.widened(slack), neighbours, rows=chosen))
-        chance.append(find_hypotheses(turned.widened(slack), neighbours, rows=chosen))
-    progress(len(SLACKS_PX), len(SLACKS_PX))
+    for done, slack in enumerate(tried):
+        progress("choosing the slack", done, len(tried))
+        found.append(find_hypotheses(arcs.widened(slack), neighbours, rows=chosen, options=options))
+        chance.append(find_hypotheses(turned.widened(slack), neighbours, rows=chosen, options=options))
+    progress("choosing the slack", len(tried), len(tried))
     gain = np.array([float((one.score - one.rival).mean()) for one in found])
     by_chance = np.array([float((one.score - one.rival).mean()) for one in chance])
     most = int(np.argmax(gain - by_chance))
     excess = (found[most].score - found[most].rival) - (chance[most].score - chance[most].rival)
     over = float((gain - by_chance)[most])
-    if excess.mean() <= CHANCE_SIGMA * excess.std() / math.sqrt(len(excess)):
-        return Evidence(SLACKS_PX[0], over, False)
-    for k in np.flatnonzero(gain[:most] >= ENOUGH * gain.max()).tolist():
-        if _shown_slack(arcs, chosen, found[k], SLACKS_PX[k]) <= SLACKS_PX[k]:
-            return Evidence(SLACKS_PX[k], over, True)
-    return Evidence(SLACKS_PX[most], over, True)
+    if excess.mean() <= its.chance_sigmas * excess.std() / math.sqrt(len(excess)):
+        return Evidence(tried[0], over, False)
+    for k in np.flatnonzero(gain[:most] >= its.enough_share * gain.max()).tolist():
+        if _shown_slack(arcs, chosen, found[k], tried[k], its.showing_share) <= tried[k]:
+            return Evidence(tried[k], over, True)
+    return Evidence(tried[most], over, True)
 
 
-def _sample(arcs: ViewedArcs, count: int, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
+def _sample(arcs: ViewedArcs, count: int, precise_share: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
     """Arcs drawn from the precise ones of each photo.
 
     Among dense texture, a slack below the noise of short arcs is lost in what that noise is misstated by, and a larger one lets
@@ -154,7 +144,7 @@ def _sample(arcs: ViewedArcs, count: int, rng: np.random.Generator) -> Int[np.nd
     order = np.lexsort((_stated_px(arcs), arcs.image))
     rank = np.arange(len(arcs)) - arcs.starts[arcs.image]
     of_photo = np.bincount(arcs.image, minlength=arcs.images)[arcs.image]
-    precise = order[rank < max(PRECISE_SHARE, count / len(arcs)) * of_photo]
+    precise = order[rank < max(precise_share, count / len(arcs)) * of_photo]
     return np.sort(rng.permutation(precise)[:count])
 
 
@@ -163,17 +153,19 @@ def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
     return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
-def _turned(poses: Pose, rng: np.random.Generator) -> Pose:
+def _turned(poses: Pose, turn_rad: tuple[float, float], rng: np.random.Generator) -> Pose:
     """Cameras at the same places, each turned a little about an axis of its own: arcs fit each other by chance alone, and what
     photos have in common hardly changes."""
     axis = rng.standard_normal((len(poses), 3))
-    axis *= rng.uniform(*CHANCE_TURN_RAD, (len(poses), 1)) / np.linalg.norm(axis, axis=-1, keepdims=True)
+    axis *= rng.uniform(*turn_rad, (len(poses), 1)) / np.linalg.norm(axis, axis=-1, keepdims=True)
     return Pose.exp(torch.as_tensor(np.concatenate([axis, np.zeros_like(axis)], -1))) @ poses
 
 
-def _shown_slack(arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, slack_px: float) -> float:
+def _shown_slack(
+    arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, slack_px: float, showing_share: float
+) -> float:
     """What the residuals show beyond the stated noise: of the arcs whose line stands out most, with their supporters."""
-    best = np.argsort(found.rival - found.score, kind="stable")[: math.ceil(SHOWING_SHARE * len(rows))]
+    best = np.argsort(found.rival - found.score, kind="stable")[: math.ceil(showing_share * len(rows))]
     support = found.support[best]
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])

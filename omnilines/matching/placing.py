@@ -17,22 +17,11 @@ from jaxtyping import Int
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines, known_lines
+from omnilines.matching.options import MatchingOptions
 from omnilines.matching.photo_starts import start_poses
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import Tracks
 from omnilines.triangulation.batches import triangulate_on
-
-CLEARLY_MORE = 1.1
-"""Times what the pose that a photo has explains: then another near it is better."""
-FEW_EXPLAINED = 0.25
-"""Of the share of its arcs that lines explain in a typical photo: below it the pose of a photo may be wrong altogether."""
-ABOVE_CHANCE, LEAST_SCORE = 1.5, 12.0
-"""Times what the best of the other poses explains, and the least, for the pose of a photo that had none."""
-MOST_ARCS, MOST_LINES = 500, 800
-"""The arcs of a photo that its pose is sought by are those known best, and the lines the longest: thousands of arcs of foliage or
-carpet tell no more, and the work is bounded."""
-OTHER_RAD, OTHER_SHARE = math.radians(3.0), 0.05
-"""Poses are others that are turned by so much, or stand apart by this share of the extent of the lines."""
 
 
 def lines_of_tracks(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> KnownLines:
@@ -54,59 +43,65 @@ def lines_of_others(known: KnownLines, arcs: ViewedArcs, tracks: Tracks, images:
     return known.rows(~np.isin(known.track, own)).and_also(replace(without, track=own[without.track]))
 
 
-def mended_pose(arcs: ViewedArcs, known: KnownLines, seed: int, typical: float = 1.0) -> PlacedByLines | None:
+def mended_pose(
+    arcs: ViewedArcs, known: KnownLines, seed: int, typical: float = 1.0, options: MatchingOptions = MatchingOptions()
+) -> PlacedByLines | None:
     """A pose that explains clearly more of the photos of `arcs` than the one they have; None where there is none.
 
     It is looked for nearby, and anywhere where hardly any arcs are explained: `typical` is the share (`explained_share`) of the
     median photo, which in texture is small.
     """
-    arcs = arcs.sharpest(MOST_ARCS)
-    own, near = explained_by_lines(arcs, known), refined_by_lines(arcs, known)
-    best = own if near is None or near.score <= CLEARLY_MORE * own.score else near
-    if best.score < FEW_EXPLAINED * typical * len(arcs):
-        far = placed_anywhere(arcs, known, seed)
-        best = best if far is None or far.score <= ABOVE_CHANCE * best.score else far
+    its = options.placing
+    arcs = arcs.sharpest(its.max_arcs)
+    own, near = explained_by_lines(arcs, known, options), refined_by_lines(arcs, known, options)
+    best = own if near is None or near.score <= its.clearly_more * own.score else near
+    if best.score < its.few_explained * typical * len(arcs):
+        far = placed_anywhere(arcs, known, seed, options)
+        best = best if far is None or far.score <= its.above_chance * best.score else far
     return None if best is own else best
 
 
-def explained_share(arcs: ViewedArcs, known: KnownLines) -> float:
+def explained_share(arcs: ViewedArcs, known: KnownLines, options: MatchingOptions = MatchingOptions()) -> float:
     """Share of the sharpest arcs of the photos of `arcs` that lines explain, each by how much they look alike."""
-    arcs = arcs.sharpest(MOST_ARCS)
-    return explained_by_lines(arcs, known).score / max(len(arcs), 1)
+    arcs = arcs.sharpest(options.placing.max_arcs)
+    return explained_by_lines(arcs, known, options).score / max(len(arcs), 1)
 
 
-def placed_anywhere(arcs: ViewedArcs, known: KnownLines, seed: int) -> PlacedByLines | None:
+def placed_anywhere(
+    arcs: ViewedArcs, known: KnownLines, seed: int, options: MatchingOptions = MatchingOptions()
+) -> PlacedByLines | None:
     """The pose of the photos of `arcs`, wherever they are; None where none explains clearly more than others do.
 
     Of their own poses only where they stand to each other counts.
     """
-    arcs, known = arcs.sharpest(MOST_ARCS), known.longest(MOST_LINES)
-    apart = OTHER_SHARE * _extent(known)
+    its = options.placing
+    arcs, known = arcs.sharpest(its.max_arcs), known.longest(its.max_lines)
+    apart = its.other_share * _extent(known)
     placed: list[PlacedByLines] = []
-    for start in _starts(arcs, known, seed):
+    for start in _starts(arcs, known, seed, options):
         # A start beside a pose that was found leads there.
-        if all(_is_other(start.poses, one.pose, apart) for one in placed):
-            one = refined_by_lines(start, known)
+        if all(_is_other(start.poses, one.pose, its.other_rad, apart) for one in placed):
+            one = refined_by_lines(start, known, options)
             placed += [] if one is None else [one]
     best = max(placed, key=lambda one: one.score, default=None)
-    if best is None or best.score < LEAST_SCORE:
+    if best is None or best.score < its.min_score:
         return None
-    others = (one.score for one in placed if _is_other(one.pose, best.pose, apart))
-    return best if best.score >= ABOVE_CHANCE * max(others, default=0.0) else None
+    others = (one.score for one in placed if _is_other(one.pose, best.pose, its.other_rad, apart))
+    return best if best.score >= its.above_chance * max(others, default=0.0) else None
 
 
-def _starts(arcs: ViewedArcs, known: KnownLines, seed: int) -> Iterator[ViewedArcs]:
+def _starts(arcs: ViewedArcs, known: KnownLines, seed: int, options: MatchingOptions) -> Iterator[ViewedArcs]:
     """The photos of `arcs` where each of them by itself could have been, and the others with it."""
     for k in range(arcs.images):
-        starts = start_poses(arcs.of_photo(k).with_poses(Pose.identity(1)), known, seed)
+        starts = start_poses(arcs.of_photo(k).with_poses(Pose.identity(1)), known, seed, options)
         first_from_photo = arcs.poses[[0]] @ arcs.poses[[k]].inverse()
         for at in range(len(starts)):
             yield arcs.moved_to(first_from_photo @ starts[[at]])
 
 
-def _is_other(one: Pose, pose: Pose, apart: float) -> bool:
+def _is_other(one: Pose, pose: Pose, turned_rad: float, apart: float) -> bool:
     turn = one.rotation[0] @ pose.rotation[0].mT
-    return float(turn.trace()) < 1.0 + 2.0 * math.cos(OTHER_RAD) or float((one.centre - pose.centre).norm()) > apart
+    return float(turn.trace()) < 1.0 + 2.0 * math.cos(turned_rad) or float((one.centre - pose.centre).norm()) > apart
 
 
 def _extent(known: KnownLines) -> float:

@@ -10,7 +10,6 @@ for the left perturbation (w, v) of the pose of its photo. That of photo k is Ad
 bearings of the first to those of photo k, which is held.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,18 +18,12 @@ from jaxtyping import Float, Int
 
 from camera_models.pose import Pose, adjoint
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.kernels.hypothesis import LEAST_LIKENESS
-from omnilines.matching.known_lines import REACH_PX, KnownLines, most_likely
+from omnilines.matching.known_lines import KnownLines, most_likely
+from omnilines.matching.options import MatchingOptions
 
-REACHES_RAD = tuple(math.radians(angle) for angle in (2.0, 1.0, 0.5, 0.25, 0.12, 0.0))
-"""Arcs are given to lines that lie so near, one after the other; in the end, to those as near as their noise allows."""
 STEPS = 3
 """Refinements for each reach."""
-REACH_SIGMAS = 3.0
-"""A reach is so many standard deviations of what is left of the error of the pose."""
-BEND = 2.0
-"""Standard deviations at which a residual counts half (Cauchy loss)."""
-LEAST_ARCS = 4
+MIN_ARCS = 4
 """Three determine a pose in general, and nothing tells whether they are right."""
 
 
@@ -47,41 +40,41 @@ class PlacedByLines:
     """Of `KnownLines`."""
 
 
-def refined_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines | None:
+def refined_by_lines(arcs: ViewedArcs, known: KnownLines, options: MatchingOptions = MatchingOptions()) -> PlacedByLines | None:
     """The pose of the photos of `arcs`, moved as one, near the one that they have; None where lines near it determine none."""
     # Where the photos stand to each other is always that of the start: rounding would add up.
     start = arcs
-    for reach in np.repeat(REACHES_RAD, STEPS).tolist():
-        first = _step(arcs, known, reach)
+    for reach in np.repeat(options.resection.reaches_rad, STEPS).tolist():
+        first = _step(arcs, known, reach, options)
         if first is None:
             return None
         arcs = start.moved_to(first)
-    return explained_by_lines(arcs, known)
+    return explained_by_lines(arcs, known, options)
 
 
-def explained_by_lines(arcs: ViewedArcs, known: KnownLines) -> PlacedByLines:
+def explained_by_lines(arcs: ViewedArcs, known: KnownLines, options: MatchingOptions = MatchingOptions()) -> PlacedByLines:
     """The poses that the photos have, with the arcs that lines explain."""
-    arc, line, alike, square = known.explaining(arcs)
+    arc, line, alike, square = known.explaining(arcs, options)
     best = most_likely(arc, alike, square)
     return PlacedByLines(arcs.poses, float(alike[best].sum()), arc[best], line[best])
 
 
-def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float) -> Pose | None:
+def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float, options: MatchingOptions) -> Pose | None:
     """The pose (1,) of the first photo after a step of iteratively reweighted least squares; None where it is not determined."""
-    noise = arcs.packed[:, 12:]
-    spread = np.sqrt(noise**2 + (reach_rad / REACH_SIGMAS) ** 2)
-    arc, line = known.near(arcs, np.maximum(REACH_SIGMAS * spread.max(-1), REACH_PX * arcs.px_rad))
-    alike = known.looks_like(arcs, arc, line)
-    likely = alike >= LEAST_LIKENESS
+    noise, sigmas = arcs.packed[:, 12:], options.resection.reach_sigmas
+    spread = np.sqrt(noise**2 + (reach_rad / sigmas) ** 2)
+    arc, line = known.near(arcs, np.maximum(sigmas * spread.max(-1), options.explained.reach_px * arcs.px_rad))
+    alike = known.looks_like(arcs, arc, line, options.likeness)
+    likely = alike >= options.likeness.min_likeness
     arc, line = arc[likely], line[likely]
     distance, _ = _linearised(arcs, known, arc, line)
     best = most_likely(arc, alike[likely], ((distance / spread[arc]) ** 2).sum(-1))
     arc, line = arc[best], line[best]
-    if len(arc) < LEAST_ARCS:
+    if len(arc) < MIN_ARCS:
         return None
     residual, jacobian = _linearised(arcs, known, arc, line)
     residual, jacobian = residual / spread[arc], jacobian / spread[arc][..., None]
-    weight = 1.0 / (1.0 + (residual / BEND) ** 2)
+    weight = 1.0 / (1.0 + (residual / options.resection.loss_scale) ** 2)
     normal = np.einsum("nki,nk,nkj->ij", jacobian, weight, jacobian)
     unit = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
     values, vectors = np.linalg.eigh(normal * unit[:, None] * unit)

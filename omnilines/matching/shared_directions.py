@@ -6,7 +6,7 @@ of a photo follows to a tenth of a degree or better. In the rotation R (camera f
 family of the direction d where n . R d is small; rotations and directions are refined in turn, d as the smallest principal axis
 of its normals and R by a step w of
 
-    minimise  sum loss(n . (R d + w x R d) / s) + |w|^2 / PRIOR_RAD^2.
+    minimise  sum loss(n . (R d + w x R d) / s) + |w|^2 / prior_sigma_rad^2.
 
 Centres stay where they are.
 """
@@ -20,48 +20,34 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models.pose import Pose, rotation_from_vector
+from camera_models.rotations import mean_rotation
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.photo_starts import MEETING_RAD, SHARPEST, meeting_directions
+from omnilines.matching.options import MatchingOptions
+from omnilines.matching.photo_starts import meeting_directions
 
-NEAR_RAD = math.radians(12.0)
-"""How far a pose may be turned: rough ones are some degrees off, and nearer families could be confused."""
-APART_RAD = math.radians(20.0)
-"""Between two families that fix a rotation."""
-PASSES = ((NEAR_RAD, APART_RAD), (math.radians(1.0), math.radians(2.0)))
-"""How far apart directions of two photos may be to be one, and how far two families are: first under the given rotations, then
-under better ones, where furniture that stands a little askew is a family of its own."""
-MOST_FAMILIES = 12
-LEAST_SHARE = 0.3
-"""Of the photos that have to see a direction for it to be one of a family."""
-LEAST_ARCS, CHANCE_SIGMAS = 4, 4.0
-"""Of a family in a photo, and standard deviations of their number beyond what chance gives: of n arcs n sin(MEETING_RAD) lie so
-near any direction."""
-FLOOR_RAD = math.radians(0.03)
-"""Least standard deviation of an arc from its family: edges of buildings are parallel to so much."""
-TRIED_RAD = math.radians(0.3)
-"""Standard deviation of a rotation that a direction and one more arc give."""
-BEND = 2.0
-PRIOR_RAD = math.radians(5.0)
+MAX_FAMILIES = 12
 ROUNDS = 10
+"""Times that rotations and directions are refined in turn."""
 
 
-def turned_poses(arcs: ViewedArcs) -> tuple[Pose, Bool[np.ndarray, " m"]]:
+def turned_poses(arcs: ViewedArcs, options: MatchingOptions = MatchingOptions()) -> tuple[Pose, Bool[np.ndarray, " m"]]:
     """The poses of all photos with rotations that their arcs' directions ask for, and which photos could be turned.
 
     A photo that sees fewer than two families keeps its pose.
     """
-    given = arcs.poses.rotation.numpy()
-    photos = [_Photo.of(arcs.of_photo(k)) for k in range(arcs.images)]
+    given, its = arcs.poses.rotation.numpy(), options.rotations
+    photos = [_Photo.of(arcs.of_photo(k), options) for k in range(arcs.images)]
     turned, fixed = given, np.zeros(arcs.images, dtype=bool)
-    for near, apart in PASSES:
-        families = _families(photos, turned, near, apart)
+    # First under the given rotations, then under better ones.
+    for near, apart in ((its.near_rad, its.apart_rad), (its.fine_near_rad, its.fine_apart_rad)):
+        families = _families(photos, turned, near, apart, its.min_photo_share)
         if len(families) < 2:
             return arcs.poses, np.zeros(arcs.images, dtype=bool)
-        turned = np.stack([_voted(photo, given[k], families) for k, photo in enumerate(photos)])
+        turned = np.stack([_voted(photo, given[k], families, options) for k, photo in enumerate(photos)])
         first = turned
         for _ in range(ROUNDS):
-            families = _refined_families(families, photos, turned)
-            steps = [_step(photo, turned[k], first[k], families) for k, photo in enumerate(photos)]
+            families = _refined_families(families, photos, turned, options)
+            steps = [_step(photo, turned[k], first[k], families, options) for k, photo in enumerate(photos)]
             turned, fixed = np.stack([one for one, _ in steps]), np.array([sound for _, sound in steps])
     chosen = torch.as_tensor(fixed)
     rotation = torch.as_tensor(turned)
@@ -82,18 +68,22 @@ class _Photo:
     support: Int[np.ndarray, " v"]
 
     @staticmethod
-    def of(arcs: ViewedArcs) -> "_Photo":
+    def of(arcs: ViewedArcs, options: MatchingOptions) -> "_Photo":
         """From all arcs of the photo."""
-        own = arcs.sharpest(SHARPEST)
+        own = arcs.sharpest(options.directions.sharpest_arcs)
         # Normals of `packed` are in the world of the pose.
         normals = own.packed[:, 6:9] @ arcs.poses.rotation[0].numpy().T
-        directions = meeting_directions(normals) if len(own) > 1 else np.zeros((0, 3))
-        support = (np.abs(directions @ normals.T) < math.sin(MEETING_RAD)).sum(1)
-        return _Photo(normals, np.maximum(own.circle_sigma_rad, FLOOR_RAD), directions, support)
+        directions = meeting_directions(normals, options.directions) if len(own) > 1 else np.zeros((0, 3))
+        support = (np.abs(directions @ normals.T) < math.sin(options.directions.meeting_rad)).sum(1)
+        return _Photo(normals, np.maximum(own.circle_sigma_rad, options.rotations.parallel_sigma_rad), directions, support)
 
 
 def _families(
-    photos: Sequence[_Photo], rotations: Float[np.ndarray, "m 3 3"], near_rad: float, apart_rad: float
+    photos: Sequence[_Photo],
+    rotations: Float[np.ndarray, "m 3 3"],
+    near_rad: float,
+    apart_rad: float,
+    min_photo_share: float,
 ) -> Float[np.ndarray, "f 3"]:
     """World directions that many photos see, the one with most arcs first."""
     world = np.concatenate([photo.directions @ rotations[k] for k, photo in enumerate(photos)])
@@ -101,11 +91,11 @@ def _families(
     weight = np.concatenate([photo.support for photo in photos]).astype(np.float64)
     found: list[np.ndarray] = []
     free = np.ones(len(world), dtype=bool)
-    while free.any() and len(found) < MOST_FAMILIES:
+    while free.any() and len(found) < MAX_FAMILIES:
         near = (np.abs(world @ world.T) > math.cos(near_rad)) & free
         best = int(np.argmax(np.where(free, near @ weight, -1.0)))
         member = np.flatnonzero(near[best])
-        if len(np.unique(number[member])) < max(LEAST_SHARE * len(photos), 2):
+        if len(np.unique(number[member])) < max(min_photo_share * len(photos), 2):
             break
         axes = np.einsum("n,ni,nj->ij", weight[member], world[member], world[member])
         found.append(np.linalg.eigh(axes)[1][:, 2])
@@ -113,15 +103,18 @@ def _families(
     return np.array(found).reshape(-1, 3)
 
 
-def _voted(photo: _Photo, rotation: Float[np.ndarray, "3 3"], families: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 3"]:
+def _voted(
+    photo: _Photo, rotation: Float[np.ndarray, "3 3"], families: Float[np.ndarray, "f 3"], options: MatchingOptions
+) -> Float[np.ndarray, "3 3"]:
     """The rotation near the given one under which most arcs are of families.
 
     Tried are those that bring a family onto a direction v of the photo, and then some arc of the normal n into another family d:
     turned about v it is where n . exp(t [v]x) d = 0.
     """
+    its, meeting_sine = options.rotations, math.sin(options.directions.meeting_rad)
     cosine = photo.directions @ (families @ rotation.T).T
     tried = [rotation[None]]
-    for v, f in np.argwhere(np.abs(cosine) > math.cos(NEAR_RAD)).tolist():
+    for v, f in np.argwhere(np.abs(cosine) > math.cos(its.near_rad)).tolist():
         axis = np.sign(cosine[v, f]) * photo.directions[v]
         onto = _onto(rotation @ families[f], axis) @ rotation
         d = families @ onto.T
@@ -131,13 +124,13 @@ def _voted(photo: _Photo, rotation: Float[np.ndarray, "3 3"], families: Float[np
         size = np.hypot(a, b)
         angle = np.arctan2(b, a) + np.array([1.0, -1.0])[:, None, None] * np.arccos(np.clip(-c / np.maximum(size, 1e-12), -1, 1))
         angle -= 2.0 * math.pi * np.round(angle / (2.0 * math.pi))
-        usable = (np.abs(angle) < NEAR_RAD) & (size > math.sin(APART_RAD)) & (np.abs(along) > math.sin(MEETING_RAD))[:, None]
+        usable = (np.abs(angle) < its.near_rad) & (size > math.sin(its.apart_rad)) & (np.abs(along) > meeting_sine)[:, None]
         turns = np.sort(angle[usable])
         # Those that lie closer than they are told apart are one.
-        turns = turns[np.unique(np.round(turns / (0.5 * TRIED_RAD)), return_index=True)[1]]
+        turns = turns[np.unique(np.round(turns / (0.5 * its.vote_sigma_rad)), return_index=True)[1]]
         tried.append(rotation_from_vector(torch.as_tensor(turns[:, None] * axis)).numpy() @ onto)
     every = np.concatenate(tried)
-    off = np.abs(np.einsum("ni,kij,fj->knf", photo.normals, every, families)).min(-1) / np.hypot(photo.sigma, TRIED_RAD)
+    off = np.abs(np.einsum("ni,kij,fj->knf", photo.normals, every, families)).min(-1) / np.hypot(photo.sigma, its.vote_sigma_rad)
     best: Float[np.ndarray, "3 3"] = every[int(np.argmax(np.exp(-0.5 * off**2).sum(-1)))]
     return best
 
@@ -150,46 +143,55 @@ def _onto(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> Floa
 
 
 def _members(
-    normals: Float[np.ndarray, "n 3"], sigma: Float[np.ndarray, " n"], directions: Float[np.ndarray, "f 3"]
+    normals: Float[np.ndarray, "n 3"],
+    sigma: Float[np.ndarray, " n"],
+    directions: Float[np.ndarray, "f 3"],
+    options: MatchingOptions,
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The family of each arc, how far it is from it, and its weight: none beyond MEETING_RAD."""
+    """The family of each arc, how far it is from it, and its weight: none where it is not on the circle."""
     off = normals @ directions.T
     family = np.abs(off).argmin(1)
     residual = off[np.arange(len(off)), family]
-    weight = np.where(np.abs(residual) < math.sin(MEETING_RAD), 1.0 / (sigma**2 * (1.0 + (residual / (BEND * sigma)) ** 2)), 0.0)
+    loss = 1.0 + (residual / (options.resection.loss_scale * sigma)) ** 2
+    weight = np.where(np.abs(residual) < math.sin(options.directions.meeting_rad), 1.0 / (sigma**2 * loss), 0.0)
     return family, residual, weight
 
 
 def _refined_families(
-    families: Float[np.ndarray, "f 3"], photos: Sequence[_Photo], rotations: Float[np.ndarray, "m 3 3"]
+    families: Float[np.ndarray, "f 3"], photos: Sequence[_Photo], rotations: Float[np.ndarray, "m 3 3"], options: MatchingOptions
 ) -> Float[np.ndarray, "f 3"]:
     world = np.concatenate([photo.normals @ rotations[k] for k, photo in enumerate(photos)])
-    family, _, weight = _members(world, np.concatenate([photo.sigma for photo in photos]), families)
+    family, _, weight = _members(world, np.concatenate([photo.sigma for photo in photos]), families, options)
     refined = families.copy()
     for f in range(len(families)):
         own = world[family == f] * np.sqrt(weight[family == f, None])
-        if (weight[family == f] > 0).sum() >= LEAST_ARCS:
+        if (weight[family == f] > 0).sum() >= options.directions.min_arcs:
             axis = np.linalg.eigh(own.T @ own)[1][:, 0]
             refined[f] = axis * np.sign(axis @ families[f])
     return refined
 
 
 def _step(
-    photo: _Photo, rotation: Float[np.ndarray, "3 3"], start: Float[np.ndarray, "3 3"], families: Float[np.ndarray, "f 3"]
+    photo: _Photo,
+    rotation: Float[np.ndarray, "3 3"],
+    start: Float[np.ndarray, "3 3"],
+    families: Float[np.ndarray, "f 3"],
+    options: MatchingOptions,
 ) -> tuple[Float[np.ndarray, "3 3"], bool]:
     """A rotation after one step, and whether two families that are not one fix it."""
-    directions = families @ rotation.T
-    family, residual, weight = _members(photo.normals, photo.sigma, directions)
+    its, directions = options.rotations, families @ rotation.T
+    family, residual, weight = _members(photo.normals, photo.sigma, directions, options)
     jacobian = np.cross(directions[family], photo.normals)
-    normal = (jacobian * weight[:, None]).T @ jacobian + np.eye(3) / PRIOR_RAD**2
+    normal = (jacobian * weight[:, None]).T @ jacobian + np.eye(3) / its.prior_sigma_rad**2
     # The prior is about the start; of a small turn the rotation vector is the odd part.
     turn = rotation @ start.T
     away = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    step = -np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + away / PRIOR_RAD**2)
-    by_chance = len(family) * math.sin(MEETING_RAD)
-    enough = max(LEAST_ARCS, by_chance + CHANCE_SIGMAS * math.sqrt(by_chance))
+    step = -np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + away / its.prior_sigma_rad**2)
+    # Of n arcs n sin(meeting_rad) lie so near any direction.
+    by_chance = len(family) * math.sin(options.directions.meeting_rad)
+    enough = max(options.directions.min_arcs, by_chance + its.chance_sigmas * math.sqrt(by_chance))
     seen = directions[np.bincount(family[weight > 0], minlength=len(families)) >= enough]
-    fixed = bool((np.abs(seen @ seen.T) < math.cos(APART_RAD)).any())
+    fixed = bool((np.abs(seen @ seen.T) < math.cos(its.apart_rad)).any())
     return rotation_from_vector(torch.as_tensor(step)).numpy() @ rotation, fixed
 
 
@@ -199,11 +201,6 @@ def _common_turn(rotations: Float[torch.Tensor, "k 3 3"], given: Float[torch.Ten
     if not len(rotations):
         return torch.eye(3, dtype=torch.float64)
     turns = rotations.mT @ given
-    mean = _nearest_rotation(turns.sum(0))
+    mean = mean_rotation(turns)
     near = (turns * mean).sum((-1, -2)).argsort(descending=True)[: (len(turns) + 1) // 2]
-    return _nearest_rotation(turns[near].sum(0))
-
-
-def _nearest_rotation(matrix: Float[torch.Tensor, "3 3"]) -> Float[torch.Tensor, "3 3"]:
-    u, _, vt = torch.linalg.svd(matrix)
-    return u @ torch.diag(torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ vt))], dtype=torch.float64)) @ vt
+    return mean_rotation(turns[near])

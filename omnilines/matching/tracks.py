@@ -4,7 +4,6 @@ Arcs with a good hypothesis take those that support it; every track is triangula
 explains it best, tracks of one line become one, and what is left over may form tracks of its own. A few rounds of this settle.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,8 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses
 from omnilines.matching.kernels.track import claim, needed, united
 from omnilines.matching.known_lines import known_lines, most_likely
+from omnilines.matching.options import MatchingOptions
+from omnilines.progress import ProgressCallback, silent
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.robust import robust_triangulate
 
@@ -21,10 +22,6 @@ ROUNDS = 3
 """Times that arcs are given to lines anew."""
 FIRST_VIEWS = 3
 """Photos that see a line before it is looked at: two planes always meet in a line."""
-AGREES = 0.5
-"""Agreement, at most 1, with which an arc counts fully: more than where only one of its sides looks the same."""
-SAME_SHARE = 0.6
-"""Of the arcs of one track that another line explains too: then they are one."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,11 @@ class Tracks:
 
 
 def build_tracks(
-    arcs: ViewedArcs, found: Hypotheses, least_views: int, progress: Callable[[int, int], None] = lambda done, total: None
+    arcs: ViewedArcs,
+    found: Hypotheses,
+    least_views: int,
+    options: MatchingOptions = MatchingOptions(),
+    progress: ProgressCallback = silent,
 ) -> Tracks:
     """Tracks of arcs in at least `least_views` photos, with their lines.
 
@@ -68,10 +69,10 @@ def build_tracks(
     track, count = claim(order, found.support, arcs.image, arcs.images, FIRST_VIEWS)
     merged = wrong = 0
     for turn in range(ROUNDS):
-        progress(turn, ROUNDS + 1)
+        progress("building tracks", turn, ROUNDS + 1)
         track, lines, out = _triangulated(arcs, track, count)
-        track, candidates = _nearest_lines(arcs, track, lines)
-        track, fewer = _united(track, candidates, count)
+        track, candidates = _nearest_lines(arcs, track, lines, options)
+        track, fewer = _united(track, candidates, count, options.tracks.same_share)
         merged, wrong = merged + fewer, wrong + out
         free = order[track[order] < 0]
         support = _still_free(found.support, track)
@@ -84,26 +85,26 @@ def build_tracks(
         track, lines, out = _triangulated(arcs, track, count)
         wrong, before = wrong + out, count
         track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
-        enough = _enough_views(arcs, track, count, found, least_views)
+        enough = _enough_views(arcs, track, count, found, least_views, options.tracks.min_agreement)
         track, count = _with_views(arcs, track, count, enough)
         if count < before:
             continue
-        own = _needed(arcs, track, lines, enough)
+        own = _needed(arcs, track, lines, enough, options)
         if own.all():
             break
         explained += int((~own).sum())
         track, count = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), int(own.sum())
-    progress(ROUNDS + 1, ROUNDS + 1)
+    progress("building tracks", ROUNDS + 1, ROUNDS + 1)
     return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained, enough)
 
 
 def _enough_views(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, least_views: int
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, least_views: int, min_agreement: float
 ) -> Int[np.ndarray, " t"]:
     """Photos that have to show each track: `least_views`, or one fewer where all its arcs agree.
 
-    An arc agrees when arcs of all other photos of its track support the best line that it has alone, with AGREES each: alike in
-    colour on both sides. By chance three do that far less often than four meet in a line.
+    An arc agrees when arcs of all other photos of its track support the best line that it has alone, with `min_agreement` each:
+    alike in colour on both sides. By chance three do that far less often than four meet in a line.
     """
     member = np.flatnonzero(track >= 0)
     own = track[member]
@@ -112,12 +113,12 @@ def _enough_views(
     row, column = np.nonzero((support >= 0) & (track[support] == own[:, None]))
     pairs = np.unique(row * arcs.images + arcs.image[support[row, column]])
     agreeing = np.bincount(pairs // arcs.images, minlength=len(member))
-    alone = (agreeing < others) | (found.score[member] < AGREES * others)
+    alone = (agreeing < others) | (found.score[member] < min_agreement * others)
     return np.where(np.bincount(own, alone, minlength=count) > 0, least_views, max(least_views - 1, FIRST_VIEWS))
 
 
 def _needed(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, enough: Int[np.ndarray, " t"]
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, enough: Int[np.ndarray, " t"], options: MatchingOptions
 ) -> Bool[np.ndarray, " t"]:
     """The tracks that `enough` photos show by arcs which no line with more photos explains.
 
@@ -125,7 +126,7 @@ def _needed(
     line that is.
     """
     count = len(lines)
-    _, candidates = _nearest_lines(arcs, track, lines)
+    _, candidates = _nearest_lines(arcs, track, lines, options)
     member = np.flatnonzero(track >= 0)
     member = member[np.argsort(track[member], kind="stable")]
     starts = np.searchsorted(track[member], np.arange(count + 1))
@@ -154,24 +155,26 @@ class _Candidates:
 
 
 def _nearest_lines(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, options: MatchingOptions
 ) -> tuple[Int[np.ndarray, " n"], _Candidates]:
     """The track whose line explains each arc best, -1 for none, and all that explain it."""
     known = known_lines(arcs, track, lines)
-    arc, line, alike, square = known.explaining(arcs)
+    arc, line, alike, square = known.explaining(arcs, options)
     best = most_likely(arc, alike, square)
     nearest = np.full_like(track, -1)
     nearest[arc[best]] = known.track[line[best]]
     return nearest, _Candidates(arc, known.track[line])
 
 
-def _united(track: Int[np.ndarray, " n"], candidates: _Candidates, count: int) -> tuple[Int[np.ndarray, " n"], int]:
+def _united(
+    track: Int[np.ndarray, " n"], candidates: _Candidates, count: int, same_share: float
+) -> tuple[Int[np.ndarray, " n"], int]:
     """Tracks become one where the line of one explains the arcs of the other; the largest takes its parts first."""
     size = np.bincount(track[track >= 0], minlength=count)
     other = (track[candidates.arc] >= 0) & (track[candidates.arc] != candidates.track)
     pair, times = np.unique(track[candidates.arc[other]] * count + candidates.track[other], return_counts=True)
     part, whole = pair // count, pair % count
-    same = times >= SAME_SHARE * np.maximum(size[part], 1)
+    same = times >= same_share * np.maximum(size[part], 1)
     one, another = np.concatenate([part[same], whole[same]]), np.concatenate([whole[same], part[same]])
     by_one = np.argsort(one, kind="stable")
     starts = np.searchsorted(one[by_one], np.arange(count + 1))

@@ -8,35 +8,12 @@ import torch
 from jaxtyping import Float
 
 from omnilines import report
-from omnilines.records import Check, ImagePoses, Lines, Polyline, Summary
+from omnilines.records import ImagePoses, Lines, Polyline, Summary
 from omnilines.report import Section
-from omnilines.studies.board_figures import FIGURES, UNCHECKED, Agreement, BoardExperiment, LineState
+from omnilines.studies.board_figures import FIGURES, Agreement, BoardExperiment, LineState
 
 STEPS_PER_LINE = 40
 """Points per reprojected line: a fisheye bends it."""
-
-
-def board_checks(experiment: BoardExperiment) -> tuple[Check, ...]:
-    """Every line determined, every figure better than before, and the error as large as the photos predict."""
-    before, after = experiment.before.figures, experiment.after.figures
-    total, known = float(len(experiment.status)), float(len(experiment.tracks))
-    better = tuple(
-        Check(f"{name}: after, limit before", after[key], before[key], unit, after[key] < before[key])
-        for key, name, unit in FIGURES
-        if key not in UNCHECKED
-    )
-    agreement = experiment.by_photos
-    return (
-        Check("lines determined from the perturbed poses", known, total, "lines", known == total),
-        *better,
-        Check(
-            "error against the board over the error that the photos predict",
-            agreement.ratio,
-            agreement.limit,
-            "",
-            agreement.ratio <= agreement.limit,
-        ),
-    )
 
 
 def board_summaries(experiment: BoardExperiment) -> tuple[Summary, ...]:
@@ -160,7 +137,7 @@ def board_sections(experiment: BoardExperiment, photo_folder: Path | None) -> li
     caption = "Both ends of every segment, from the projection of its line: with perturbed poses, and after the adjustment."
     sections = [
         report.summary_section(setting, figures, agreement),
-        report.checks_section(board_checks(experiment)),
+        report.checks_section(experiment.checks),
         report.histogram_section("Residuals before and after", distances, "orthogonal distance (px)", caption, logarithmic=True),
     ]
     if photo_folder is not None:

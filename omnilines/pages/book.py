@@ -1,70 +1,37 @@
 """The figures, checks and report of `omnilines experiment book`."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Float
 
 from camera_models import CameraModel
 from omnilines import report
-from omnilines.adjustment.scene import LineScene
-from omnilines.commands.render_scene import RenderedScene
-from omnilines.pages.distances import NUMBERS, DistanceFigures
-from omnilines.posing.rectangle import Rectangle
-from omnilines.records import Check, ImagePoses, Polyline, Segments, Summary
-from omnilines.scenes.books import SHEET_M
+from omnilines.pipelines.render import RenderedScene
+from omnilines.records import Polyline, Summary
+from omnilines.studies.book import (
+    ADJUSTMENT,
+    COLUMNS,
+    SHEET,
+    SHOWN,
+    TRIANGULATION,
+    BookSetting,
+    book_checks,
+    rms_of_each,
+)
+from omnilines.studies.distances import json_rows
 from omnilines.triangulation import TRIANGULATIONS
 
-SHEET = Rectangle(*SHEET_M)
-FOUND, BY_HAND = "found", "by hand"
-TRIANGULATION, ADJUSTMENT = "triangulation", "adjustment"
-SHOWN = "sector"
-"""The cost whose lines and poses are written."""
-COLUMNS = (*NUMBERS[:-1], "rms_3d_m")
-POSE_LIMIT, LEAST_GAIN = 2.0, 1.0
-"""Errors of poses may exceed what they state by so much in RMS; adjusted lines may not fit worse than those they start from."""
+POSE_ERRORS = ("rms_deg", "rms_m", "rms_over_stated")
 
 
-@dataclass(frozen=True)
-class BookSetting:
-    """One way of measuring, in the world of the sheet."""
-
-    name: str
-    poses: ImagePoses
-    segments: Segments
-    figures: tuple[DistanceFigures, ...]
-    before: LineScene
-    after: LineScene
-    pose_errors: Float[np.ndarray, "n 3"]
-    """Of each photo: turn (degrees), shift of the camera (m), and both over what is stated, RMS of six."""
-
-
-def rms_of_each(values: Float[np.ndarray, "n k"]) -> list[float]:
-    """Root mean square of every column."""
-    rms: list[float] = np.sqrt((values**2).mean(0)).tolist()
-    return rms
-
-
-def book_checks(rendered: RenderedScene, settings: list[BookSetting]) -> tuple[Check, ...]:
-    """Whether every sheet was found, poses err as they state, and the adjustment lowers the residuals."""
-    posed, views = float(len(settings[0].poses)), float(len(rendered.poses))
-    checks = [Check("photos whose sheet was found", posed, views, "photos", posed == views)]
-    for setting in settings:
-        stated = rms_of_each(setting.pose_errors)[2]
-        checks.append(Check(f"error of poses over what they state, {setting.name}", stated, POSE_LIMIT, "", stated <= POSE_LIMIT))
-        by_stage = {(f.stage.split(", ")[1], f.method): f.rms_px for f in setting.figures}
-        gain = by_stage[ADJUSTMENT, SHOWN] / by_stage[TRIANGULATION, TRIANGULATIONS[0][0]]
-        checks.append(Check(f"RMS after adjustment over before, {setting.name}", gain, LEAST_GAIN, "", gain <= LEAST_GAIN))
-    return tuple(checks)
-
-
-def book_summaries(rendered: RenderedScene, settings: list[BookSetting]) -> tuple[Summary, ...]:
+def book_summaries(rendered: RenderedScene, settings: Sequence[BookSetting]) -> tuple[Summary, ...]:
     """Camera and poses, then the table of every setting before and after adjustment (table 5.2)."""
     found = settings[0]
     about = [
-        ("camera", f"{rendered.model.NAME}, {rendered.model.image_size[0]} x {rendered.model.image_size[1]} px"),
+        ("camera", f"{rendered.camera.NAME}, {rendered.camera.image_size[0]} x {rendered.camera.image_size[1]} px"),
         ("photos with a pose", f"{len(found.poses)} of {len(rendered.poses)}"),
         ("lines that all of them show", str(len(found.segments.tracks))),
     ]
@@ -81,22 +48,28 @@ def book_summaries(rendered: RenderedScene, settings: list[BookSetting]) -> tupl
     return tuple(tables)
 
 
-def book_sections(
-    folder: Path,
-    rendered: RenderedScene,
-    summaries: tuple[Summary, ...],
-    checks: tuple[Check, ...],
-    settings: list[BookSetting],
-) -> list[report.Section]:
-    """The page: summaries, checks, residuals, lines over the photos in `folder`, and the scene."""
+def book_data(rendered: RenderedScene, settings: Sequence[BookSetting]) -> dict[str, Any]:
+    """For `--json`."""
+    return {
+        "views": len(rendered.poses),
+        "posed": len(settings[0].poses),
+        "tracks": len(settings[0].segments.tracks),
+        "rows": json_rows([f for setting in settings for f in setting.figures], COLUMNS),
+        "poses": {s.name: dict(zip(POSE_ERRORS, rms_of_each(s.pose_errors), strict=True)) for s in settings},
+    }
+
+
+def book_sections(rendered: RenderedScene, settings: Sequence[BookSetting], photo_folder: Path) -> list[report.Section]:
+    """The page: summaries, checks, residuals, lines over the photos in a folder, and the scene."""
     quantity = "orthogonal distance of an end point (px)"
-    sections = [report.summary_section(*summaries), report.checks_section(checks)]
+    checks = book_checks(rendered, settings)
+    sections = [report.summary_section(*book_summaries(rendered, settings)), report.checks_section(checks)]
     for setting in settings:
         shown = [f for f in setting.figures if f.method in (TRIANGULATIONS[0][0], SHOWN)]
         distances = {f"{f.method}, {f.stage.split(', ')[1]}": f.distance_px for f in shown}
         sections.append(report.histogram_section(f"Residuals, lines {setting.name}", distances, quantity, logarithmic=True))
-    curves = [curve for setting in settings[1:] for curve in _reprojections(rendered.model, setting)]
-    sections.append(report.photos_section(folder / "photos", curves, title="Lines by hand over the photos"))
+    curves = [curve for setting in settings[1:] for curve in _reprojections(rendered.camera, setting)]
+    sections.append(report.photos_section(photo_folder, curves, title="Lines by hand over the photos"))
     caption = "In the frame of the sheet, z down."
     sections.append(
         report.scene_section(

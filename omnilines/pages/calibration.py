@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from camera_models import Scaramuzza
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
+from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
 
@@ -63,7 +63,7 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
     median, largest = UncertaintyMap.of(result).figures
     model = result.model
     rows = (
-        ("model", f"{model.NAME} of degree {model.degree}" if isinstance(model, Scaramuzza) else model.NAME),
+        ("model", model.label),
         ("views used", f"{len(used)} of {len(result.views)}"),
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
         ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
@@ -152,6 +152,13 @@ def calibration_data(result: CameraCalibration, selection: Selection | None) -> 
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def write_calibration_page(result: CalibrationResult, path: str | Path) -> Path:
+    """Write the page of a calibration and return its path."""
+    summaries = calibration_summaries(result.fit, result.selection)
+    sections = calibration_sections(result.fit, result.found.corners, summaries, result.found.photo_folder)
+    return report.write_report(path, f"Calibration of one {result.camera.NAME} camera", sections)
 
 
 def calibration_sections(

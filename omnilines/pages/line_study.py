@@ -5,18 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from omnilines import report
 from omnilines.files.tables import number_cells, write_table
 from omnilines.records import Check, Summary
 from omnilines.report import Section
-from omnilines.studies.line_study import ADJUSTMENT, ESTIMATED, KNOWN, POSES, TRIANGULATION, MethodFigures, Study
+from omnilines.studies.line_study import ADJUSTMENT, ESTIMATED, POSES, SETTING, TRIANGULATION, MethodFigures, Study
+from omnilines.synthetic.lines import LineWorld
 
-EFFICIENT = "whitened"
-"""The cost that is expected to attain the bound."""
-COMPLETE_SHARE = 0.98
-"""Of the trials, those that have to end with every line."""
 NUMBERS = (
     "noise_px",
     "trials",
@@ -31,7 +29,6 @@ NUMBERS = (
     "over_bound_se",
 )
 COLUMNS = ("poses", "stage", "method", *NUMBERS)
-SETTING = {KNOWN: "poses known", ESTIMATED: "poses disturbed, then estimated"}
 
 
 def _rms(values: Tensor) -> float:
@@ -70,19 +67,23 @@ def write_figures(path: Path, study: Study) -> None:
     write_table(path, columns)
 
 
-def study_checks(study: Study, allowance: float) -> tuple[Check, ...]:
-    """The efficient cost is at the bound, by `allowance` or two standard errors, and the adjustment ends with every line."""
-    checks = []
-    for poses in POSES:
-        figures = study.of(poses, ADJUSTMENT, EFFICIENT)
-        ratio, error = study.over_bound(*figures)
-        if math.isfinite(ratio):
-            limit = 1 + max(allowance, 2 * error)
-            checks.append(Check(f"3D error over the bound, {EFFICIENT} cost, {SETTING[poses]}", ratio, limit, "", ratio <= limit))
-        share = float(np.mean([float(f.complete.double().mean()) for f in figures]))
-        name = f"share of trials that end with every line, {SETTING[poses]}"
-        checks.append(Check(name, share, COMPLETE_SHARE, "", share >= COMPLETE_SHARE))
-    return tuple(checks)
+def beyond_share(world: LineWorld) -> float:
+    """Share of the observed end points whose bearing is more than 90 degrees off the optical axis."""
+    bearings, _ = world.camera.unproject(world.ends_px)
+    return float((bearings[..., 2] < 0).to(torch.float64).mean())
+
+
+def study_about(study: Study) -> tuple[tuple[str, str], ...]:
+    """The scene and the trials, in rows."""
+    world = study.world
+    views = np.bincount(world.track.numpy(), minlength=world.lines)
+    return (
+        ("camera", f"{world.camera.NAME}, {world.camera.image_size[0]} x {world.camera.image_size[1]} px"),
+        ("lines, views, segments", f"{world.lines}, {world.images}, {len(world.track)}"),
+        ("views of a line", f"{views.min()} to {views.max()}"),
+        ("end points beyond 90 degrees off axis", f"{100 * beyond_share(world):.1f} %"),
+        ("trials", f"{study.trials} at each noise of {', '.join(f'{noise:g}' for noise in study.noise_px)} px"),
+    )
 
 
 def _nearest(study: Study) -> float:

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from omnilines.adjustment.noise import REJECTED, Noise
+from omnilines.adjustment.noise import Noise
 
 WORTH_SAYING = 1.1
 """Factor on standard deviations from which on it is said in a sentence."""
@@ -36,7 +36,7 @@ def noise_notes(noise: Noise) -> tuple[str, ...]:
 
 
 def _of_stated(noise: Noise) -> tuple[str, ...]:
-    limit = f"(chi-square, below {100 * REJECTED:g} percent)"
+    limit = f"(chi-square, below {100 * noise.significance:g} percent)"
     if not noise.holds and noise.measured > WORTH_SAYING:
         return (
             f"The residuals are {noise.measured:.2f} times as large as the stated noise of the end points allows {limit}: all "

@@ -22,6 +22,7 @@ from omnilines.pages.calibration import (
     projection_curve,
     supported_circle_px,
 )
+from omnilines.pipelines.calibrate_rig import RigResult
 from omnilines.records import Corners, Summary
 from omnilines.report import Section
 from omnilines.report.rig import RigCameraDrawing, RigLinkDrawing, rig_section
@@ -173,6 +174,12 @@ def _camera_data(member: RigMember) -> dict[str, Any]:
             "sigma": np.sqrt(np.diag(member.pose_covariance)).tolist(),
         },
     }
+
+
+def write_rig_page(result: RigResult, path: str | Path) -> Path:
+    """Write the page of a rig and return its path."""
+    title = f"Calibration of a rig of {len(result.fit.members)} cameras"
+    return report.write_report(path, title, rig_sections(result.fit, rig_summaries(result.fit), result.found.photo_folder))
 
 
 def rig_sections(result: RigCalibration, summaries: tuple[Summary, ...], photo_folder: Path | None) -> list[Section]:

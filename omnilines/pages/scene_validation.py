@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from omnilines import report
-from omnilines.evaluation.arcs import LEAST_PX
-from omnilines.evaluation.scene import LEAST_CONTRAST, LEAST_VIEWS, scene_scores
+from omnilines.evaluation.arcs import MIN_PX
+from omnilines.evaluation.scene import MIN_CONTRAST, MIN_VIEWS, scene_scores
 from omnilines.geometry.line import end_radius_sigmas
 from omnilines.records import Summary
 from omnilines.report import Section
@@ -21,13 +21,13 @@ CURVE_PX = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)
 _ON, _OFF = "on a true edge", "on none"
 
 
-def scene_validation_summaries(validation: SceneValidation, scene: str, seed: int) -> tuple[Summary, ...]:
+def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ...]:
     """The setting, the arcs, the lines and their uncertainty."""
     truth, rebuilt, scores, arcs = validation.truth, validation.rebuilt, validation.scores, validation.arcs
-    width, height = truth.model.image_size
+    width, height = truth.camera.image_size
     setting = (
-        ("scene", f"{scene}, seed {seed}, {len(truth.edges)} edges"),
-        ("camera", f"{truth.model.NAME}, {width}x{height} px, {len(truth.poses)} photos"),
+        ("scene", f"{truth.name}, seed {truth.seed}, {len(truth.edges)} edges"),
+        ("camera", f"{truth.camera.NAME}, {width}x{height} px, {len(truth.poses)} photos"),
         ("median distance of the edges", f"{validation.distance_m:.2f} m, where a pixel is {1e3 * validation.pixel_m:.3g} mm"),
     )
     extracted = (
@@ -56,7 +56,7 @@ def scene_validation_summaries(validation: SceneValidation, scene: str, seed: in
         (f"lines within {1e3 * validation.tolerance_m:.3g} mm, as sigma_m predicts", _percent(validation.expected_precision)),
     )
     note = (
-        f"Length counts that at least {LEAST_VIEWS} photos see, with {LEAST_CONTRAST:g} grey levels or more and {LEAST_PX:g} px "
+        f"Length counts that at least {MIN_VIEWS} photos see, with {MIN_CONTRAST:g} grey levels or more and {MIN_PX:g} px "
         f"or more. A line is within a distance when nine tenths of its length are. The last distance is {TOLERANCE_PX:g} pixels."
     )
     return (
@@ -67,14 +67,14 @@ def scene_validation_summaries(validation: SceneValidation, scene: str, seed: in
     )
 
 
-def scene_validation_data(validation: SceneValidation, scene: str, seed: int) -> dict[str, Any]:
+def scene_validation_data(validation: SceneValidation) -> dict[str, Any]:
     """For `--json`."""
     truth, rebuilt, scores, arcs = validation.truth, validation.rebuilt, validation.scores, validation.arcs
     return {
-        "scene": scene,
-        "model": truth.model.NAME,
-        "image_size": list(truth.model.image_size),
-        "seed": seed,
+        "scene": truth.name,
+        "model": truth.camera.NAME,
+        "image_size": list(truth.camera.image_size),
+        "seed": truth.seed,
         "photos": len(truth.poses),
         "distance_m": validation.distance_m,
         "pixel_m": validation.pixel_m,
@@ -157,7 +157,7 @@ def _by_distance(validation: SceneValidation) -> Section:
     """Strict precision and recall against the distance."""
     truth = validation.truth
     thresholds = [share * validation.pixel_m for share in CURVE_PX]
-    scores = scene_scores(validation.rebuilt.lines.ends_m, truth.edges, truth.stretches, thresholds, least_px=LEAST_PX)
+    scores = scene_scores(validation.rebuilt.lines.ends_m, truth.edges, truth.stretches, thresholds, min_px=MIN_PX)
     x = 1e3 * np.array(thresholds)
     return report.curve_section(
         "Precision and recall",

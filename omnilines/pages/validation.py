@@ -8,9 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models import Scaramuzza
 from omnilines import report
-from omnilines.evaluation.cameras import symmetric_form
 from omnilines.records import Polyline, Summary
 from omnilines.report import Section
 from omnilines.studies.validation import Validation
@@ -21,14 +19,14 @@ STEPS_PER_LINE = 40
 """Points per reprojected line: a wide lens bends it."""
 
 
-def validation_summaries(validation: Validation, fov_deg: float, seed: int) -> tuple[Summary, ...]:
+def validation_summaries(validation: Validation) -> tuple[Summary, ...]:
     """The setting, the errors of camera and lines, and the parameters beside the true ones."""
     truth, bearings, lines = validation.truth, validation.bearings, validation.lines
     estimate = validation.calibration.estimates["cam0"]
-    width, height = truth.model.image_size
+    width, height = truth.camera.image_size
     setting = (
-        ("camera model", f"{truth.model.NAME}, {fov_deg:g} degrees, {width}x{height} px, seed {seed}"),
-        ("photos used", f"{len(truth.images) - validation.photos_lost} of {len(truth.images)}"),
+        ("camera model", f"{truth.camera.NAME}, {truth.fov_deg:g} degrees, {width}x{height} px, seed {truth.seed}"),
+        ("photos used", f"{len(truth.poses) - validation.photos_lost} of {len(truth.poses)}"),
         ("corners reach", f"{estimate.max_angle_deg or 0.0:.1f} degrees off axis"),
         ("rms_px_per_axis", f"{estimate.rms_px_per_axis or 0.0:.4f}"),
         ("rms_px_per_point", f"{estimate.rms_px_per_point or 0.0:.4f}"),
@@ -53,9 +51,8 @@ def validation_summaries(validation: Validation, fov_deg: float, seed: int) -> t
 
 
 def parameter_rows(validation: Validation) -> tuple[tuple[str, str], ...]:
-    """Each parameter with its standard deviation and its true value; Scaramuzza's in the form that calibration holds."""
-    true = validation.truth.model
-    true = symmetric_form(true) if isinstance(true, Scaramuzza) else true
+    """Each parameter with its standard deviation and its true value; all in the form that calibration holds."""
+    true = validation.truth.camera.calibrated_form()
     sigma = validation.calibration.estimates["cam0"].sigma or {}
     z = dict(zip(validation.parameters.names, validation.parameters.z.tolist(), strict=True))
     pairs = zip(validation.model.named_parameters().items(), true.named_parameters().values(), strict=True)
@@ -65,23 +62,23 @@ def parameter_rows(validation: Validation) -> tuple[tuple[str, str], ...]:
     )
 
 
-def validation_data(validation: Validation, fov_deg: float, seed: int) -> dict[str, Any]:
+def validation_data(validation: Validation) -> dict[str, Any]:
     """For `--json`."""
     truth, parameters, lines = validation.truth, validation.parameters, validation.lines
     return {
-        "model": truth.model.NAME,
-        "image_size": list(truth.model.image_size),
-        "fov_deg": fov_deg,
-        "seed": seed,
-        "photos": len(truth.images),
-        "photos_used": len(truth.images) - validation.photos_lost,
+        "model": truth.camera.NAME,
+        "image_size": list(truth.camera.image_size),
+        "fov_deg": truth.fov_deg,
+        "seed": truth.seed,
+        "photos": len(truth.poses),
+        "photos_used": len(truth.poses) - validation.photos_lost,
         "max_angle_deg": math.degrees(truth.max_angle_rad),
         "rms_px_per_axis": validation.calibration.estimates["cam0"].rms_px_per_axis,
         "rms_px_per_point": validation.calibration.estimates["cam0"].rms_px_per_point,
         "bearing_rms_deg": validation.bearings.rms_deg,
         "bearing_max_deg": validation.bearings.max_deg,
         "parameters": validation.model.named_parameters(),
-        "true_parameters": truth.model.named_parameters(),
+        "true_parameters": truth.camera.named_parameters(),
         "z_scores": dict(zip(parameters.names, parameters.z.tolist(), strict=True)),
         "parameters_mahalanobis2": parameters.statistic,
         "lines": len(validation.scene.lines),
@@ -107,7 +104,7 @@ def validation_sections(validation: Validation, summaries: tuple[Summary, ...], 
             "Angle between estimated and true bearings over a uniform grid of pixels, after the best common rotation.",
         ),
         report.histogram_section("Distance of the lines from the truth", distances, "distance (mm)"),
-        report.photos_section(photo_folder, reprojections(validation), images=validation.truth.images),
+        report.photos_section(photo_folder, reprojections(validation), images=validation.truth.poses.images),
         _scene(validation),
     ]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from calib_patterns._pattern import Detection, Pattern
+from calib_patterns import Detection, Pattern
 from calib_patterns.guided_part import guided_search_of_part
 from calib_patterns.tangent_views import LEAST_CORNERS, detect_in_views
 from camera_models import CameraModel

@@ -2,45 +2,77 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from calib_patterns._pattern import Detection, Pattern
+from calib_patterns import Detection, Pattern
+from calib_patterns import pattern as parse_pattern
 from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.files import PhotoRef, read_photo
+from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
+from omnilines.files.folders import output_folder
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
-T = TypeVar("T")
-R = TypeVar("R")
+IN_MEMORY = "in memory"
+"""In the place of a file in the provenance."""
 
 
 @dataclass(frozen=True)
 class PhotoCorners:
-    """Corners found in a set of photos of one camera."""
+    """Corners found in a set of photos of one camera, and with what, so that the camera can lead to more of them."""
 
     corners: Corners
     image_size: tuple[int, int]
-    skipped: tuple[ViewResult, ...]
+    skipped: tuple[ViewResult, ...] = ()
     """Photos without corners, each with its reason."""
-    photo_folder: Path
+    photo_folder: Path | None = None
+    """Which the names of the photos are relative to, where they are files."""
     blur_px: Float[np.ndarray, "n 2"] | None = None
     """Blur of both edges of each corner (`Detection.blur_px`), rows as in `corners`; None where it is not known."""
+    photos: tuple[Photo, ...] = ()
+    """Those that were looked through; none where the corners are from a table."""
+    pattern: Pattern | None = None
+    mirrored: bool = False
+    """Whether the photos were taken for mirror images."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """What they were made from, for the provenance of results."""
+
+    @staticmethod
+    def of_table(
+        corners: Corners, image_size: tuple[int, int], source: str | Path = IN_MEMORY, photo_folder: Path | None = None
+    ) -> "PhotoCorners":
+        """Corners of a table; `source` is named in errors and in the provenance. Raises InputError where a corner lies outside
+        the image."""
+        outside = ((corners.pixels < -0.5) | (corners.pixels > np.array(image_size) - 0.5)).any(-1)
+        if outside.any():
+            row = int(np.flatnonzero(outside)[0])
+            u, v = corners.pixels[row]
+            raise InputError(
+                f"{source}: every corner was expected inside the image of {image_size[0]}x{image_size[1]} px, found "
+                f"({u:g}, {v:g}) in view {corners.view_names[corners.view[row]]}; check `image_size` (width x height)."
+            )
+        return PhotoCorners(corners, image_size, photo_folder=photo_folder, inputs={"corners": source})
 
     @property
     def remarks(self) -> tuple[str | None, ...]:
         """Of each view of `corners` what a person should know of its photo, one sentence, or None."""
         views = len(self.corners.images)
         return (None,) * views if self.blur_px is None else blur_remarks(self.corners.view, self.blur_px, views)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of all photos together."""
+        remark = None if self.pattern is None else counts_remark(self.pattern, self.corners)
+        return (remark,) if remark else ()
 
     def detection(self, name: str) -> Detection:
         """The corners of the photo of that name, none where it was skipped."""
@@ -52,73 +84,110 @@ class PhotoCorners:
         blur_px = None if self.blur_px is None else self.blur_px[rows]
         return Detection(corners.ids[rows], corners.pixels[rows], sigma_px[rows], blur_px)
 
-    def updated(self, photos: Sequence[PhotoRef], better: Mapping[str, Detection], pattern: Pattern) -> "PhotoCorners":
+    def updated(self, better: Mapping[str, Detection]) -> "PhotoCorners":
         """With other corners for the photos named, of which those skipped before are views then."""
-        kept = [(photo, better.get(photo.name, self.detection(photo.name))) for photo in photos]
+        assert self.pattern is not None
+        kept = [(photo, better.get(photo.name, self.detection(photo.name))) for photo in self.photos]
         kept = [(photo, detection) for photo, detection in kept if len(detection)]
         seen = {photo.name for photo, _ in kept}
         skipped = tuple(view for view in self.skipped if view.name not in seen)
-        return PhotoCorners(_table(kept, pattern), self.image_size, skipped, self.photo_folder, _blur_px(kept))
+        return replace(self, corners=_table(kept, self.pattern), skipped=skipped, blur_px=_blur_px(kept))
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write `corners.csv` into a folder, which is made if absent; returns the files."""
+        path = output_folder(folder) / "corners.csv"
+        write_corners(path, self.corners)
+        return (path,)
 
 
-def detect_corners(
-    photos: Sequence[PhotoRef],
-    pattern: Pattern,
+def detect(
+    photos: Photos,
+    pattern: Pattern | str,
     *,
-    model: CameraModel | None = None,
+    camera: CameraModel | None = None,
     mirrored: bool = False,
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
-    """Find the pattern in every photo, on all cores, one photo per core in memory; with the camera's `model` also what only it
-    leads to.
+    """Find a target in photos of one camera, on all cores, one photo per core in memory.
 
-    A photo that cannot be read, is of another size than most (than the camera's), or shows no pattern is skipped with its
-    reason. Raises InputError when no photo shows the pattern.
+    `photos` are a folder, files and folders, or a mapping of names to arrays (NumPy or torch, grey or BGR); `pattern` may be its
+    specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
+    a mirror. A photo that cannot be read, is of another size than most, or shows no target is skipped with its reason.
+
+    Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
+    another image size.
+
+        >>> corners = ol.detect("board/", "checkerboard:8x6:30mm")
+        >>> len(corners.corners.images), corners.image_size
+        (8, (640, 480))
+        >>> corners.corners.pixels.shape, corners.corners.board_m.shape
+        ((384, 2), (384, 3))
     """
+    found_photos = photos_of(photos)
+    target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
 
-    def look(photo: PhotoRef) -> tuple[Detection, str | None, tuple[int, int] | None]:
+    def look(photo: Photo) -> tuple[Detection, str | None, tuple[int, int] | None]:
         """What one photo shows of the target, why it was skipped, and its size."""
         try:
-            image = read_photo(photo.path)
+            image = photo.read()
         except InputError as error:
             return Detection.empty(), str(error), None
         size = (image.shape[1], image.shape[0])
-        detection, reason = pattern.detect(image, mirrored=mirrored)
-        if model is not None and size == model.image_size:
-            detection = searched(image, pattern, model, detection, mirrored=mirrored)
+        detection, reason = target.detect(image, mirrored=mirrored)
+        if camera is not None and size == camera.image_size:
+            detection = searched(image, target, camera, detection, mirrored=mirrored)
             reason = None if len(detection) else reason
         return detection, reason, size
 
-    found = on_all_cores(look, photos, "detecting corners", progress)
-    sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
-    if not sizes:
-        reasons = [reason for _, reason, _ in found if reason]
+    found = on_all_cores(look, found_photos, "detecting corners", progress)
+    size = _common_size(found, target)
+    if camera is not None and size != camera.image_size:
+        photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
         raise InputError(
-            f"The pattern {pattern.specification} was expected in at least one of {len(photos)} photos, found in none "
-            f"(first reason: {reasons[0].rstrip('.')}); check the counts of inner corners and the photos."
+            f"The `camera` of the photos, of {photo_size}, was expected, found one of {camera_size}; give that of these photos, "
+            "or leave it out."
         )
-    size = sizes.most_common(1)[0][0]
-    kept: list[tuple[PhotoRef, Detection]] = []
+    kept: list[tuple[Photo, Detection]] = []
     skipped = []
-    for photo, (detection, reason, its_size) in zip(photos, found, strict=True):
+    for photo, (detection, reason, its_size) in zip(found_photos, found, strict=True):
         if its_size is not None and len(detection) and its_size != size:
             reason = f"its size is {its_size[0]}x{its_size[1]} px where most photos have {size[0]}x{size[1]} px"
         if reason is None and len(detection):
             kept.append((photo, detection))
         else:
             skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
-    return PhotoCorners(_table(kept, pattern), size, tuple(skipped), _folder(photos), _blur_px(kept))
+    folder = photo_folder(found_photos)
+    return PhotoCorners(
+        _table(kept, target),
+        size,
+        tuple(skipped),
+        folder,
+        _blur_px(kept),
+        tuple(found_photos),
+        target,
+        mirrored,
+        {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
+    )
+
+
+def _common_size(found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern) -> tuple[int, int]:
+    """That of most photos with corners. Raises InputError where none has any."""
+    sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
+    if not sizes:
+        reasons = [reason for _, reason, _ in found if reason]
+        raise InputError(
+            f"The pattern {pattern.specification} was expected in at least one of {len(found)} photos, found in none "
+            f"(first reason: {reasons[0].rstrip('.')}); check the counts of inner corners and the photos."
+        )
+    return sizes.most_common(1)[0][0]
 
 
 def search_again(
-    photos: Sequence[PhotoRef],
     found: PhotoCorners,
-    pattern: Pattern,
     model: CameraModel,
     poses: Mapping[str, Pose],
     *,
     lost_too: bool,
-    mirrored: bool = False,
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
     """The corners found and those that a camera leads to, on all cores, one photo per core in memory.
@@ -126,29 +195,31 @@ def search_again(
     `poses`: cam_from_board of the photos, by name, whose corners fit the camera; photos of which all corners in the camera's
     view are known are not read. `lost_too`: look through the other photos as well, those skipped included.
     """
+    pattern = found.pattern
+    assert pattern is not None
 
-    def may_gain(photo: PhotoRef) -> bool:
+    def may_gain(photo: Photo) -> bool:
         if photo.name not in poses:
             return lost_too
         return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
 
-    def look(photo: PhotoRef) -> Detection:
+    def look(photo: Photo) -> Detection:
         """What one photo shows of the target once the camera is known."""
         known = found.detection(photo.name)
         try:
-            image = read_photo(photo.path)
+            image = photo.read()
         except InputError:
             return known  # the reason why it was skipped stands
         if (image.shape[1], image.shape[0]) != model.image_size:
             return known
         if photo.name not in poses:
-            return searched(image, pattern, model, known, mirrored=mirrored)
+            return searched(image, pattern, model, known, mirrored=found.mirrored)
         whole = completed(image, pattern, model, known, poses[photo.name])
         return known if whole is None else whole
 
-    again = [photo for photo in photos if may_gain(photo)]
+    again = [photo for photo in found.photos if may_gain(photo)]
     better = on_all_cores(look, again, "searching with the camera", progress)
-    return found.updated(photos, {photo.name: detection for photo, detection in zip(again, better, strict=True)}, pattern)
+    return found.updated({photo.name: detection for photo, detection in zip(again, better, strict=True)})
 
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
@@ -169,21 +240,15 @@ def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
     )
 
 
-def _blur_px(kept: list[tuple[PhotoRef, Detection]]) -> Float[np.ndarray, "n 2"] | None:
+def _blur_px(kept: Sequence[tuple[Photo, Detection]]) -> Float[np.ndarray, "n 2"] | None:
     blurs = [detection.blur_px for _, detection in kept if detection.blur_px is not None]
     return np.concatenate(blurs) if len(blurs) == len(kept) else None
 
 
-def _table(kept: list[tuple[PhotoRef, Detection]], pattern: Pattern) -> Corners:
+def _table(kept: Sequence[tuple[Photo, Detection]], pattern: Pattern) -> Corners:
     names = tuple(photo.name for photo, _ in kept)
     ids = np.concatenate([d.ids for _, d in kept])
     view = np.repeat(np.arange(len(kept)), [len(d) for _, d in kept])
     pixels: Float[np.ndarray, "n 2"] = np.concatenate([d.pixels for _, d in kept])
     sigma: Float[np.ndarray, " n"] = np.concatenate([d.sigma_px for _, d in kept])
     return Corners(view, names, names, pattern.points_m[ids], pixels, sigma, ids)
-
-
-def _folder(photos: Sequence[PhotoRef]) -> Path:
-    """The folder that the photos' names are relative to."""
-    photo = photos[0]
-    return photo.path.parents[len(Path(photo.name).parts) - 1]

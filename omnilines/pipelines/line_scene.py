@@ -209,11 +209,11 @@ def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: LineScene) 
     positions, sigma, in_front = arcs.places(lines, rows, line)
     return supported_stretches(
         lines,
-        line[in_front],
-        positions[in_front],
-        sigma[in_front],
-        arcs.image[rows[in_front]],
-        matched.tracks.enough_views[kept],
+        line=line[in_front],
+        positions_m=positions[in_front],
+        sigma_m=sigma[in_front],
+        image=arcs.image[rows[in_front]],
+        enough_views=matched.tracks.enough_views[kept],
     )
 
 

@@ -14,14 +14,14 @@ from jaxtyping import Bool, Float
 
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.formats.disk import write_atomically
-from omnilines.extraction import extract_arcs
+from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import PhotoRef, read_photo
 from omnilines.files.folders import output_folder
 from omnilines.matching.appearance import side_colours
 from omnilines.progress import ProgressCallback, on_all_cores
 
-LEAST_PX = 13.0
-"""Arcs as short as this are used: other photos confirm them or not."""
+SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
+"""Shorter arcs than by default are used: other photos confirm them or not."""
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
 
 
@@ -88,7 +88,7 @@ def find_arcs(
 def fingerprint(content: bytes, model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float) -> str:
     """Of all that the arcs of a photo depend on."""
     what = hashlib.sha256(content)
-    parameters = repr((model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad, LEAST_PX))
+    parameters = repr((model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad, SHORT_ARCS))
     what.update(f"{version('omnilines')} {parameters}".encode())
     if mask is not None:
         what.update(np.packbits(mask).tobytes())
@@ -105,7 +105,7 @@ def _looked(
     photo: PhotoRef, model: CameraModel, mask: Bool[np.ndarray, "h w"] | None, least_angle_rad: float
 ) -> dict[str, np.ndarray]:
     image = read_photo(photo.path)
-    found = extract_arcs(image, model, mask, least_angle_rad, LEAST_PX)
+    found = extract_arcs(image, model, mask, least_angle_rad, SHORT_ARCS)
     bearings, seen = model.unproject(found.endpoints_px)
     usable = seen.all(-1)
     colours = side_colours(image, model, bearings[usable])

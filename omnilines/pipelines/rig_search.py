@@ -7,22 +7,22 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models.pose import Pose
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.pipelines.detect import PhotoCorners, search_again
-from omnilines.pipelines.rig_sources import CameraPhotos, RigSource, frame_of, source_of
+from omnilines.pipelines.detect_rig import CameraCorners, RigCorners, corners_of_cameras, frame_of
 from omnilines.progress import ProgressCallback
 
 SAME_CORNER_M = 1e-6
 
 
-def searched_with_rig(source: RigSource, result: RigCalibration, progress: ProgressCallback) -> RigSource | None:
+def searched_with_rig(source: RigCorners, result: RigCalibration, progress: ProgressCallback) -> RigCorners | None:
     """The corners found and those that the rig leads to; None where there are none."""
     members = {member.name for member in result.members}
-    found: list[CameraPhotos] = []
+    found: list[CameraCorners] = []
     gained = 0
-    for item in source.photos:
+    for item in source.cameras:
         known, poses = item.found, dict[str, Pose]()
         if item.camera in members:
             known, poses, model = _as_the_rig_numbers(item, result), _predicted(item, result), result.member(item.camera).model
@@ -34,26 +34,24 @@ def searched_with_rig(source: RigSource, result: RigCalibration, progress: Progr
         else:
             found.append(item)
             continue
-        again = search_again(
-            item.photos, known, item.pattern, model, poses, lost_too=True, mirrored=item.mirrored, progress=progress
-        )
+        again = search_again(known, model, poses, lost_too=True, progress=progress)
         gained += len(again.corners) - len(item.found.corners)
         found.append(replace(item, found=again))
-    if not gained or source.photo_folder is None:
+    if not gained:
         return None
     note = f"The rig led to {gained} corners that had been missed."
-    fresh = source_of(found, source.photo_folder, source.corners.boards is not None)
-    return replace(source, corners=fresh.corners, skipped=fresh.skipped, photos=fresh.photos, notes=(*source.notes, note))
+    fresh = corners_of_cameras(found, source.corners.boards is not None)
+    return replace(source, corners=fresh.corners, skipped=fresh.skipped, cameras=fresh.cameras, notes=(*source.notes, note))
 
 
-def _predicted(item: CameraPhotos, result: RigCalibration) -> dict[str, Pose]:
+def _predicted(item: CameraCorners, result: RigCalibration) -> dict[str, Pose]:
     """cam_from_board of every photo of a camera in whose frame the rig knows where the target is."""
     board = item.pattern.specification
     boards = list(result.boards)
     member = result.member(item.camera)
     place = {name: k for k, name in enumerate(result.frames)}
     found = {}
-    for photo in item.photos:
+    for photo in item.found.photos:
         frame = frame_of(PurePosixPath(photo.name))
         # Boards that move by themselves have a pose of their own in every frame.
         key = place.get(frame, place.get(f"{frame} {board}"))
@@ -63,7 +61,7 @@ def _predicted(item: CameraPhotos, result: RigCalibration) -> dict[str, Pose]:
     return found
 
 
-def _as_the_rig_numbers(item: CameraPhotos, result: RigCalibration) -> PhotoCorners:
+def _as_the_rig_numbers(item: CameraCorners, result: RigCalibration) -> PhotoCorners:
     """What was found, with the ids that the rig gives to the corners of plain boards; views that it numbers beyond the board
     are left out."""
     corners, own = result.corners, item.found.corners

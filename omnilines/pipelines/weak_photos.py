@@ -10,7 +10,8 @@ import torch
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
-from omnilines.matching.placing import ABOVE_CHANCE, LEAST_SCORE, lines_of_others, lines_of_tracks
+from omnilines.matching.options import PlacingOptions
+from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.arc_counts import shared_lines, weakest_link
@@ -81,7 +82,8 @@ def _better_pose(arcs: ViewedArcs, known: KnownLines) -> BetterPose | None:
     starts = Pose.exp(torch.cat([turns, torch.zeros_like(turns)], -1)) @ Pose.stack([arcs.poses[0]] * len(turns))
     placed = [refined_by_lines(arcs.with_poses(starts[k : k + 1]), known) for k in range(len(starts))]
     best: PlacedByLines | None = max((one for one in placed if one is not None), key=lambda one: one.score, default=None)
-    if best is None or best.score < max(LEAST_SCORE, ABOVE_CHANCE * explained_by_lines(arcs, known).score):
+    its = PlacingOptions()
+    if best is None or best.score < max(its.min_score, its.above_chance * explained_by_lines(arcs, known).score):
         return None
     turn = (best.pose @ arcs.poses.inverse()).log()[0, :3].norm()
     return BetterPose(float(turn), float((best.pose.centre - arcs.poses.centre).norm()), best.score)

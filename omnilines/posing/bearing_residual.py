@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models.pose import Pose, hat
+from camera_models.pose import Pose
 
 _NEAREST_OPPOSITE = 1e-9
 
@@ -35,11 +35,6 @@ def bearing_residual(
     by_direction = 2.0 * rows / beyond[..., None] - r[..., None] * (bearings / beyond)[:, None, :]
     along = (by_direction @ v[..., None]) * v[:, None, :]
     return r, (by_direction - along) / length[..., None]
-
-
-def by_pose(by_point: Float[Tensor, "n 2 3"], seen: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 6"]:
-    """d r / d pose for the left perturbation exp(delta) T, delta = (rotation_rad, translation_m): d X = omega x X + v."""
-    return torch.cat([-by_point @ hat(seen), by_point], -1)
 
 
 def placed(pose: Pose, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from calib_patterns._pattern import Detection, Pattern
+from calib_patterns import Detection, Pattern
 from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided_part import guided_search_of_part
-from calib_patterns.pose_refit import refit_pose, robust_scale_px
 from calib_patterns.tangent_views import LEAST_CORNERS, detect_in_views
 from camera_models import CameraModel, GeometryError, InputError
-from camera_models.pose import Pose, hat
+from camera_models.pose import Pose
+from camera_models.pose_fit import pose_covariance, refit_pose, robust_scale_px
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.resection import resect
 from omnilines.records import ImagePoses
@@ -118,7 +118,7 @@ def _completed(
         return None
     board_m = pattern.points_m[corners.ids]
     pose, residual = refit_pose(model, guided.cam_from_board, board_m, corners.pixels)
-    return pose, _covariance(model, pose, board_m, robust_scale_px(residual))
+    return pose, robust_scale_px(residual) ** 2 * pose_covariance(model, pose, board_m, 1.0)
 
 
 def _resected(model: CameraModel, pattern: Pattern, found: Detection) -> Pose | None:
@@ -132,13 +132,3 @@ def _resected(model: CameraModel, pattern: Pattern, found: Detection) -> Pose | 
         return resect(bearings[valid], pattern.points_m[found.ids[valid]], sigma, least_inliers=least).pose
     except GeometryError:
         return None
-
-
-def _covariance(model: CameraModel, pose: Pose, board_m: Float[np.ndarray, "n 3"], sigma_px: float) -> Float[np.ndarray, "6 6"]:
-    """sigma^2 (J' J)^-1 of the pixels by the left perturbation of the pose."""
-    with torch.no_grad():
-        seen = pose.transform(torch.as_tensor(board_m))
-        _, valid, by_point, _ = model.project_with_jacobians(seen)
-        jacobian = (torch.cat([-by_point @ hat(seen), by_point], -1) * valid[:, None, None]).flatten(0, 1)
-        inverse: Float[np.ndarray, "6 6"] = (sigma_px**2 * torch.linalg.inv(jacobian.mT @ jacobian)).numpy()
-    return inverse

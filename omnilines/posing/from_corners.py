@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from calib_patterns.pose_refit import refit_pose, robust_scale_px
 from camera_models import CameraModel, GeometryError, InputError
-from camera_models.pose import Pose, hat
+from camera_models.pose import Pose
+from camera_models.pose_fit import pose_covariance, refit_pose, robust_scale_px
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.resection import LEAST_POINTS, resect
 from omnilines.records import Corners, ImagePoses
@@ -69,16 +69,4 @@ def pose_of_points(
         raise GeometryError(
             f"points that fit the camera were expected, found one {worst:.1f} px off; check order, unit and camera."
         )
-    return pose, _covariance(model, pose, points_m[valid], sigma[valid]) * max(1.0, shown) ** 2
-
-
-def _covariance(
-    model: CameraModel, pose: Pose, points_m: Float[np.ndarray, "n 3"], sigma_px: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "6 6"]:
-    with torch.no_grad():
-        seen = pose.transform(torch.as_tensor(points_m))
-        _, valid, by_point, _ = model.project_with_jacobians(seen)
-        rows = torch.cat([-by_point @ hat(seen), by_point], -1) * (valid / torch.as_tensor(sigma_px))[:, None, None]
-        rows = rows.flatten(0, 1)
-        inverse: Float[np.ndarray, "6 6"] = torch.linalg.inv(rows.mT @ rows).numpy()
-    return inverse
+    return pose, pose_covariance(model, pose, points_m[valid], sigma[valid]) * max(1.0, shown) ** 2

@@ -8,6 +8,7 @@ import torch
 
 from camera_models import GeometryError
 from camera_models.pose import Pose
+from camera_models.rotations import nearest_rotation
 from omnilines.records import ImagePoses
 
 
@@ -51,9 +52,7 @@ def align_to(poses: ImagePoses, reference: ImagePoses) -> tuple[ImagePoses, floa
         raise GeometryError("Photos at two or more places were expected to find a scale, found all at one place; give others.")
     moved = (b - mean_b).mT @ (a - mean_a) / (spread_a * spread_b * len(a))
     turned = (other.rotation.mT @ own.rotation).mean(0)
-    u, _, vt = torch.linalg.svd(moved + turned)
-    sign = torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ vt))], dtype=u.dtype)
-    rotation = (u * sign) @ vt
+    rotation = nearest_rotation(moved + turned)
     scale = float(((b - mean_b) * ((a - mean_a) @ rotation.mT)).sum() / (a - mean_a).square().sum())
     if not scale > 0:
         raise GeometryError("Photos at like places in both sets were expected, found places that contradict; check the names.")

@@ -192,7 +192,7 @@ class Adjusted:
 def adjust_points(seen: Observations, frames: Frames, start: PosesAndPoints) -> Adjusted:
     """Poses and points with the least robust cost near a start; every point needs two observations."""
     engine = PointEngine(seen, frames, len(start.points))
-    found = minimise(engine, start, MOST_ITERATIONS, TOLERANCE)
+    found = minimise(engine, start, MOST_ITERATIONS, tolerance=TOLERANCE)
     norm = engine.norms(found.state)
     scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free))
     covariance = np.full((len(start.rig_from_world), 6, 6), np.nan)

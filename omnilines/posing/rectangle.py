@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from calib_patterns._pattern import parse_length
+from calib_patterns import parse_length
 from camera_models import InputError
 from camera_models.pose import Pose, hat
 

@@ -2,8 +2,8 @@
 
 1. Poses of random triples (p3p.py), scored by sum min(angle^2, limit^2) over all points (MSAC: P. Torr, A. Zisserman, MLESAC,
    CVIU 2000), until a better one is improbable.
-2. The best few are refined by iteratively reweighted Levenberg-Marquardt with the loss log(1 + r^2 / BEND^2) of the residuals in
-   standard deviations (bearing_residual.py), over all points; the one with the least cost is taken.
+2. The best few are refined (camera_models/pose_fit.py) with the loss log(1 + r^2 / LOSS_SIGMAS^2) of the residuals in standard
+   deviations (bearing_residual.py), over all points; the one with the least cost is taken.
 3. Its covariance is that of least squares over the inliers.
 """
 
@@ -16,19 +16,19 @@ from torch import Tensor
 
 from camera_models import GeometryError
 from camera_models.pose import Pose
-from omnilines.posing.bearing_residual import across, bearing_residual, by_pose, placed
+from camera_models.pose_fit import LOSS_SIGMAS, PoseFit, Residuals, by_pose, fit_pose
+from omnilines.posing.bearing_residual import across, bearing_residual, placed
 from omnilines.posing.p3p import p3p
 
 INLIER_SIGMA = 3.5
 """A point counts when its residual is below so many standard deviations: 0.998 of those with normal noise in two directions."""
-BEND = 2.0
 LEAST_POINTS = 4
 """Three leave up to four poses."""
 BATCH, MOST_BATCHES = 256, 40
 CONFIDENCE = 1e-4
 """Probability of having missed a triple without a wrong point at which the search ends."""
 REFINED = 4
-_STEPS = 30
+_STEPS, _LEAST_GAIN = 30, 1e-12
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def resect(
     local = (x - middle) / size
     starts = _best_of_triples(b, local, sigma, seed)
     rows = across(b) / sigma[:, None, None]
-    pose = min((_refined(b, rows, local, starts[k]) for k in range(len(starts))), key=lambda item: item[1])[0]
+    pose = min((_refined(b, rows, local, starts[k]) for k in range(len(starts))), key=lambda fit: fit.cost).pose
     residual, by_point = bearing_residual(b, rows, placed(pose, local))
     inliers = residual.norm(dim=-1) < INLIER_SIGMA
     if int(inliers.sum()) < max(least_inliers, LEAST_POINTS):
@@ -110,39 +110,15 @@ def _best_of_triples(bearings: Float[Tensor, "n 3"], points: Float[Tensor, "n 3"
     return best
 
 
-def _refined(
-    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], start: Pose
-) -> tuple[Pose, float]:
+def _refined(bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], start: Pose) -> PoseFit:
     """The pose near a start with the least robust cost, and that cost."""
-    pose, damping = start, 1e-4
-    cost, normal, right = _linearised(bearings, rows, points, pose)
-    for _ in range(_STEPS):
-        step = torch.linalg.solve(normal + damping * torch.diag(normal.diagonal() + 1e-12), right)
-        trial = Pose.exp(step) @ pose
-        found = _linearised(bearings, rows, points, trial)
-        if found[0] < cost:
-            gain = cost - found[0]
-            pose, (cost, normal, right), damping = trial, found, 0.2 * damping
-            if gain < 1e-12 * cost:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e8:
-                break
-    return pose, cost
 
+    def residuals_at(pose: Pose) -> Residuals:
+        seen = placed(pose, points)
+        residual, by_point = bearing_residual(bearings, rows, seen)
+        return residual, by_pose(by_point, seen), None
 
-def _linearised(
-    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], pose: Pose
-) -> tuple[float, Float[Tensor, "6 6"], Float[Tensor, "6"]]:
-    """Robust cost, normal matrix and right side."""
-    seen = placed(pose, points)
-    residual, by_point = bearing_residual(bearings, rows, seen)
-    share = residual.square().sum(-1) / BEND**2
-    jacobian = by_pose(by_point, seen)
-    weighted = jacobian / (1.0 + share)[:, None, None]
-    normal = torch.einsum("nki,nkj->ij", weighted, jacobian)
-    return float(torch.log1p(share).sum()), normal, -torch.einsum("nki,nk->i", weighted, residual)
+    return fit_pose(start, residuals_at, LOSS_SIGMAS, steps=_STEPS, least_gain=_LEAST_GAIN)
 
 
 def _inverse(normal: Float[Tensor, "6 6"]) -> Float[Tensor, "6 6"]:

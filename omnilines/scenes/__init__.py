@@ -9,7 +9,7 @@ edge, t, length_px, contrast = visible_stretches(scene, eye(camera, circle), pos
 
 from camera_models import InputError
 from omnilines.scenes.books import books, sheet_from_world
-from omnilines.scenes.cameras import largest_angle, scene_camera
+from omnilines.scenes.cameras import default_fov_deg, largest_angle, scene_camera
 from omnilines.scenes.edges import scene_edges
 from omnilines.scenes.flat import flat
 from omnilines.scenes.line_scene import LineScene
@@ -32,6 +32,7 @@ __all__ = [
     "LineScene",
     "books",
     "build_scene",
+    "default_fov_deg",
     "eye",
     "flat",
     "furnished_room",

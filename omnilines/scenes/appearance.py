@@ -115,7 +115,7 @@ def _waves(texture: Texture, plane_m: Float[np.ndarray, "2 n"], footprint_m: Flo
 
 
 def texture(
-    rng: np.random.Generator, contrast: float, coarsest_m: float, finest_m: float, stretch: float = 1.0, waves: int = 8
+    rng: np.random.Generator, contrast: float, coarsest_m: float, finest_m: float, stretch: float = 1.0, *, waves: int = 8
 ) -> Texture:
     """A texture of that root mean square contrast, of waves in all directions between two wavelengths, longer along s."""
     wavelength = np.geomspace(coarsest_m, finest_m, waves) * rng.uniform(0.9, 1.1, waves)

@@ -138,7 +138,7 @@ class Builder:
         return self._add([(corners_m, (True,) * 4)], corners_m, plane, layer + 1, tone, texture)
 
     def box(
-        self, frame: Frame, low: Sequence[float], high: Sequence[float], tone: Colour, texture: int = 0, solid: bool = True
+        self, frame: Frame, low: Sequence[float], high: Sequence[float], tone: Colour, texture: int = 0, *, solid: bool = True
     ) -> list[int]:
         """A closed box between two local corners: its bottom, top, front (low y), back, right (high x) and left face."""
         x0, y0, z0 = low
@@ -159,6 +159,7 @@ class Builder:
         front_y: float,
         back_y: float,
         tone: Colour,
+        *,
         texture: int = 0,
         threshold: bool = True,
     ) -> None:
@@ -174,7 +175,7 @@ class Builder:
             self.face(frame.world(np.array(corners)), tone, texture)
 
     def upright(
-        self, frame: Frame, place: Opening, y: float, tone: Colour, texture: int = 0, openings: Sequence[Opening] = ()
+        self, frame: Frame, place: Opening, y: float, tone: Colour, texture: int = 0, *, openings: Sequence[Opening] = ()
     ) -> int:
         """A rectangle in a plane of local y, seen from low y; openings are given in the frame, as its own place is."""
         s0, t0, s1, t1 = place
@@ -190,6 +191,7 @@ class Builder:
         openings: Sequence[Opening],
         front_y: float,
         back_y: float,
+        *,
         tone: Colour,
         texture: int = 0,
     ) -> None:
@@ -197,9 +199,9 @@ class Builder:
 
         An opening that reaches the lower side, as of a door, has no threshold.
         """
-        self.upright(frame, place, front_y, tone, texture, openings)
+        self.upright(frame, place, front_y, tone, texture, openings=openings)
         for opening in openings:
-            self.recess(frame, opening, front_y, back_y, tone, texture, threshold=opening[1] > place[1])
+            self.recess(frame, opening, front_y, back_y, tone, texture=texture, threshold=opening[1] > place[1])
         (s0, t0, s1, t1), y0, y1 = place, front_y, back_y
         for corners in (
             [[s0, y1, t0], [s0, y0, t0], [s0, y0, t1], [s0, y1, t1]],
@@ -210,7 +212,14 @@ class Builder:
             self.face(frame.world(np.array(corners)), tone, texture)
 
     def frustum(
-        self, frame: Frame, sides: int, radii: tuple[float, float], heights: tuple[float, float], tone: Colour, texture: int = 0
+        self,
+        frame: Frame,
+        sides: int,
+        radii: tuple[float, float],
+        heights: tuple[float, float],
+        tone: Colour,
+        *,
+        texture: int = 0,
     ) -> None:
         """A closed column of equal sides round local z, of one radius at its foot and another at its head."""
         angle = 2.0 * math.pi * np.arange(sides) / sides

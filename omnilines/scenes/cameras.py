@@ -12,6 +12,11 @@ from omnilines.synthetic.targets import example_camera
 FISHEYE_FOV_DEG, NARROW_FOV_DEG, WHOLE_DEG = 190.0, 80.0, 360.0
 
 
+def default_fov_deg(model_name: str) -> float:
+    """The field of view of a lens where none is asked for, across the largest circle in the image."""
+    return NARROW_FOV_DEG if model_class(model_name).LARGEST_ANGLE <= 0.5 * math.pi else FISHEYE_FOV_DEG
+
+
 def scene_camera(
     model_name: str, image_size: tuple[int, int], seed: int, fov_deg: float | None = None, mirror: bool = False
 ) -> tuple[CameraModel, float]:
@@ -32,7 +37,7 @@ def scene_camera(
     if kind is Cylindrical:
         return views("cylindrical", image_size, fov_deg)[0].camera, math.pi
     narrow = kind.LARGEST_ANGLE <= 0.5 * math.pi
-    angle = (NARROW_FOV_DEG if narrow else FISHEYE_FOV_DEG) if fov_deg is None else fov_deg
+    angle = default_fov_deg(model_name) if fov_deg is None else fov_deg
     camera = example_camera(model_name, angle, image_size, seed)
     if mirror:
         # The ray of a pixel (x, y, f) becomes (x, y, -f): reflected in a plane across the axis, as by a mirror.

@@ -132,7 +132,7 @@ def _shell(build: Builder, room: Room, rng: np.random.Generator, doors: dict[int
     for k, (frame, length, height) in enumerate(room.walls):
         own = [doors[k]] if k in doors else []
         windows = list(room.windows) if k == room.window_wall else []
-        build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, own + windows)
+        build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, openings=own + windows)
         for place in windows:
             window(build, frame, rng, place)
         _skirting(build, room, k, doors, trim)
@@ -162,13 +162,13 @@ def _frame(build: Builder, rooms: list[Room], doorway: _Doorway, rng: np.random.
     trim = tone(rng, 150.0, 215.0, 10.0)
     frames = [rooms[room].walls[wall][0] for room, wall in zip(doorway.rooms, doorway.walls, strict=True)]
     openings = doorway.openings(rooms)
-    build.recess(frames[0], openings[0], 0.0, THICK_M, trim, PLAIN, threshold=False)
+    build.recess(frames[0], openings[0], 0.0, THICK_M, trim, texture=PLAIN, threshold=False)
     s0, _, s1, _ = openings[0]
     step = np.array([[s0, 0.0, 0.0], [s1, 0.0, 0.0], [s1, THICK_M, 0.0], [s0, THICK_M, 0.0]])
     build.face(frames[0].world(step), wood(rng, 60.0, 130.0), STONE)
     for frame, (a, low, b, high) in zip(frames, openings, strict=True):
         outer = (a - ARCHITRAVE_M, low, b + ARCHITRAVE_M, high + ARCHITRAVE_M)
-        build.ring(frame, outer, [(a, low, b, high)], -0.02, 0.0, trim, PLAIN)
+        build.ring(frame, outer, [(a, low, b, high)], -0.02, 0.0, tone=trim, texture=PLAIN)
     if leaf:
         _leaf(build, frames[1], rng, openings[1], doorway.hinge)
 

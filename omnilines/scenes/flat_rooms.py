@@ -86,12 +86,12 @@ def _living_room(build: Builder, room: Room, rng: np.random.Generator, floor: in
         picture(build, room.walls[3][0], rng, (at, t0, at + rng.uniform(0.5, 0.7), t0 + rng.uniform(0.4, 0.6)))
     low = Frame.at(room.low_m[0] + 1.35, room.low_m[1] + left + 0.5 * width, 0.0, 90.0 + rng.uniform(-5.0, 5.0))
     _rug(build, floor, rng, low, (1.1, 0.65))
-    table(build, low, rng, 0.9, 0.5, 0.45)
+    table(build, low, rng, 0.9, 0.5, height=0.45)
     door_left = doors[2][0]
-    cupboard(build, _before(room, 2), rng, 0.2, min(1.2, door_left - 0.5), rng.uniform(0.7, 0.9))
+    cupboard(build, _before(room, 2), rng, 0.2, min(1.2, door_left - 0.5), height=rng.uniform(0.7, 0.9))
     picture(build, room.walls[2][0], rng, (0.35, 1.4, 0.95, rng.uniform(1.8, 2.0)))
     length = room.walls[1][1]
-    bookshelf(build, _before(room, 1), rng, 0.15, min(1.1, 0.5 * length - 0.95), rng.uniform(1.7, 2.0))
+    bookshelf(build, _before(room, 1), rng, 0.15, min(1.1, 0.5 * length - 0.95), height=rng.uniform(1.7, 2.0))
     lamp(build, float(low.origin_m[0]), float(low.origin_m[1]), room.height_m, rng)
 
 
@@ -99,10 +99,10 @@ def _study(build: Builder, room: Room, rng: np.random.Generator, floor: int, doo
     """A desk under the window, a bookshelf, a cupboard."""
     wall = _before(room, 2)
     middle = room.walls[2][1] - rng.uniform(1.2, 1.5)
-    table(build, wall.tilted((middle, -0.45, 0.0), 2, 0.0), rng, 1.3, 0.62, 0.74)
+    table(build, wall.tilted((middle, -0.45, 0.0), 2, 0.0), rng, 1.3, 0.62, height=0.74)
     chair(build, wall.tilted((middle, -0.72, 0.0), 2, 180.0 + rng.uniform(-8.0, 8.0)), rng, wood(rng, 60.0, 150.0))
-    bookshelf(build, _before(room, 3), rng, rng.uniform(1.3, 1.45), rng.uniform(1.0, 1.2), rng.uniform(1.8, 2.1))
-    cupboard(build, _before(room, 0), rng, 0.25, min(1.1, doors[0][0] - 0.55), rng.uniform(0.8, 1.1))
+    bookshelf(build, _before(room, 3), rng, rng.uniform(1.3, 1.45), rng.uniform(1.0, 1.2), height=rng.uniform(1.8, 2.1))
+    cupboard(build, _before(room, 0), rng, 0.25, min(1.1, doors[0][0] - 0.55), height=rng.uniform(0.8, 1.1))
     picture(build, room.walls[0][0], rng, (0.35, 1.45, 0.85, rng.uniform(1.8, 2.1)))
     s0 = doors[1][2] + 0.25
     picture(build, room.walls[1][0], rng, (s0, 1.3, s0 + rng.uniform(0.4, 0.6), rng.uniform(1.7, 1.95)))
@@ -119,7 +119,7 @@ def _hall(build: Builder, room: Room, rng: np.random.Generator, floor: int, door
                 build.paint(floor, (i * side, j * side, (i + 1) * side, (j + 1) * side), tile, STONE)
     door(build, room.walls[2][0], rng, doors[2])
     length = room.walls[0][1]
-    cupboard(build, _before(room, 0), rng, 0.5 * length - 0.8, 1.6, rng.uniform(0.85, 1.0))
+    cupboard(build, _before(room, 0), rng, 0.5 * length - 0.8, 1.6, height=rng.uniform(0.85, 1.0))
     for s0 in (0.5 * length - 0.75, 0.5 * length + 0.1):
         t0 = rng.uniform(1.4, 1.5)
         picture(build, room.walls[0][0], rng, (s0, t0, s0 + rng.uniform(0.45, 0.65), t0 + rng.uniform(0.4, 0.6)))
@@ -149,7 +149,7 @@ def _bedroom(build: Builder, room: Room, rng: np.random.Generator, floor: int, d
     build.box(wall, (left - 0.5, -0.4, 0.0), (left - 0.08, 0.0, 0.5), wood(rng, 60.0, 190.0), WOOD)
     picture(build, room.walls[1][0], rng, (left + 0.3, 1.3, left + 1.1, rng.uniform(1.75, 1.95)))
     wall, s0 = _before(room, 0), doors[0][2] + 0.25
-    cupboard(build, wall, rng, s0, min(1.5, room.walls[0][1] - s0 - 0.15), rng.uniform(1.85, 2.05))
+    cupboard(build, wall, rng, s0, min(1.5, room.walls[0][1] - s0 - 0.15), height=rng.uniform(1.85, 2.05))
     picture(build, room.walls[3][0], rng, (0.25, 1.3, 0.75, rng.uniform(1.7, 1.95)))
     _ceiling_light(build, room, rng)
 
@@ -160,21 +160,21 @@ def _dining_room(build: Builder, room: Room, rng: np.random.Generator, floor: in
     x, y = room.high_m[0] - 1.15, room.high_m[1] - rng.uniform(1.35, 1.45)
     at = Frame.at(x, y, 0.0, rng.uniform(-5.0, 5.0))
     _rug(build, floor, rng, at, (0.95, 1.1))
-    table(build, at, rng, 1.3, 0.8, 0.74)
+    table(build, at, rng, 1.3, 0.8, height=0.74)
     body = wood(rng, 50.0, 150.0)
     for i, j in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
         turned = (0.0 if j > 0 else 180.0) + rng.uniform(-10.0, 10.0)
         chair(build, at.tilted((i * 0.32, j * rng.uniform(0.68, 0.74), 0.0), 2, turned), rng, body)
     lamp(build, x, y, room.height_m, rng)
     south, (left, _, right, _) = _before(room, 2), doors[2]
-    cupboard(build, south, rng, 0.2, min(1.3, left - 0.6), rng.uniform(0.7, 0.95))
+    cupboard(build, south, rng, 0.2, min(1.3, left - 0.6), height=rng.uniform(0.7, 0.95))
     picture(build, room.walls[2][0], rng, (0.3, 1.4, 0.9, rng.uniform(1.8, 2.0)))
     width = rng.uniform(1.7, 1.9)
     sofa(build, south, rng, right + 0.25, width)
     for s0 in (right + 0.4, right + 0.5 + 0.5 * width):
         picture(build, room.walls[2][0], rng, (s0, 1.3, s0 + rng.uniform(0.4, 0.65), rng.uniform(1.7, 2.0)))
     length = room.walls[3][1]
-    bookshelf(build, _before(room, 3), rng, length - 1.15, min(1.0, 0.5 * length - 0.95), rng.uniform(1.7, 2.0))
+    bookshelf(build, _before(room, 3), rng, length - 1.15, min(1.0, 0.5 * length - 0.95), height=rng.uniform(1.7, 2.0))
     picture(build, room.walls[1][0], rng, (length - 1.6, 1.35, length - 0.9, rng.uniform(1.75, 2.0)))
 
 

@@ -35,7 +35,7 @@ def picture(build: Builder, wall: Frame, rng: np.random.Generator, place: Openin
     s0, t0, s1, t1 = place
     rim = rng.uniform(0.025, 0.05)
     inner = (s0 + rim, t0 + rim, s1 - rim, t1 - rim)
-    build.ring(wall, place, [inner], -0.03, -0.01, wood(rng, 40.0, 200.0))
+    build.ring(wall, place, [inner], -0.03, -0.01, tone=wood(rng, 40.0, 200.0))
     ground = tone(rng, 120.0, 210.0, 30.0)
     canvas = last = build.upright(wall, inner, -0.01, ground, PLAIN)
     width, height = inner[2] - inner[0], inner[3] - inner[1]
@@ -50,7 +50,7 @@ def window(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening
     """Panes in a recess of 16 cm, bars between them, a sill; outside a sky over a dark hill."""
     s0, t0, s1, t1 = place
     frame_tone = tone(rng, 200.0, 230.0, 5.0)
-    build.recess(wall, place, 0.0, 0.16, frame_tone, PLAIN)
+    build.recess(wall, place, 0.0, 0.16, frame_tone, texture=PLAIN)
     # Brighter than any paint: it shines by itself.
     outside = build.upright(wall, place, 0.16, 1.4 * colour(220.0, SKY_HUE_DEG, 10.0), PLAIN)
     horizon = rng.uniform(0.2, 0.4) * (t1 - t0)
@@ -62,7 +62,7 @@ def window(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening
         for i in range(columns)
         for j in range(rows)
     ]
-    build.ring(wall, place, panes, 0.10, 0.16, frame_tone, PLAIN)
+    build.ring(wall, place, panes, 0.10, 0.16, tone=frame_tone, texture=PLAIN)
     build.box(wall, (s0 - 0.06, -0.12, t0 - 0.04), (s1 + 0.06, 0.0, t0), tone(rng, 190.0, 220.0, 6.0), STONE)
 
 
@@ -70,7 +70,7 @@ def door(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening) 
     """A leaf in a recess of 12 cm, with panels, a handle and an architrave."""
     s0, _, s1, t1 = place
     trim = tone(rng, 150.0, 215.0, 10.0)
-    build.recess(wall, place, 0.0, 0.12, trim, PLAIN)
+    build.recess(wall, place, 0.0, 0.12, trim, texture=PLAIN)
     leaf_tone = wood(rng, 90.0, 200.0)
     leaf = build.upright(wall, place, 0.12, leaf_tone, WOOD)
     panel = other_hue(rng, leaf_tone, 25.0) if rng.uniform() < 0.4 else leaf_tone * rng.uniform(0.72, 0.85)
@@ -79,10 +79,10 @@ def door(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening) 
     build.box(wall, (s0 + 0.06, 0.06, 1.03), (s0 + 0.2, 0.09, 1.06), colour(70.0, 0.0, 5.0))
     outer = (s0 - 0.08, 0.0, s1 + 0.08, t1 + 0.08)
     # Open at the floor: the opening reaches the lower side of the board.
-    build.ring(wall, outer, [(s0, 0.0, s1, t1)], -0.02, 0.0, trim, PLAIN)
+    build.ring(wall, outer, [(s0, 0.0, s1, t1)], -0.02, 0.0, tone=trim, texture=PLAIN)
 
 
-def bookshelf(build: Builder, wall: Frame, rng: np.random.Generator, left: float, width: float, height: float) -> None:
+def bookshelf(build: Builder, wall: Frame, rng: np.random.Generator, left: float, width: float, *, height: float) -> None:
     """Compartments full of books: spines of one brightness and many hues."""
     depth, board = rng.uniform(0.26, 0.34), 0.025
     body = wood(rng, 60.0, 190.0)
@@ -94,7 +94,7 @@ def bookshelf(build: Builder, wall: Frame, rng: np.random.Generator, left: float
         for j in range(rows)
     ]
     place = (left, 0.0, left + width, height)
-    build.ring(wall, place, cells, -depth, -0.01, body, WOOD)
+    build.ring(wall, place, cells, -depth, -0.01, tone=body, texture=WOOD)
     build.upright(wall, place, -0.01, body * 0.8, WOOD)
     build.keep_out(wall, (left, -depth, 0.0), (left + width, 0.0, height))
     spine_grey = rng.uniform(90.0, 150.0)
@@ -109,7 +109,7 @@ def bookshelf(build: Builder, wall: Frame, rng: np.random.Generator, left: float
             at += thick + (rng.uniform(0.02, 0.12) if rng.uniform() < 0.25 else 0.0)
 
 
-def cupboard(build: Builder, wall: Frame, rng: np.random.Generator, left: float, width: float, height: float) -> None:
+def cupboard(build: Builder, wall: Frame, rng: np.random.Generator, left: float, width: float, *, height: float) -> None:
     """A body on a plinth with doors, handles and something on top."""
     depth, body = rng.uniform(0.4, 0.55), tone(rng, 110.0, 215.0, 20.0)
     build.box(wall, (left + 0.03, -depth + 0.05, 0.0), (left + width - 0.03, 0.0, 0.08), body * 0.45)
@@ -128,7 +128,7 @@ def cupboard(build: Builder, wall: Frame, rng: np.random.Generator, left: float,
         build.box(at, (-size[0] / 2, -size[1] / 2, 0.0), (size[0] / 2, size[1] / 2, 0.8 * size[2]), tone(rng, 50.0, 220.0, 50.0))
 
 
-def table(build: Builder, at: Frame, rng: np.random.Generator, width: float, depth: float, height: float) -> None:
+def table(build: Builder, at: Frame, rng: np.random.Generator, width: float, depth: float, *, height: float) -> None:
     """A top on four legs with aprons, and boxes and books lying on it."""
     top, leg, x, y = wood(rng, 90.0, 200.0), 0.06, width / 2, depth / 2
     build.box(at, (-x, -y, height - 0.035), (x, y, height), top, WOOD)
@@ -202,4 +202,4 @@ def lamp(build: Builder, x: float, y: float, ceiling: float, rng: np.random.Gene
     drop = rng.uniform(0.45, 0.7)
     at = Frame.at(x, y, ceiling, rng.uniform(0.0, 90.0))
     build.box(at, (-0.008, -0.008, -drop), (0.008, 0.008, 0.0), colour(60.0))
-    build.frustum(at, 6, (0.22, 0.1), (-drop - 0.2, -drop), tone(rng, 170.0, 230.0, 30.0), FABRIC)
+    build.frustum(at, 6, (0.22, 0.1), (-drop - 0.2, -drop), tone(rng, 170.0, 230.0, 30.0), texture=FABRIC)

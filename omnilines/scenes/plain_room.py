@@ -57,8 +57,8 @@ def _door_wall(build: Builder, wall: Wall, rng: np.random.Generator, paint: Colo
     frame, length, height = wall
     at = rng.uniform(0.25, 0.6)
     opening = (at, 0.0, at + 0.9, 2.02)
-    plaster = build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, [opening])
-    build.recess(frame, opening, 0.0, 0.14, tone(rng, 120.0, 215.0, 10.0), PLAIN)
+    plaster = build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, openings=[opening])
+    build.recess(frame, opening, 0.0, 0.14, tone(rng, 120.0, 215.0, 10.0), texture=PLAIN)
     leaf_tone = wood(rng, 80.0, 190.0)
     leaf = build.upright(frame, opening, 0.14, leaf_tone, WOOD)
     panel = _contrasting(rng, leaf_tone)
@@ -80,9 +80,9 @@ def _window_wall(build: Builder, wall: Wall, rng: np.random.Generator, paint: Co
     sill, head, width = rng.uniform(0.85, 0.95), min(rng.uniform(2.1, 2.4), height - 0.3), rng.uniform(1.0, 1.4)
     gap = (length - 2 * width) / 3
     places = [(gap, sill, gap + width, head), (2 * gap + width, sill, 2 * gap + 2 * width, head)]
-    build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, places)
+    build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, openings=places)
     for place in places:
-        build.recess(frame, place, 0.0, 0.18, tone(rng, 170.0, 215.0, 8.0), PLAIN)
+        build.recess(frame, place, 0.0, 0.18, tone(rng, 170.0, 215.0, 8.0), texture=PLAIN)
         sky = build.upright(frame, place, 0.18, 1.4 * colour(220.0, SKY_HUE_DEG, 10.0), PLAIN)
         horizon = rng.uniform(0.2, 0.4) * (head - sill)
         build.paint(sky, (0.0, 0.0, width, horizon), colour(rng.uniform(110.0, 160.0), LEAF_HUE_DEG, 40.0), FABRIC)
@@ -99,7 +99,7 @@ def _shelf_wall(build: Builder, wall: Wall, rng: np.random.Generator, paint: Col
         (left + board + i * step, board + j * rise, left + (i + 1) * step, (j + 1) * rise) for i in range(2) for j in range(3)
     ]
     place = (left, 0.0, left + width, tall)
-    build.ring(frame, place, cells, -depth, -0.002, body, WOOD)
+    build.ring(frame, place, cells, -depth, -0.002, tone=body, texture=WOOD)
     build.upright(frame, place, -0.002, _contrasting(rng, body), WOOD)
     build.keep_out(frame, (left, -depth, 0.0), (left + width, 0.0, tall))
     for s0, t0, s1, t1 in cells:
@@ -164,7 +164,7 @@ def _middle(build: Builder, size: Float[np.ndarray, "3"], rng: np.random.Generat
             build.box(stool, (-0.2, -0.2, 0.0), (0.2, 0.2, 0.45), wood(rng, 60.0, 180.0), WOOD)
     drop = rng.uniform(0.3, 0.5)
     hung = Frame.at(x, y, float(size[2]), rng.uniform(0.0, 90.0))
-    build.frustum(hung, 4, (0.3, 0.16), (-drop, 0.0), tone(rng, 110.0, 200.0, 30.0), FABRIC)
+    build.frustum(hung, 4, (0.3, 0.16), (-drop, 0.0), tone(rng, 110.0, 200.0, 30.0), texture=FABRIC)
 
 
 def _floor_and_ceiling(build: Builder, size: Float[np.ndarray, "3"], rng: np.random.Generator) -> int:

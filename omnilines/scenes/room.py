@@ -102,7 +102,7 @@ def _plain_wall(
 ) -> None:
     """Plaster with openings, and perhaps a band of another hue as bright as the wall."""
     frame, length, height = wall
-    surface = build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, openings)
+    surface = build.upright(frame, (0.0, 0.0, length, height), 0.0, paint, PLASTER, openings=openings)
     if band:
         low = rng.uniform(2.15, 2.25)
         build.paint(surface, (0.0, low, length, low + 0.14), other_hue(rng, paint, 40.0), PLASTER)
@@ -115,7 +115,7 @@ def _door_wall(build: Builder, wall: Wall, rng: np.random.Generator, paint: Colo
     _plain_wall(build, wall, rng, paint, [opening])
     door(build, frame, rng, opening)
     left = at + 1.2
-    cupboard(build, frame, rng, left, min(length - left - 0.2, rng.uniform(1.1, 1.5)), rng.uniform(0.8, 1.2))
+    cupboard(build, frame, rng, left, min(length - left - 0.2, rng.uniform(1.1, 1.5)), height=rng.uniform(0.8, 1.2))
     for low, high in ((left + 0.05, left + 0.55), (left + 0.75, left + 1.35)):
         t0 = rng.uniform(1.5, 1.65)
         if high < length - 0.1:
@@ -139,10 +139,10 @@ def _shelf_wall(build: Builder, wall: Wall, rng: np.random.Generator, paint: Col
     _plain_wall(build, wall, rng, paint, [])
     left = rng.uniform(0.15, 0.3)
     width = min(rng.uniform(1.3, 1.7), length - left - 1.75)
-    bookshelf(build, frame, rng, left, width, min(rng.uniform(1.8, 2.2), height - 0.4))
+    bookshelf(build, frame, rng, left, width, height=min(rng.uniform(1.8, 2.2), height - 0.4))
     at, end = left + width + 0.25, length - 0.2
     desk = min(1.3, end - at)
-    table(build, frame.tilted((at + desk / 2, -0.36, 0.0), 2, 0.0), rng, desk, 0.62, 0.74)
+    table(build, frame.tilted((at + desk / 2, -0.36, 0.0), 2, 0.0), rng, desk, 0.62, height=0.74)
     chair(build, frame.tilted((at + 0.5 * desk, -0.62, 0.0), 2, 180.0 + rng.uniform(-8, 8)), rng, wood(rng, 60.0, 150.0))
     t0 = rng.uniform(1.3, 1.45)
     picture(build, frame, rng, (at + 0.1, t0, at + 0.6, t0 + rng.uniform(0.5, 0.8)))
@@ -208,7 +208,7 @@ def _dining_place(
     for share, shade in ((1.0, cloth), (0.88, other_hue(rng, cloth, 45.0)), (0.6, cloth * 1.2)):
         last = build.paint_shape(floor, at.world(edge * share), shade, FABRIC, over=floor + 1 if last is None else last)
     width, depth = rng.uniform(1.2, 1.5), rng.uniform(0.75, 0.85)
-    table(build, at, rng, width, depth, 0.74)
+    table(build, at, rng, width, depth, height=0.74)
     body = wood(rng, 50.0, 150.0)
     for i, j in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
         turned = (0.0 if j > 0 else 180.0) + rng.uniform(-10.0, 10.0)

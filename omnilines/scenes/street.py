@@ -75,7 +75,7 @@ def _house(build: Builder, frame: Frame, rng: np.random.Generator, left: float, 
             else:
                 sill = foot + j * FLOOR_M + 0.95
                 openings.append((middle - wide / 2, sill, middle + wide / 2, sill + tall))
-    build.upright(frame, (left, foot, left + width, height), 0.0, paint, PLASTER, openings)
+    build.upright(frame, (left, foot, left + width, height), 0.0, paint, PLASTER, openings=openings)
     shutters, leaf = rng.uniform() < 0.5, other_hue(rng, paint, 50.0)
     for opening in openings:
         if opening[1] == foot:
@@ -93,7 +93,7 @@ def _house(build: Builder, frame: Frame, rng: np.random.Generator, left: float, 
 
 def _facade_window(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening, trim: Colour) -> None:
     s0, t0, s1, t1 = place
-    build.recess(wall, place, 0.0, 0.2, trim * 0.95, PLASTER)
+    build.recess(wall, place, 0.0, 0.2, trim * 0.95, texture=PLASTER)
     glass = colour(rng.uniform(40.0, 95.0), SKY_HUE_DEG, 15.0)
     pane = build.upright(wall, place, 0.2, glass, PLAIN)
     if rng.uniform() < 0.5:
@@ -104,7 +104,7 @@ def _facade_window(build: Builder, wall: Frame, rng: np.random.Generator, place:
         for a, c in ((s0, middle + bar / 2), (middle - bar / 2, s1))
         for b, d in ((t0, cross + bar / 2), (cross - bar / 2, t1))
     ]
-    build.ring(wall, place, panes, 0.14, 0.2, trim, PLAIN)
+    build.ring(wall, place, panes, 0.14, 0.2, tone=trim, texture=PLAIN)
     build.box(wall, (s0 - 0.1, -0.14, t0 - 0.08), (s1 + 0.1, 0.0, t0), trim, STONE)
 
 
@@ -117,12 +117,12 @@ def _shutters(build: Builder, wall: Frame, opening: Opening, leaf: Colour) -> No
 
 def _entrance(build: Builder, wall: Frame, rng: np.random.Generator, place: Opening, trim: Colour) -> None:
     s0, t0, s1, t1 = place
-    build.recess(wall, place, 0.0, 0.25, trim, STONE)
+    build.recess(wall, place, 0.0, 0.25, trim, texture=STONE)
     leaf = build.upright(wall, place, 0.25, wood(rng, 45.0, 110.0), WOOD)
     for low, high in ((0.15, 1.0), (1.15, 1.75)):
         build.paint(leaf, (0.18, low, s1 - s0 - 0.18, high), wood(rng, 100.0, 160.0), WOOD)
     build.paint(leaf, (0.05, 1.9, s1 - s0 - 0.05, 2.25), colour(70.0, SKY_HUE_DEG, 15.0), PLAIN)
-    build.ring(wall, (s0 - 0.15, t0, s1 + 0.15, t1 + 0.2), [place], -0.06, 0.0, trim, STONE)
+    build.ring(wall, (s0 - 0.15, t0, s1 + 0.15, t1 + 0.2), [place], -0.06, 0.0, tone=trim, texture=STONE)
     build.box(wall, (s0 - 0.3, -0.55, t1 + 0.2), (s1 + 0.3, 0.0, t1 + 0.3), trim * 0.9, STONE)
 
 

@@ -8,9 +8,7 @@ from jaxtyping import Float, Int
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.structure.kernels.clip import clipped
-
-LEAST_AT_ONCE = 2
-"""Photos that have to show every place of a stretch."""
+from omnilines.structure.options import ClippingOptions
 
 
 @dataclass(frozen=True)
@@ -31,22 +29,24 @@ class Stretches:
 
 def supported_stretches(
     lines: PlueckerLines,
+    *,
     line: Int[np.ndarray, " n"],
     positions_m: Float[np.ndarray, "n 2"],
     sigma_m: Float[np.ndarray, "n 2"],
     image: Int[np.ndarray, " n"],
     enough_views: Int[np.ndarray, " l"],
+    options: ClippingOptions = ClippingOptions(),
 ) -> Stretches:
     """Where n arcs, each with its line, photo and the positions of its ends along the line (the lower first), support the lines.
 
-    Every place of a stretch is shown by LEAST_AT_ONCE photos, and by no fewer than see the line on both sides of it but not
+    Every place of a stretch is shown by `min_photos_everywhere`, and by no fewer than see the line on both sides of it but not
     there; the whole by as many as `enough_views` says. An end is where the ends of several photos agree within `sigma_m`, not the
-    farthest of them, and drawn in by two standard deviations of it. A line may have none, or several with gaps between them.
+    farthest of them, and drawn in by some standard deviations of it. A line may have none, or several with gaps between them.
     """
     order = np.argsort(line, kind="stable")
     starts = np.searchsorted(line[order], np.arange(len(lines) + 1))
     low, high = np.ascontiguousarray(positions_m[order].T)
-    positions, owner, views = clipped(starts, low, high, sigma_m[order], image[order], LEAST_AT_ONCE, enough_views)
+    positions, owner, views = clipped(starts, low, high, sigma_m[order], image[order], enough_views, options)
     own = lines[torch.as_tensor(owner)]
     ends = torch.stack([own.point_at(torch.as_tensor(np.ascontiguousarray(place))) for place in positions.T], 1)
     return Stretches(owner, positions, ends.numpy(), views)

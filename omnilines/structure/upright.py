@@ -15,15 +15,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.structure.families import Families
-
-UPRIGHT_RAD = math.radians(30.0)
-"""Half of the photos are held so upright, or better, against the vertical family."""
-AS_NEAR, AS_NEAR_RAD = 2.0, math.radians(5.0)
-"""Families are as good as the nearest one to the photos' up whose angle is at most so many times its own and this more."""
-CLEARLY_MORE = 2.0
-"""Of several as good, the vertical one has so many times the lines of any other."""
-HORIZONTAL_RAD = math.radians(3.0)
-"""A family is horizontal whose angle to the vertical differs by no more from a right one."""
+from omnilines.structure.options import UprightOptions
 
 
 @dataclass(frozen=True)
@@ -47,11 +39,11 @@ def photos_up(cam_from_world: Pose) -> Float[np.ndarray, "3"]:
     return middle / length if length > 0 else ups[0]
 
 
-def vertical_family(families: Families, cam_from_world: Pose) -> Upright | None:
+def vertical_family(families: Families, cam_from_world: Pose, options: UprightOptions = UprightOptions()) -> Upright | None:
     """The family that is vertical, and its upper side; None where the photos do not tell.
 
-    The angle of a family to the photos' up is the median over the photos. The vertical family is the nearest within UPRIGHT_RAD;
-    where others are as near, it is the largest of them, which has CLEARLY_MORE lines than the next.
+    The angle of a family to the photos' up is the median over the photos. The vertical family is the nearest one within
+    `upright_rad`; where others are as near, it is the largest of them, if it has clearly more lines than the next.
     """
     if not len(families) or not len(cam_from_world):
         return None
@@ -59,24 +51,28 @@ def vertical_family(families: Families, cam_from_world: Pose) -> Upright | None:
     cosine = ups @ families.direction.T
     side = np.where(np.median(cosine, axis=0) < 0, -1.0, 1.0)
     angle = np.median(np.arccos(np.clip(side * cosine, -1.0, 1.0)), axis=0)
-    near = np.flatnonzero(angle <= min(AS_NEAR * float(angle.min()) + AS_NEAR_RAD, UPRIGHT_RAD))
+    limit = min(options.as_near * float(angle.min()) + options.as_near_rad, options.upright_rad)
+    near = np.flatnonzero(angle <= limit)
     near = near[np.argsort(-families.members[near], kind="stable")]
-    if not len(near) or (len(near) > 1 and families.members[near[0]] < CLEARLY_MORE * families.members[near[1]]):
+    if not len(near) or (len(near) > 1 and families.members[near[0]] < options.clearly_more * families.members[near[1]]):
         return None
     best = int(near[0])
     return Upright(best, side[best] * families.direction[best])
 
 
-def upright_from_world(families: Families, upright: Upright, cam_from_world: Pose) -> Float[Tensor, "3 3"]:
+def upright_from_world(
+    families: Families, upright: Upright, cam_from_world: Pose, options: UprightOptions = UprightOptions()
+) -> Float[Tensor, "3 3"]:
     """The rotation to a world with z up and x along the largest horizontal family, on the side to the right of the first photo.
 
     Without a horizontal family x is where the first photo has its right, along the ground.
     """
     z = upright.up
     right = cam_from_world.rotation[0, 0].numpy()
-    if float(np.linalg.norm(np.cross(right, z))) < math.sin(HORIZONTAL_RAD):
+    sine = math.sin(options.horizontal_rad)
+    if float(np.linalg.norm(np.cross(right, z))) < sine:
         right = cam_from_world.rotation[0, 2].numpy()
-    level = np.abs(families.direction @ z) <= math.sin(HORIZONTAL_RAD)
+    level = np.abs(families.direction @ z) <= sine
     # Families are sorted by size.
     x = families.direction[int(np.flatnonzero(level)[0])] if level.any() else right
     x = x if x @ right >= 0 else -x

@@ -20,7 +20,7 @@ from omnilines.costs import sector
 from omnilines.geometry.line import PlueckerLines, segment_ends
 from omnilines.geometry.sphere import distance_to_great_circle
 from omnilines.least_squares import Outcome
-from omnilines.records import Corners, ImagePoses
+from omnilines.records import Check, Corners, ImagePoses
 from omnilines.structure import regularity
 
 # (key in JSON, name for people, unit): the smaller the better.
@@ -121,6 +121,22 @@ class BoardExperiment:
     def _agreement(self, predicted_m: float, freedom: int) -> Agreement:
         quantile = scipy.stats.f.ppf(1 - CHANCE, self.predicted.effective_freedom, max(freedom, 1))
         return Agreement(self.after.aligned.rms_m, predicted_m, math.sqrt(float(quantile)))
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Every line determined, every figure better than before, and the error as large as the photos predict."""
+        before, after, agreement = self.before.figures, self.after.figures, self.by_photos
+        total, known = float(len(self.status)), float(len(self.tracks))
+        agrees = agreement.ratio <= agreement.limit
+        return (
+            Check("lines determined from the perturbed poses", known, total, "lines", known == total),
+            *(
+                Check(f"{name}: after, limit before", after[key], before[key], unit, after[key] < before[key])
+                for key, name, unit in FIGURES
+                if key not in UNCHECKED
+            ),
+            Check("error against the board over the error that the photos predict", agreement.ratio, agreement.limit, "", agrees),
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:

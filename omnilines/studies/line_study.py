@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -13,20 +14,28 @@ from torch import Tensor
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
-from omnilines.commands.experiment import perturbed_poses
+from omnilines.adjustment.start import no_chart, poses_by_lines
+from omnilines.adjustment.state import LinesAndPoses
 from omnilines.costs import COSTS
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
 from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Check
 from omnilines.studies.line_errors import Bound, aligned_rms_m, cramer_rao_bound
 from omnilines.synthetic.lines import LineWorld
+from omnilines.synthetic.poses import perturbed_poses
 from omnilines.triangulation import TRIANGULATIONS, triangulate
 from omnilines.triangulation.observations import PlaneObservations
 
 KNOWN, ESTIMATED = "known", "estimated"
 """The poses are the true ones and stay; or they are disturbed, and adjusted together with the lines."""
 POSES = (KNOWN, ESTIMATED)
+SETTING = {KNOWN: "poses known", ESTIMATED: "poses disturbed, then estimated"}
 TRIANGULATION, ADJUSTMENT = "triangulation", "adjustment"
+EFFICIENT = "whitened"
+"""The cost that is expected to attain the bound."""
+COMPLETE_SHARE = 0.98
+"""Of the trials, those that have to end with every line."""
 MAX_ITERATIONS = 300
 """A line that 3 px of noise barely determine may need more than the usual 100."""
 START_SHARE = 0.5
@@ -122,6 +131,21 @@ def run_study(
     return Study(world, noise_px, trials, bounds, tuple(figures))
 
 
+def study_checks(study: Study, allowance: float) -> tuple[Check, ...]:
+    """The efficient cost is at the bound, by `allowance` or two standard errors, and the adjustment ends with every line."""
+    checks = []
+    for poses in POSES:
+        figures = study.of(poses, ADJUSTMENT, EFFICIENT)
+        ratio, error = study.over_bound(*figures)
+        if math.isfinite(ratio):
+            limit = 1 + max(allowance, 2 * error)
+            checks.append(Check(f"3D error over the bound, {EFFICIENT} cost, {SETTING[poses]}", ratio, limit, "", ratio <= limit))
+        share = float(np.mean([float(f.complete.double().mean()) for f in figures]))
+        name = f"share of trials that end with every line, {SETTING[poses]}"
+        checks.append(Check(name, share, COMPLETE_SHARE, "", share >= COMPLETE_SHARE))
+    return tuple(checks)
+
+
 @dataclass(frozen=True)
 class _Level:
     """All trials at one noise. Their arcs stand in one table, photos and tracks of trial k after those of trial k - 1."""
@@ -146,7 +170,7 @@ class _Level:
         adjusted: dict[str, list[tuple[PlueckerLines, Tensor, Pose]]] = {cost: [] for cost in self.costs}
         for trial, (arcs, given) in enumerate(self._each(cam_from_world)):
             tell(trial)
-            start = settled_poses(arcs, given) if poses == ESTIMATED else given
+            start = refined_start(arcs, given) if poses == ESTIMATED else given
             first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, start))
             inner, tracks = drop_unknown(arcs, first.known)
             for cost, kept in adjusted.items():
@@ -215,19 +239,7 @@ def _reached(done: Adjusted) -> bool:
     return done.outcome in (Outcome.CONVERGED, Outcome.STALLED)
 
 
-def settled_poses(arcs: Arcs, disturbed: Pose) -> Pose:
-    """Poses refined with the half of the lines of each photo that fit them best, so that all lines can be triangulated from them.
-
-    Raises GeometryError where the disturbed poses determine no line.
-    """
+def refined_start(arcs: Arcs, disturbed: Pose) -> Pose:
+    """Disturbed poses refined by START_SHARE of the lines of each photo. Raises GeometryError where they determine no line."""
     first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, disturbed))
-    residual = torch.where(first.known, torch.nan_to_num(first.residual_rad, nan=math.inf), math.inf)
-    # Photo by photo, the best lines first; a photo that sees few lines keeps its own half of them.
-    order = residual[arcs.track].argsort(stable=True)
-    order = order[arcs.image[order].argsort(stable=True)]
-    count = torch.bincount(arcs.image, minlength=arcs.images)
-    rank = torch.arange(len(arcs)) - (count.cumsum(0) - count)[arcs.image[order]]
-    best = torch.zeros_like(first.known)
-    best[arcs.track[order[rank < START_SHARE * count[arcs.image[order]]]]] = True
-    inner, tracks = drop_unknown(arcs, best & first.known)
-    return adjust_lines(inner, first.lines[tracks], disturbed).state.cam_from_world
+    return poses_by_lines(arcs, first, LinesAndPoses(disturbed, no_chart()), best_share=START_SHARE).cam_from_world

@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models import Calibration, GeometryError, load
 from omnilines.adjustment.lines import motion_across
-from omnilines.commands.render_scene import RenderedScene
-from omnilines.evaluation.arcs import LEAST_PX, ArcScores, arc_scores
-from omnilines.evaluation.scene import LEAST_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
+from omnilines.evaluation.arcs import MIN_PX, ArcScores, arc_scores
+from omnilines.evaluation.scene import MIN_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.render import RenderedScene
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
 
 TOLERANCE_PX = 1.5
@@ -89,7 +89,7 @@ class SceneValidation:
     pixel_m: float
     """Median size of a pixel there."""
     scores: SceneScores
-    """At THRESHOLDS_M and, last, the tolerance; recall of edges of at least LEAST_PX in a photo."""
+    """At THRESHOLDS_M and, last, the tolerance; recall of edges of at least MIN_PX in a photo."""
     arcs: ArcScores
     on_edge_of_photo: Float[np.ndarray, " m"]
     """Share of the arcs of each photo that lie on a true edge, edges on one straight line counting as one."""
@@ -152,15 +152,15 @@ def compare_scene(truth: RenderedScene, rebuilt: RebuiltScene) -> SceneValidatio
     """Compare a scene folder with the rendered truth, in whose frame its poses are.
 
     Arcs are compared with the true edges as the calibration and poses of the folder show them: errors of these move all arcs
-    beside the edges. Raises GeometryError where no piece of an edge is seen by LEAST_VIEWS photos.
+    beside the edges. Raises GeometryError where no piece of an edge is seen by MIN_VIEWS photos.
     """
     distance, pixel = _pixel_at_edges(truth)
     lines, edges = rebuilt.lines, truth.edges.ends_m
     thresholds = (*THRESHOLDS_M, TOLERANCE_PX * pixel)
-    scores = scene_scores(lines.ends_m, truth.edges, truth.stretches, thresholds, least_px=LEAST_PX)
+    scores = scene_scores(lines.ends_m, truth.edges, truth.stretches, thresholds, min_px=MIN_PX)
     if not scores.visible_m > 0:
         raise GeometryError(
-            f"Edges of {LEAST_PX:g} px or more in at least {LEAST_VIEWS} photos were expected, found none; give more photos, or "
+            f"Edges of {MIN_PX:g} px or more in at least {MIN_VIEWS} photos were expected, found none; give more photos, or "
             "larger ones."
         )
     arcs = arc_scores(rebuilt.cameras["cam0"], rebuilt.poses, truth.edges, truth.stretches, rebuilt.segments)
@@ -234,8 +234,8 @@ def _pixel_at_edges(truth: RenderedScene) -> tuple[float, float]:
     poses = truth.poses.cam_from_world[torch.as_tensor(view)]
     points = (poses.rotation @ torch.as_tensor(middle)[..., None])[..., 0] + poses.translation
     with torch.no_grad():
-        pixels, seen = truth.model.project(points)
-        by_pixel = truth.model.unproject_jacobian(pixels)
+        pixels, seen = truth.camera.project(points)
+        by_pixel = truth.camera.unproject_jacobian(pixels)
     # The solid angle of a pixel is the area that its two steps span on the sphere.
     angle = torch.linalg.cross(by_pixel[..., 0], by_pixel[..., 1]).norm(dim=-1).sqrt()
     distance = points.norm(dim=-1)

@@ -7,16 +7,15 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from calib_patterns._pattern import Pattern
+from calib_patterns import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.scene import LineScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
-from omnilines.calibration.intervals import DETECTOR_FLOOR_PX
-from omnilines.calibration.refine import NORMAL_MAD
-from omnilines.calibration.robust import REJECT_SIGMA
-from omnilines.commands.render import RenderedTargets
+from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
+from omnilines.least_squares.variance import NORMAL_MAD
+from omnilines.pipelines.render import RenderedTargets
 from omnilines.records import Check, Corners, ImagePoses
 
 BEARING_LIMIT_DEG = 0.02
@@ -64,7 +63,7 @@ class Validation:
     @property
     def checks(self) -> tuple[Check, ...]:
         """What has to hold, each figure with its limit."""
-        lost = math.ceil(LOST_SHARE * len(self.truth.images))
+        lost = math.ceil(LOST_SHARE * len(self.truth.poses))
         aside = math.ceil(ASIDE_SHARE * len(self.corners))
         return (
             _at_most("photos without a usable target", self.photos_lost, lost, "photos"),
@@ -86,10 +85,10 @@ class Validation:
     @property
     def photos_lost(self) -> int:
         """Photos that the calibration does not rest on."""
-        return len(self.truth.images) - sum(view.used for view in self.calibration.views)
+        return len(self.truth.poses) - sum(view.used for view in self.calibration.views)
 
 
-def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, corners: Corners) -> Validation:
+def compare(truth: RenderedTargets, calibration: Calibration, corners: Corners) -> Validation:
     """Compare a calibration from rendered photos, and the lines of the board rebuilt with it, with the truth.
 
     Rows and columns of the board are segments between their outermost corners, the board is the world, and its calibrated poses
@@ -103,16 +102,16 @@ def compare(truth: RenderedTargets, fov_deg: float, calibration: Calibration, co
     basis = estimated.calibration_basis()
     freedom = 2 * sum(view.corners_used for view in used) - basis.shape[1] - 6 * len(used)
     board, scene, aside = _rebuild(calibration, truth, corners)
-    pixel_deg = fov_deg / min(truth.model.image_size)
+    pixel_deg = truth.fov_deg / min(truth.camera.image_size)
     return Validation(
         truth,
         calibration,
         corners,
         board,
         scene,
-        bearing_errors(estimated, truth.model, truth.max_angle_rad),
+        bearing_errors(estimated, truth.camera, truth.max_angle_rad),
         max(BEARING_LIMIT_DEG, BEARING_LIMIT_PX * pixel_deg),
-        parameter_errors(estimated, covariance, truth.model, freedom),
+        parameter_errors(estimated, covariance, truth.camera, freedom),
         line_errors(scene.adjusted, scene.lines.ends_m, board.ends_m),
         aside,
         math.radians(pixel_deg) * _board_distance_m(truth, board),
@@ -148,7 +147,7 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
         scene = reconstruct_lines(board.segments, poses, calibration, cost=COST, loss="cauchy")
         rows = scene.table.rows
         off = np.abs(scene.residual_px) / _stated_px(corners)[ends[rows]]
-        outlying = off > REJECT_SIGMA * NORMAL_MAD * np.nanmedian(off)
+        outlying = off > RobustThresholds().reject_sigma * NORMAL_MAD * np.nanmedian(off)
         if not outlying.any():
             break
         fewer = kept.copy()
@@ -165,7 +164,7 @@ def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners)
 def _stated_px(corners: Corners) -> Float[np.ndarray, " n"]:
     """Standard deviation of each corner as the detector states it, and no better than detectors are."""
     assert corners.sigma_px is not None
-    return np.maximum(corners.sigma_px, DETECTOR_FLOOR_PX)
+    return np.maximum(corners.sigma_px, NoiseThresholds().corner_floor_px)
 
 
 def _board_segments(corners: Corners, kept: Bool[np.ndarray, " n"]) -> tuple[BoardLines, Int[np.ndarray, "s 2"]]:

@@ -1,15 +1,13 @@
-"""Realistic cameras and photos with known truth, drawn from a seed."""
+"""Realistic cameras and the corners that they see, drawn from a seed."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
-from calib_patterns._pattern import Pattern
-from calib_patterns.board_poses import random_board_poses
-from calib_patterns.rendering import render_target
+from calib_patterns import Pattern
 from camera_models import CameraModel, InputError, model_class
 from camera_models.pose import Pose
 from omnilines.records import Corners
@@ -116,39 +114,8 @@ def _out_of_true(ideal: CameraModel, half: float, rng: np.random.Generator) -> F
     return np.array([float(f"{value + nudges.get(name, 0.0):.8g}") for name, value in named.items()])
 
 
-def render_board_photos(
-    model: CameraModel,
-    pattern: Pattern,
-    views: int,
-    seed: int,
-    max_angle_rad: float,
-    noise_grey: float = 2.0,
-    blur_px: float = 0.5,
-    vignetting: float = 0.3,
-) -> Iterator[tuple[str, UInt8[np.ndarray, "h w"], Pose]]:
-    """Photos of a target at random poses out to `max_angle_rad` off axis, one at a time: (file name, grey photo, cam_from_board).
-
-    Noise and blur are standard deviations in grey levels of 255 and in pixels; see `calib_patterns.rendering.render_target`.
-    Raises InputError for fewer than one view or an option out of range, GeometryError when the camera cannot see the target.
-    """
-    if views < 1:
-        raise InputError(f"At least 1 view was expected, found {views}; give more.")
-    poses = random_board_poses(pattern, model, views, max_angle_rad, seed=_integer(seed, "poses"))
-    digits = max(2, len(str(views - 1)))
-    for k in range(views):
-        image = render_target(
-            pattern,
-            model,
-            poses[k],
-            blur_px=blur_px,
-            noise_grey=noise_grey,
-            vignetting=vignetting,
-            seed=_integer(seed, "photo", k),
-        )
-        yield f"view{k:0{digits}d}.png", image, poses[k]
-
-
-def _integer(seed: int, purpose: str, index: int = 0) -> int:
+def integer_seed(seed: int, purpose: str, index: int = 0) -> int:
+    """An independent seed for each purpose and index. Raises InputError for a negative seed."""
     return int(generator(seed, purpose, index).integers(2**31))
 
 

@@ -18,41 +18,42 @@ from torch import Tensor
 
 from camera_models.errors import InputError
 from camera_models.pose import quaternion_from_rotation, rotation_from_vector
+from camera_models.rotations import mean_rotation
 from omnilines.geometry.line import PlueckerLines
 from omnilines.triangulation.degeneracy import assess, gather
 from omnilines.triangulation.frames import TrackGroup, solvable_groups, track_frames
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import TriangulationOptions
 from omnilines.triangulation.result import Triangulation
 from omnilines.triangulation.svd import rank_two_lines
 
 PLANES_AT_ONCE = 1 << 20
 """Of all sample lines held in memory at the same time."""
-LEAST_SUBSET = 3
-"""Planes of the smallest subsets (3.36), where none is given."""
 SETTLED = 1e-4
 """Step of the mean shift, over the bandwidth, at which a track is done."""
-LEAST_SPREAD = 0.1
-"""Samples whose planes are closer together than this fraction of the whole track's are left out."""
 
 
 def triangulate(
     observations: PlaneObservations,
     *,
-    subset: int | None = None,
+    subset: int = 3,
     bandwidth: float | None = None,
     budget: int = 1024,
     seed: int = 0,
     iterations: int = 50,
+    min_spread_share: float = 0.1,
     sigma_rad: float | None = None,
+    options: TriangulationOptions = TriangulationOptions(),
 ) -> Triangulation:
     """The lines of all tracks.
 
-    Samples are the lines of all subsets of `subset` planes or more (3 by default; a track of fewer has one sample, of all its
-    planes). Where there are more than `budget` subsets, that many are drawn from all of them with the seed. `bandwidth` is the
+    Samples are the lines of all subsets of `subset` planes or more (3.36; a track of fewer has one sample, of all its planes).
+    Where there are more than `budget` subsets, that many are drawn from all of them with the seed. `bandwidth` is the
     h of the kernel, in radians on SO(3) x SO(2); by default the median distance of a track's samples from their chordal mean.
-    `iterations` bounds the mean shift. `sigma_rad` as in `degeneracy.assess`.
+    `iterations` bounds the mean shift. Samples whose planes are closer together than `min_spread_share` of what the whole
+    track's are count for nothing. `sigma_rad` and `options` as in `degeneracy.assess`.
     """
-    if (subset is not None and subset < 2) or budget < 1 or iterations < 0:
+    if subset < 2 or budget < 1 or iterations < 0:
         raise InputError(
             "Averaging expects subsets of at least 2 planes, a budget of at least 1 and iterations of at least 0, found "
             f"{subset}, {budget} and {iterations}; correct the option."
@@ -62,16 +63,16 @@ def triangulate(
     frames = track_frames(observations)
     solved = []
     for group in solvable_groups(observations, frames):
-        chosen = members(group.normal.shape[1], subset or LEAST_SUBSET, budget, seed).to(group.normal.device)
+        chosen = members(group.normal.shape[1], subset, budget, seed).to(group.normal.device)
         far = _median_distance(group, frames.preliminary[group.tracks])
         size = max(1, PLANES_AT_ONCE // chosen.numel())
         parts = [
-            _average(part, distance, chosen, bandwidth, iterations)
+            _average(part, distance, chosen, bandwidth, iterations, min_spread_share)
             for part, distance in zip(_split(group, size), far.split(size), strict=True)
         ]
         lines = PlueckerLines(torch.cat([p.direction for p in parts]), torch.cat([p.moment for p in parts]))
         solved.append((group.tracks, lines))
-    return assess(observations, frames, gather(solved, frames), sigma_rad)
+    return assess(observations, frames, gather(solved, frames), sigma_rad, options=options.degeneracy)
 
 
 def members(views: int, least: int, budget: int, seed: int) -> Bool[Tensor, "m views"]:
@@ -112,10 +113,15 @@ def _median_distance(group: TrackGroup, lines: PlueckerLines) -> Float[Tensor, "
 
 
 def _average(
-    group: TrackGroup, far: Float[Tensor, " g"], chosen: Bool[Tensor, "m k"], bandwidth: float | None, iterations: int
+    group: TrackGroup,
+    far: Float[Tensor, " g"],
+    chosen: Bool[Tensor, "m k"],
+    bandwidth: float | None,
+    iterations: int,
+    min_spread_share: float,
 ) -> PlueckerLines:
     """The mean lines of a group, in the world frame. The origin of the chart is as far from the line as the cameras are."""
-    samples, usable = _sample_lines(group, chosen)
+    samples, usable = _sample_lines(group, chosen, min_spread_share)
     to_origin = (group.origin - group.focus) * (far / group.unit.square())[:, None]
     samples = _aligned(samples.shifted(to_origin[:, None]), usable)
     distance = samples.moment.norm(dim=-1)
@@ -131,7 +137,9 @@ def _average(
     return PlueckerLines(mean_rotation[..., 0], moment).shifted(-group.focus - group.unit[:, None] * to_origin)
 
 
-def _sample_lines(group: TrackGroup, chosen: Bool[Tensor, "m k"]) -> tuple[PlueckerLines, Bool[Tensor, "g m"]]:
+def _sample_lines(
+    group: TrackGroup, chosen: Bool[Tensor, "m k"], min_spread_share: float
+) -> tuple[PlueckerLines, Bool[Tensor, "g m"]]:
     """The line of each subset about the group's focus in units of rho, and which of them are determined well enough."""
     s = group.offsets(group.focus) / group.unit[:, None]
     member = chosen.to(s.dtype)
@@ -141,7 +149,7 @@ def _sample_lines(group: TrackGroup, chosen: Bool[Tensor, "m k"]) -> tuple[Pluec
     spread = ((member @ sine2) * member).sum(-1).sqrt() / member.sum(-1)
     whole = sine2.sum((-2, -1)).sqrt() / sine2.shape[-1]
     finite = torch.isfinite(lines.moment).all(-1)
-    return lines, finite & (spread >= LEAST_SPREAD * whole[:, None])
+    return lines, finite & (spread >= min_spread_share * whole[:, None])
 
 
 def _aligned(lines: PlueckerLines, usable: Bool[Tensor, "g m"]) -> PlueckerLines:
@@ -168,11 +176,8 @@ def _chordal_mean(
     rotations: Float[Tensor, "g m 3 3"], angles: Float[Tensor, "g m"], weight: Float[Tensor, "g m"]
 ) -> tuple[Float[Tensor, "g 3 3"], Float[Tensor, " g"]]:
     """3.51 to 3.53. On SO(2) the projection of the sum of rotations is the angle of the sum of their unit vectors."""
-    u, _, vt = torch.linalg.svd((rotations * weight[..., None, None]).sum(1))
-    sign = torch.ones_like(u[..., 0])
-    sign[..., 2] = torch.linalg.det(u) * torch.linalg.det(vt)
     angle = torch.atan2((weight * angles.sin()).sum(-1), (weight * angles.cos()).sum(-1))
-    return (u * sign[..., None, :]) @ vt, angle
+    return mean_rotation(rotations, weight), angle
 
 
 def _mean_shift(

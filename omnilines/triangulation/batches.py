@@ -13,7 +13,7 @@ from omnilines.triangulation.result import Triangulation
 
 BYTES_AN_OBSERVATION = 4000
 """What a method holds of an observation at most, with the singular vectors of its track."""
-MOST_SHARE = 0.5
+MAX_MEMORY_SHARE = 0.5
 """Of the free memory."""
 
 
@@ -27,7 +27,7 @@ def triangulate_on(
     if device == observations.normal.device and at_once is None:
         return triangulate(method, observations, **options)
     free = free_bytes(device)
-    most = at_once or (len(observations.track) if free is None else int(MOST_SHARE * free / BYTES_AN_OBSERVATION))
+    most = at_once or (len(observations.track) if free is None else int(MAX_MEMORY_SHARE * free / BYTES_AN_OBSERVATION))
     home = observations.normal.device
     batch = (observations.views().cumsum(0) - 1).div(max(1, most), rounding_mode="floor")
     parts: list[Triangulation] = []

@@ -25,17 +25,9 @@ from omnilines.triangulation.degeneracy import faces_away
 from omnilines.triangulation.kernels.consensus import ConsensusRules
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import ConsensusOptions
 from omnilines.triangulation.residuals import chart_of, end_distances, inverse, linearise
 
-ROW_LIMIT = 13.816
-"""What chi-square with two degrees of freedom exceeds once in a thousand."""
-CANDIDATE_LIMIT = 4 * ROW_LIMIT
-"""Candidates rest on two planes only, so their residuals are larger."""
-CLEARLY_WRONG = 3 * ROW_LIMIT
-DECISIVE = 6.0
-"""Difference of two truncated costs at which the lesser is 20 times as likely."""
-HYPOTHESES = 3
-"""Refined per track."""
 ROUNDS, STEPS = 10, 20
 """Of judging, and of refining in each: hypotheses that need more are wrong ones."""
 FREE_ROUNDS = 5
@@ -73,13 +65,13 @@ def least_majority_square(observations: PlaneObservations, budget: int, seed: in
 
 
 def find_consensus(
-    observations: PlaneObservations, variance: float, budget: int, seed: int, hypotheses: int = HYPOTHESES
+    observations: PlaneObservations, variance: float, budget: int, seed: int, options: ConsensusOptions = ConsensusOptions()
 ) -> Consensus:
     """The consensus of tracks with three rows or more; `variance` is that of a residual. Pairs as in `candidate_batches`."""
     if observations.arcs is not None and on_processor(observations.normal):
         rules = ConsensusRules(
-            variance, ROW_LIMIT, CANDIDATE_LIMIT, CLEARLY_WRONG, DECISIVE, hypotheses, ROUNDS, STEPS, FREE_ROUNDS, PARALLEL,
-            PHI_MIN_RAD, PHI_MAX_RAD,
+            variance, options.row_chi_square, options.candidate_chi_square, options.clearly_wrong_chi_square, options.decisive,
+            options.hypotheses, ROUNDS, STEPS, FREE_ROUNDS, PARALLEL, PHI_MIN_RAD, PHI_MAX_RAD,
         )  # fmt: skip
         return Consensus(*consensus(observations.by_track, observations.noise, pair_table(observations, budget, seed), rules))
     device = observations.normal.device
@@ -87,7 +79,7 @@ def find_consensus(
     solved = torch.zeros(observations.tracks, dtype=torch.bool, device=device)
     squared = torch.full((len(observations.track),), torch.inf, dtype=torch.float64, device=device)
     for portion in _portions(observations):
-        found = _find_in_groups(observations, [rows for _, rows in portion], variance, budget, seed, hypotheses)
+        found = _find_in_groups(observations, [rows for _, rows in portion], variance, budget, seed, options)
         for (tracks, rows), (own, sound, square) in zip(portion, found, strict=True):
             inlier[rows], solved[tracks], squared[rows] = own, sound, square
     return Consensus(inlier, solved, squared)
@@ -119,29 +111,35 @@ def _find_in_groups(
     variance: float,
     budget: int,
     seed: int,
-    hypotheses: int,
+    options: ConsensusOptions,
 ) -> list[GroupConsensus]:
     """The consensus of each group of tracks with equally many rows. All groups are refined together."""
-    starts = [_first_lines(observations, rows, variance, budget, seed, hypotheses) for rows in groups]
+    hypotheses, limit = options.hypotheses, options.row_chi_square
+    starts = [_first_lines(observations, rows, variance, budget, seed, options) for rows in groups]
     repeated = [rows[:, None].expand(-1, hypotheses, -1) for rows in groups]
     views = torch.cat([torch.full((len(rows) * hypotheses,), rows.shape[1], device=rows.device) for rows in groups])
     each = torch.arange(len(views), device=views.device).repeat_interleave(views)
     table = observations.take(torch.cat([rows.flatten() for rows in repeated]), each, len(views))
     lines = PlueckerLines(torch.cat([at.direction for at, _ in starts]), torch.cat([at.moment for at, _ in starts]))
-    lines, inlier, judged = _settle(table, lines, torch.cat([members for _, members in starts]), variance)
+    lines, inlier, judged = _settle(table, lines, torch.cat([members for _, members in starts]), variance, limit)
     plain = end_distances(table, lines[each].moment_about(table.centre)).square().sum(-1) / variance
-    truncated = torch.where(inlier, plain.nan_to_num(nan=torch.inf), torch.inf).clamp(max=ROW_LIMIT)
+    truncated = torch.where(inlier, plain.nan_to_num(nan=torch.inf), torch.inf).clamp(max=limit)
     sizes = [rows.numel() for rows in repeated]
     found = zip(repeated, truncated.split(sizes), inlier.split(sizes), judged.split(sizes), strict=True)
-    return [_resolve(cost.view(r.shape).sum(-1), own.view(r.shape), s.view(r.shape)) for r, cost, own, s in found]
+    return [_resolve(cost.view(r.shape).sum(-1), own.view(r.shape), s.view(r.shape), options) for r, cost, own, s in found]
 
 
 def _first_lines(
-    observations: PlaneObservations, rows: Int[Tensor, "g k"], variance: float, budget: int, seed: int, hypotheses: int
+    observations: PlaneObservations,
+    rows: Int[Tensor, "g k"],
+    variance: float,
+    budget: int,
+    seed: int,
+    options: ConsensusOptions,
 ) -> tuple[PlueckerLines, Bool[Tensor, " n"]]:
     """The best candidates of each track, one after the other, and which rows of each they rest on."""
     parts = [
-        _best_candidates(pairs, lines, square / variance, hypotheses)
+        _best_candidates(pairs, lines, square / variance, options)
         for pairs, _, lines, square in candidate_batches(observations, rows, budget, seed)
     ]
     direction, moment = (torch.cat([getattr(at, name) for at, _ in parts]).flatten(0, 1) for name in ("direction", "moment"))
@@ -149,14 +147,14 @@ def _first_lines(
 
 
 def _best_candidates(
-    pairs: Int[Tensor, "p 2"], lines: PlueckerLines, square: Float[Tensor, "b p k"], hypotheses: int
+    pairs: Int[Tensor, "p 2"], lines: PlueckerLines, square: Float[Tensor, "b p k"], options: ConsensusOptions
 ) -> tuple[PlueckerLines, Bool[Tensor, "b h k"]]:
     """The best candidates of each track with their pairs; after each, pairs that both support it are out of the running."""
-    support = square <= CANDIDATE_LIMIT
-    cost = square.clamp(max=CANDIDATE_LIMIT).sum(-1)
+    support = square <= options.candidate_chi_square
+    cost = square.clamp(max=options.candidate_chi_square).sum(-1)
     track = torch.arange(len(square), device=square.device)
     chosen = []
-    for _ in range(hypotheses):
+    for _ in range(options.hypotheses):
         best = cost.argmin(-1)
         chosen.append(best)
         explained = support[track, best][:, pairs].all(-1)
@@ -197,7 +195,7 @@ def judge_by_all(observations: PlaneObservations, lines: PlueckerLines, variance
 
 
 def _settle(
-    table: PlaneObservations, lines: PlueckerLines, inlier: Bool[Tensor, " n"], variance: float
+    table: PlaneObservations, lines: PlueckerLines, inlier: Bool[Tensor, " n"], variance: float, limit: float
 ) -> tuple[PlueckerLines, Bool[Tensor, " n"], Float[Tensor, " n"]]:
     """Lines refined on their inliers and rows judged by them, in turn until no row changes or ROUNDS are over."""
     direction, moment = lines.direction.clone(), lines.moment.clone()
@@ -208,7 +206,7 @@ def _settle(
         found = refine(own.rows(inlier[rows]), PlueckerLines(direction[active], moment[active]), STEPS)
         direction[active], moment[active] = found.direction, found.moment
         judged[rows] = judge(own, found, inlier[rows], variance)
-        now = (judged[rows] <= ROW_LIMIT) & (inlier[rows] | (turn < FREE_ROUNDS))
+        now = (judged[rows] <= limit) & (inlier[rows] | (turn < FREE_ROUNDS))
         changed = own.sum_by_track((now != inlier[rows]).to(moment.dtype)) > 0
         inlier[rows] = now
         active = active[changed]
@@ -217,13 +215,16 @@ def _settle(
     return PlueckerLines(direction, moment), inlier, judged
 
 
-def _resolve(cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: Float[Tensor, "g h k"]) -> GroupConsensus:
+def _resolve(
+    cost: Float[Tensor, "g h"], inlier: Bool[Tensor, "g h k"], judged: Float[Tensor, "g h k"], options: ConsensusOptions
+) -> GroupConsensus:
     """The hypothesis of the least truncated cost, unless too few rows agree with it or another contradicts it."""
     track = torch.arange(len(cost), device=cost.device)
     best = cost.argmin(-1)
     own, square = inlier[track, best], judged[track, best]
     enough = own.sum(-1) >= majority(inlier.shape[2])
     # Each of the two has a member that is far off the other's line.
-    contradicts = (inlier & (square > CLEARLY_WRONG)[:, None]).any(-1) & (own[:, None] & (judged > CLEARLY_WRONG)).any(-1)
-    ambiguous = (contradicts & (cost < cost[track, best][:, None] + DECISIVE)).any(-1)
+    wrong = options.clearly_wrong_chi_square
+    contradicts = (inlier & (square > wrong)[:, None]).any(-1) & (own[:, None] & (judged > wrong)).any(-1)
+    ambiguous = (contradicts & (cost < cost[track, best][:, None] + options.decisive)).any(-1)
     return own, enough & ~ambiguous, square

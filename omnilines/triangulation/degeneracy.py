@@ -13,7 +13,6 @@ A line may be determined and yet rest on one camera: without it the planes of th
 tells whether that arc belongs to it, and it is `weak`.
 """
 
-import math
 from dataclasses import replace
 
 import torch
@@ -39,21 +38,12 @@ from omnilines.triangulation.kernels.sums import (
     TOUCHED,
 )
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import DegeneracyOptions
 from omnilines.triangulation.result import Triangulation
 
-ARC_SIGMA_RAD = 5e-4
-"""Noise of a bearing that is assumed for two views, which cannot show it, about half a pixel of an ordinary camera; and the
-most that residuals are taken to show: what exceeds it comes from poses, and adjusting poses needs the lines."""
-INCONSISTENT_RAD = 0.25
-"""Residuals above this are beyond any error of poses: the arcs are not of one line."""
 ROUNDING_RAD = ROUNDING
-UNDETERMINED, WEAK = 3.0, 10.0
-"""Plane angles below this many standard deviations."""
 ON_LINE = 1e-6
 """Distance of a camera from the line, over that of the farthest, at which its plane is arbitrary."""
-WEAK_ANGLE_RAD = math.radians(0.1)
-FAR = 30.0
-"""Spreads of the cameras: a line that is farther is far away, whatever the baseline."""
 
 
 def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 11"]:
@@ -127,11 +117,12 @@ def _normal_noise(
     residual: Tensor,
     angle: Float[Tensor, " t"],
     sigma_rad: float | None,
+    most_rad: float,
 ) -> Float[Tensor, " t"]:
     """Standard deviation (rad) of the plane normals of each track: that of a bearing, sqrt(2) of it over the chord of the arc.
 
-    The noise of the end bearings across the planes is given, stated, or shown by the residuals. Where each has a noise of its
-    own, it is the one that all would have for the angle between the planes to say as much.
+    The noise of the end bearings across the planes is given, stated, or shown by the residuals, `most_rad` at most. Where each
+    has a noise of its own, it is the one that all would have for the angle between the planes to say as much.
     """
     views = observations.views()
     if sigma_rad is None and observations.noise is not None and observations.noise_stated:
@@ -139,7 +130,7 @@ def _normal_noise(
     if sigma_rad is not None:
         sigma = torch.full_like(residual, sigma_rad)
     else:
-        sigma = torch.nan_to_num(residual, nan=ARC_SIGMA_RAD).clamp(ROUNDING_RAD, ARC_SIGMA_RAD)
+        sigma = torch.nan_to_num(residual, nan=most_rad).clamp(ROUNDING_RAD, most_rad)
     if observations.arcs is None:
         return sigma
     return sigma * 2**0.5 / (sums[:, CHORD] / views.clamp_min(1)).clamp_min(1e-9)
@@ -164,18 +155,18 @@ def _without_one(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"], angle: F
 
 
 def _count_cameras(
-    observations: PlaneObservations, lines: PlueckerLines, noise: Float[Tensor, " t"], sums: Float[Tensor, "t 11"]
+    observations: PlaneObservations, lines: PlueckerLines, limit: Float[Tensor, " t"], sums: Float[Tensor, "t 11"]
 ) -> None:
-    """Fill CLEAR and TOUCHED: a camera on the line sees a point of it; without such cameras two others still determine it,
-    unless one is exactly on it."""
+    """Fill CLEAR and TOUCHED: a camera on the line, nearer than `limit` of the farthest, sees a point of it; without such cameras
+    two others still determine it, unless one is exactly on it."""
     if on_processor(observations.normal):
-        camera_sums(observations.by_track, lines, UNDETERMINED * noise, ON_LINE, sums)
+        camera_sums(observations.by_track, lines, limit, ON_LINE, sums)
         return
     track = observations.track
     distance = lines[track].distance_to(observations.centre)
-    farthest = torch.zeros_like(noise).scatter_reduce(0, track, distance, "amax")[track]
-    sums[:, CLEAR] = observations.sum_by_track((distance > UNDETERMINED * noise[track] * farthest).to(noise.dtype))
-    sums[:, TOUCHED] = observations.sum_by_track((distance <= ON_LINE * farthest).to(noise.dtype))
+    farthest = torch.zeros_like(limit).scatter_reduce(0, track, distance, "amax")[track]
+    sums[:, CLEAR] = observations.sum_by_track((distance > limit[track] * farthest).to(limit.dtype))
+    sums[:, TOUCHED] = observations.sum_by_track((distance <= ON_LINE * farthest).to(limit.dtype))
 
 
 def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Tensor, " n"]:
@@ -188,17 +179,16 @@ def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Te
 
 
 def _undetermined(
-    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 11"], noise: Tensor
+    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 11"], limit: Tensor, far_spreads: float
 ) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
     views = observations.views().clamp_min(1)
     mean = observations.sum_by_track(observations.centre) / views[:, None]
     spread, across = (sums[:, SPREAD] / views).sqrt(), (sums[:, ACROSS] / views).sqrt()
-    limit = UNDETERMINED * noise
     parallel = frames.plane_angle_rad < limit.clamp_min(1e-12)
     one_centre = spread <= 1e-12 * (1 + mean.norm(dim=-1))
     epipolar = parallel & (across <= limit * spread) & ~one_centre
-    far = (2 * across > FAR * spread * limit) | (across * limit > spread * frames.plane_angle_rad)
+    far = (2 * across > far_spreads * spread * limit) | (across * limit > spread * frames.plane_angle_rad)
     at_infinity = parallel & ~epipolar & ~one_centre & far
     return {"epipolar": epipolar, "at_infinity": at_infinity, "parallel_planes": parallel & ~epipolar & ~at_infinity}
 
@@ -209,32 +199,34 @@ def assess(
     lines: PlueckerLines,
     sigma_rad: float | None = None,
     unsolved: Bool[Tensor, " t"] | None = None,
+    options: DegeneracyOptions = DegeneracyOptions(),
 ) -> Triangulation:
     """Lines with their status; degenerate ones become NaN. `unsolved` are tracks that the method itself could not solve for.
 
     `sigma_rad` is the standard deviation of a bearing (of a plane normal where no arcs are given). Without it, it is that of the
-    stated noise of the end points or, where none is stated, estimated from the residuals of each track, at most 5e-4, which is
-    also what is assumed for two views.
+    stated noise of the end points or, where none is stated, estimated from the residuals of each track, at most `arc_sigma_rad`,
+    which is also what is assumed for two views.
     """
     sums, views = _sums(observations, frames, lines), observations.views()
     residual = _residual_deviation(sums, views)
-    noise = _normal_noise(observations, sums, residual, frames.plane_angle_rad, sigma_rad)
-    _count_cameras(observations, lines, noise, sums)
+    noise = _normal_noise(observations, sums, residual, frames.plane_angle_rad, sigma_rad, options.arc_sigma_rad)
+    limit = options.undetermined_sigmas * noise
+    _count_cameras(observations, lines, limit, sums)
     clear_views = sums[:, CLEAR]
     behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= views
     angle = frames.plane_angle_rad
     # k planes tell their angle as two of a noise smaller by the root of k / 2 do.
-    barely = angle < (WEAK * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(WEAK_ANGLE_RAD)
+    barely = angle < (options.weak_sigmas * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(options.weak_angle_rad)
     # Where all planes but those of one camera coincide, nothing tells whether its arc belongs to the line.
-    on_one = _without_one(sums, views, angle) < UNDETERMINED * noise
+    on_one = _without_one(sums, views, angle) < limit
     # Later names win over earlier ones.
     names = {
         "weak": (clear_views <= 2) | barely | on_one,
         "behind": behind,
         "through_centre": (clear_views < 2) | (sums[:, TOUCHED] > 0),
         "unsupported": torch.zeros_like(clear_views, dtype=torch.bool) if unsolved is None else unsolved,
-        **_undetermined(observations, frames, sums, noise),
-        "inconsistent": residual > INCONSISTENT_RAD,
+        **_undetermined(observations, frames, sums, limit, options.far_spreads),
+        "inconsistent": residual > options.inconsistent_rad,
         "too_few_views": views < 2,
     }
     status = torch.full_like(views, LINE_STATUSES.index("ok"))

@@ -27,6 +27,7 @@ from omnilines.triangulation.frames import (
     track_frames,
 )
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import TriangulationOptions
 from omnilines.triangulation.result import Triangulation
 
 Weights = Literal["unit", "published", "most-likely"]
@@ -43,6 +44,7 @@ def triangulate(
     iterations: int = 5,
     origin: Literal["shifted", "file"] = "shifted",
     sigma_rad: float | None = None,
+    options: TriangulationOptions = TriangulationOptions(),
 ) -> Triangulation:
     """The lines of all tracks.
 
@@ -51,7 +53,7 @@ def triangulate(
     deviation of each row, for the noise of the end points (of bearings, equal in all directions, where none is given; of normals
     where no arcs are). `origin="file"` takes the
     coordinates as they are, metres and all, as published; a track whose planes all pass through that origin is `unsupported`.
-    `sigma_rad` as in `degeneracy.assess`.
+    `sigma_rad` and `options` as in `degeneracy.assess`.
     """
     if weights not in get_args(Weights) or origin not in ("shifted", "file") or iterations < 0:
         raise InputError(
@@ -67,7 +69,7 @@ def triangulate(
     for _ in range(iterations if weights == "most-likely" else 0):
         deviation = _row_deviation(observations, lines, frames, in_file_frame)
         lines, unsolved = dual_lines(observations, frames, 0, in_file_frame, 1 / deviation)
-    return assess(observations, frames, lines, sigma_rad, unsolved)
+    return assess(observations, frames, lines, sigma_rad, unsolved, options.degeneracy)
 
 
 def frames_and_lines(observations: PlaneObservations) -> tuple[TrackFrames, PlueckerLines, Bool[Tensor, " t"]]:

@@ -18,8 +18,9 @@ from omnilines.triangulation.candidates import candidate_batches, pair_table
 from omnilines.triangulation.compiled import nearest_pairs, on_processor, refined
 from omnilines.triangulation.degeneracy import assess
 from omnilines.triangulation.dual import frames_and_lines
-from omnilines.triangulation.kernels.likelihood import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, TOLERANCE
+from omnilines.triangulation.kernels.likelihood import FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING, TOLERANCE
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import TriangulationOptions
 from omnilines.triangulation.residuals import (
     NormalEquations,
     chart_of,
@@ -31,21 +32,30 @@ from omnilines.triangulation.residuals import (
 )
 from omnilines.triangulation.result import Triangulation
 
-PAIRS, FAR = 128, 55.0
-"""Pairs of planes that are tried where the first search has failed; a row farther off, over the variance, is as good as any."""
+PAIRS = 128
+"""Of planes, that are tried where the first search has failed."""
 
 
-def triangulate(observations: PlaneObservations, *, iterations: int = 50, sigma_rad: float | None = None) -> Triangulation:
-    """The lines of all tracks. `iterations` bounds the steps of each; `sigma_rad` as in `degeneracy.assess`."""
+def triangulate(
+    observations: PlaneObservations,
+    *,
+    iterations: int = 50,
+    sigma_rad: float | None = None,
+    options: TriangulationOptions = TriangulationOptions(),
+) -> Triangulation:
+    """The lines of all tracks. `iterations` bounds the steps of each; `sigma_rad` and `options` as in `degeneracy.assess`."""
     if iterations < 0:
         raise InputError(f"Maximum likelihood expects iterations of at least 0, found {iterations}; correct the option.")
     frames, start, unsolved = frames_and_lines(observations)
-    lines = _restarted(observations, refine(observations, start, iterations), iterations)
-    return assess(observations, frames, lines, sigma_rad, unsolved)
+    far = options.consensus.candidate_chi_square
+    lines = _restarted(observations, refine(observations, start, iterations), iterations, far)
+    return assess(observations, frames, lines, sigma_rad, unsolved, options.degeneracy)
 
 
-def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations: int) -> PlueckerLines:
+def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations: int, far: float) -> PlueckerLines:
     """Lines that their rows do not fit found anew from pairs of planes, where one ends nearer.
+
+    A row farther off than `far`, over the variance, is as good as any.
 
     The dual space knows nothing of noise: of arcs that are known very differently well it may give a start from which the search
     ends in another minimum.
@@ -58,7 +68,7 @@ def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations
         return lines
     own, _ = observations.of_tracks(tracks)
     direction, moment, least = lines.direction.clone(), lines.moment.clone(), square[tracks]
-    for most in (FAR * variance, math.inf):
+    for most in (far * variance, math.inf):
         again = refine(own, _best_pairs(own, most), iterations)
         total = _total_square(own, again)
         nearer = total < least
@@ -132,9 +142,9 @@ def _minimise(observations: PlaneObservations, start: LineChart, iterations: int
         gain = (1 - (2 * decrease / promised.clamp_min(1e-300) - 1) ** 3).clamp(0.1, 2.0)
         damping[active] *= torch.where(better, gain, growth[active])
         growth[active] = torch.where(better, 2.0, 2 * growth[active])
-        damping.clamp_(min=LEAST_DAMPING)
+        damping.clamp_(min=MIN_DAMPING)
         _accept(chart, at, active[better], trial[better], then, better)
-        active = active[~settled & (damping[active] < MOST_DAMPING)]
+        active = active[~settled & (damping[active] < MAX_DAMPING)]
     return chart
 
 

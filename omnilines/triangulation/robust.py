@@ -16,11 +16,12 @@ from camera_models.errors import InputError
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import LINE_STATUSES
 from omnilines.triangulation import triangulate
-from omnilines.triangulation.consensus import ROW_LIMIT, find_consensus, judge_by_all, least_majority_square
+from omnilines.triangulation.consensus import find_consensus, judge_by_all, least_majority_square
 from omnilines.triangulation.degeneracy import ROUNDING_RAD, faces_away, hidden
 from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.likelihood import refine
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import ConsensusOptions, TriangulationOptions
 from omnilines.triangulation.residuals import chi_square_limit, end_distances, freedom
 from omnilines.triangulation.result import Triangulation
 
@@ -51,9 +52,10 @@ def robust_triangulate(
     sigma: float | None = None,
     seed: int = 0,
     budget: int = 128,
-    **options: Any,
+    options: TriangulationOptions = TriangulationOptions(),
+    **of_method: Any,
 ) -> RobustTriangulation:
-    """The lines of all tracks by the named method with its `options`, from the observations that agree with each other.
+    """The lines of all tracks by the named method with its options `of_method`, from the observations that agree with each other.
 
     `sigma` is the noise level, in the unit of `RobustTriangulation.sigma`. Without it, it is the stated one, or `noise_level`
     where none is stated. Where the poses are off, residuals exceed the stated noise and hardly any track is consistent: pass
@@ -70,21 +72,23 @@ def robust_triangulate(
     elif observations.noise_stated:
         level = 1.0
     else:
-        level = noise_level(observations, seed=seed, budget=budget)
+        level = noise_level(observations, seed=seed, budget=budget, options=options.consensus)
     variance = max(level, _rounding_level(observations)) ** 2
     inlier = torch.ones(len(observations.track), dtype=torch.bool, device=observations.track.device)
     unsolved = torch.zeros(observations.tracks, dtype=torch.bool, device=inlier.device)
-    suspects = torch.nonzero(_suspects(observations, variance)).squeeze(-1)
+    suspects = torch.nonzero(_suspects(observations, variance, options.consensus)).squeeze(-1)
     some, kept = observations.of_tracks(suspects)
-    found = find_consensus(some, variance, budget, seed)
+    found = find_consensus(some, variance, budget, seed, options.consensus)
     inlier[kept] = found.inlier | ~found.solved[some.track]
     unsolved[suspects] = ~found.solved
-    result = triangulate(method, observations.rows(inlier), **options)
+    result = triangulate(method, observations.rows(inlier), options=options, **of_method)
     status = torch.where(unsolved, LINE_STATUSES.index("inconsistent"), result.status)
     return RobustTriangulation(hidden(replace(result, status=status)), inlier, level)
 
 
-def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int = 128) -> float:
+def noise_level(
+    observations: PlaneObservations, *, seed: int = 0, budget: int = 128, options: ConsensusOptions = ConsensusOptions()
+) -> float:
     """Noise level that residuals show, in the unit of `RobustTriangulation.sigma`; NaN without a track of more than two views.
 
     It comes from the majorities of up to SAMPLED_TRACKS tracks, and is right if most tracks have one. Options as in
@@ -101,7 +105,7 @@ def noise_level(observations: PlaneObservations, *, seed: int = 0, budget: int =
     # because it takes the members of neighbouring lines together.
     variance = max(0.5 * float(first.median().nan_to_num(posinf=0.0)), floor)
     for _ in range(NOISE_ROUNDS):
-        found = find_consensus(sample, variance, budget, seed, hypotheses=1)
+        found = find_consensus(sample, variance, budget, seed, options._replace(hypotheses=1))
         squares = found.squared[found.inlier & found.solved[sample.track]]
         if not len(squares):
             break
@@ -118,7 +122,7 @@ def _rounding_level(observations: PlaneObservations) -> float:
     return ROUNDING_RAD / float((observations.noise.square().sum((-2, -1)) / 2).mean().sqrt())
 
 
-def _suspects(observations: PlaneObservations, variance: float) -> Bool[Tensor, " t"]:
+def _suspects(observations: PlaneObservations, variance: float, options: ConsensusOptions) -> Bool[Tensor, " t"]:
     """Tracks of more than two views whose members do not all agree with the most likely line of all of them."""
     _, start, _ = frames_and_lines(observations)
     lines = refine(observations, start)
@@ -126,7 +130,7 @@ def _suspects(observations: PlaneObservations, variance: float) -> Bool[Tensor, 
     away = faces_away(observations, lines)
     share = observations.sum_by_track(away.to(square.dtype)) / observations.views().clamp_min(1)
     # A track seen from behind by most of its cameras is named so by the method itself.
-    wrong = observations.sum_by_track(((square > ROW_LIMIT) & ~away).to(square.dtype)) > 0
+    wrong = observations.sum_by_track(((square > options.row_chi_square) & ~away).to(square.dtype)) > 0
     distance = end_distances(observations, lines[observations.track].moment_about(observations.centre))
     total = observations.sum_by_track(distance.square().sum(-1)) / variance
     degrees = freedom(observations)

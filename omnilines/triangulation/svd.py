@@ -11,6 +11,7 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.triangulation.degeneracy import assess, gather
 from omnilines.triangulation.frames import solvable_groups, track_frames
 from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.options import TriangulationOptions
 from omnilines.triangulation.result import Triangulation
 
 
@@ -21,8 +22,10 @@ def rank_two_lines(planes: Float[Tensor, "*batch k 4"]) -> PlueckerLines:
     return PlueckerLines.from_planes(first[..., :3], first[..., 3], second[..., :3], second[..., 3])
 
 
-def triangulate(observations: PlaneObservations, *, sigma_rad: float | None = None) -> Triangulation:
-    """The lines of all tracks; `sigma_rad` as in `degeneracy.assess`."""
+def triangulate(
+    observations: PlaneObservations, *, sigma_rad: float | None = None, options: TriangulationOptions = TriangulationOptions()
+) -> Triangulation:
+    """The lines of all tracks; `sigma_rad` and `options` as in `degeneracy.assess`."""
     frames = track_frames(observations)
     solved = []
     for group in solvable_groups(observations, frames):
@@ -30,4 +33,4 @@ def triangulate(observations: PlaneObservations, *, sigma_rad: float | None = No
         local = rank_two_lines(torch.cat([group.normal, s[..., None]], -1))
         metric = PlueckerLines(local.direction, local.moment * group.unit[:, None])
         solved.append((group.tracks, metric.shifted(-group.focus)))
-    return assess(observations, frames, gather(solved, frames), sigma_rad)
+    return assess(observations, frames, gather(solved, frames), sigma_rad, options=options.degeneracy)

@@ -130,7 +130,14 @@ def bench_memory_is_what_the_formula_says(tmp_path: pathlib.Path) -> None:
         arcs, poses = scene.arcs(), scene.poses
         state = LinesAndPoses(poses, LineChart.about_cameras(scene.lines, poses.centre[arcs.image], arcs.track))
         pattern = layout(LineProblem(arcs, "sector", Freedom(torch.zeros(len(poses), dtype=torch.bool)), state)).pattern
-        own = engine_bytes(len(arcs), arcs.tracks, len(poses), len(pattern.row), band_width(pattern, 6), 1)
+        own = engine_bytes(
+            observations=len(arcs),
+            lines=arcs.tracks,
+            free=len(poses),
+            pairs=len(pattern.row),
+            width=band_width(pattern, 6),
+            threads=1,
+        )
         expected = (BASE + ARC * len(arcs) + own) / 1024**2
         rows.append([size_of(scene), f"{found:.0f}", f"{expected:.0f}", f"{expected / found:.2f}"])
         assert SMALL or abs(expected / found - 1) < 0.3

@@ -11,9 +11,9 @@ import argparse
 import math
 import resource
 import sys
-import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,10 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from camera_models import CameraModel, Equirectangular
 from camera_models.resampling import resample, sampling_grid
 from camera_models.views import axis_from_camera, views
-from omnilines.commands.render_scene import RenderedScene, write_scene
 from omnilines.evaluation.arcs import ArcScores, arc_scores
 from omnilines.extraction import extract_arcs
-from omnilines.files import read_photo
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
 from omnilines.records import Segments
 from omnilines.scenes import SCENES
 
@@ -72,12 +71,11 @@ METHODS: tuple[tuple[str, Method], ...] = (("omnilines", ours), ("LSD on the pho
 
 
 def scored(scene: RenderedScene, method: Method) -> tuple[ArcScores, Segments, float]:
-    folder = scene.files[0].parent
     ends, covariances, image, spent = [], [], [], 0.0
     for k, name in enumerate(scene.poses.images):
-        photo = read_photo(folder / name)
+        photo = scene.photos[name]
         start = time.process_time()
-        found, covariance = method(photo, scene.model)
+        found, covariance = method(photo, scene.camera)
         spent += time.process_time() - start
         ends.append(found)
         covariances.append(covariance)
@@ -91,7 +89,7 @@ def scored(scene: RenderedScene, method: Method) -> tuple[ArcScores, Segments, f
         np.concatenate(ends),
         covariance_px2=known,
     )
-    scores = arc_scores(scene.model, scene.poses, scene.edges, scene.stretches, table)
+    scores = arc_scores(scene.camera, scene.poses, scene.edges, scene.stretches, table)
     return scores, table, spent / len(scene.poses)
 
 
@@ -108,7 +106,7 @@ def inside_95(scene: RenderedScene, scores: ArcScores, table: Segments) -> float
     pixels = table.endpoints_px[rows]
     step = 1e-4
     height = [
-        (scene.model.unproject(pixels + np.array(move))[0] * normal[:, None]).sum(-1) for move in ((0, 0), (step, 0), (0, step))
+        (scene.camera.unproject(pixels + np.array(move))[0] * normal[:, None]).sum(-1) for move in ((0, 0), (step, 0), (0, step))
     ]
     slope = np.stack([height[1] - height[0], height[2] - height[0]], -1) / step
     sigma = np.sqrt(np.einsum("nki,nkij,nkj->nk", slope, table.covariance_px2[rows], slope))
@@ -139,14 +137,12 @@ def table_of_scenes(cameras: Cameras, name: str, view_count: int, seeds: list[in
     for model, fov_deg in cameras:
         rows: dict[str, list[list[float]]] = {method: [] for method, _ in METHODS}
         for seed in seeds:
-            with tempfile.TemporaryDirectory() as folder:
-                scene = write_scene(
-                    folder, scene=name, model=model, fov_deg=fov_deg, views=view_count, size=size, noise=2.0, blur=0.5, seed=seed
-                )
-                GRIDS.clear()
-                for method, find in METHODS:
-                    find(read_photo(scene.files[0]), scene.model)
-                    rows[method].append(figures(scene, find))
+            scene = render_scene(name, model, RenderOptions(fov_deg, view_count, size, seed=seed))
+            scene = replace(scene, photos=dict(scene.photos))
+            GRIDS.clear()
+            for method, find in METHODS:
+                find(scene.photos[scene.poses.images[0]], scene.camera)
+                rows[method].append(figures(scene, find))
         for method, found in rows.items():
             v = np.mean(found, axis=0)
             print(

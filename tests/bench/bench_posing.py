@@ -21,9 +21,9 @@ from courtyard import read_courtyard
 
 from camera_models import load
 from camera_models.formats import read as read_calibration
-from omnilines.commands.render_scene import write_scene
+from camera_models.rotations import similarity_alignment
 from omnilines.files import find_photos, read_photo
-from omnilines.geometry.alignment import similarity_alignment
+from omnilines.pipelines.render import RenderOptions, render_scene
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import sfm_poses
 from omnilines.records import ImagePoses
@@ -56,9 +56,8 @@ def rooms(cameras: Cameras, views: int, side: int, seeds: list[int]) -> None:
         for model, fov in cameras:
             with tempfile.TemporaryDirectory() as folder:
                 size = (2 * side, side) if model == "equirectangular" else (side, side)
-                scene = write_scene(
-                    folder, scene="room", model=model, fov_deg=fov, views=views, size=size, noise=2.0, blur=0.5, seed=seed
-                )
+                scene = render_scene("room", model, RenderOptions(fov, views, size, seed=seed))
+                scene.save(folder)
                 names = scene.poses.images
                 calibration, cameras = load(Path(folder) / "calibration.yaml"), dict.fromkeys(names, "cam0")
                 read = Path(folder).joinpath

@@ -191,7 +191,7 @@ COLUMNS = (
 def scored(label: str, ends_m: np.ndarray, edges: TrueEdges, stretches: Stretches, seconds: float, lost: float) -> list[str]:
     """One row of the table of a room."""
     score = scene_scores(ends_m, edges, stretches)
-    clear = scene_scores(ends_m, edges, stretches, least_px=SEEN_PX)
+    clear = scene_scores(ends_m, edges, stretches, min_px=SEEN_PX)
     return [
         label,
         " ".join(f"{value:.3f}" for value in score.recall),

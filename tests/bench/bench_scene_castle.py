@@ -30,7 +30,7 @@ from held_out import MATCHED_PX, NEAR_PX, SEEN_PX, held_out
 
 from camera_models import Pinhole
 from camera_models.pose import Pose
-from omnilines.extraction import extract_arcs
+from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import read_photo
 from omnilines.files.colmap_scene import write_colmap_scene
 from omnilines.records import ImagePoses
@@ -58,7 +58,7 @@ def segments_of(path: Path, camera: Pinhole) -> list[np.ndarray]:
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     drawing = cv2.ximgproc.createEdgeDrawing()
     drawing.detectEdges(grey)
-    arcs = extract_arcs(read_photo(path), camera, least_px=15.0).endpoints_px
+    arcs = extract_arcs(read_photo(path), camera, options=ExtractionOptions(min_length_px=15.0)).endpoints_px
     found = [arcs, cv2.createLineSegmentDetector().detect(grey)[0], drawing.detectLines()]
     ends = [segments.reshape(-1, 2, 2).astype(np.float64) for segments in found]
     return [s[np.linalg.norm(s[:, 1] - s[:, 0], axis=-1) >= SEEN_PX / 2] for s in ends]

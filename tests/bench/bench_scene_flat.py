@@ -24,10 +24,10 @@ from bench_scene_own import CAMERA, LONG_PX, SMALL_CAMERA, run
 from timing import print_table
 
 from camera_models.pose import Pose
+from camera_models.rotations import similarity_alignment
 from omnilines.evaluation.scene import aligned_ends, scene_scores
 from omnilines.files import read_lines, read_poses, write_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
-from omnilines.geometry.alignment import similarity_alignment
 from omnilines.records import ImagePoses
 from omnilines.scenes import SCENES
 
@@ -79,7 +79,7 @@ def row(folder: Path, way: str, off_deg: float, off_m: float, seed: int, more: l
     seconds = sum(os.times()[:4]) - start
     lines, poses = read_lines(out / "lines.csv"), read_poses(out / "poses.csv")
     ends = aligned_ends(lines.ends_m[lines.known], poses, truth)
-    every, long = (scene_scores(ends, edges, stretches, least_views=LEAST_VIEWS, least_px=least) for least in (0.0, LONG_PX))
+    every, long = (scene_scores(ends, edges, stretches, min_views=LEAST_VIEWS, min_px=least) for least in (0.0, LONG_PX))
     off = 1e3 * centre_errors_m(poses, truth)
     return [
         label,

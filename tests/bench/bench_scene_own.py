@@ -62,7 +62,7 @@ def row(work: Path, camera: Sequence[str], scene: str, views: int, seed: int, no
     seconds = time.perf_counter() - start
     lines, poses = read_lines(out / "lines.csv"), read_poses(out / "poses.csv")
     ends = aligned_ends(lines.ends_m[lines.known], poses, truth)
-    every, long = (scene_scores(ends, edges, stretches, least_px=least) for least in (0.0, LONG_PX))
+    every, long = (scene_scores(ends, edges, stretches, min_px=least) for least in (0.0, LONG_PX))
     return [
         f"{noise}, {blur}",
         f"{len(poses)} of {views}",

@@ -23,7 +23,7 @@ from held_out import MATCHED_PX, NEAR_PX, held_out
 import camera_models
 from camera_models.formats import read as read_calibration
 from omnilines.cli import main as omnilines
-from omnilines.extraction import extract_arcs
+from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import read_lines, read_photo, read_poses
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rigs" / "omnimvs" / "itbt_sample"
@@ -61,7 +61,9 @@ def main(folder: Path, out: Path, small: bool) -> None:
             other = poses.images[0].split("/")[0]
             rig = calibration.rig
             pose = rig[name].cam_from_rig @ rig[other].cam_from_rig.inverse() @ poses.cam_from_world[0]
-            arcs = extract_arcs(read_photo(folder / name / instant), calibration[name], least_px=15.0)
+            arcs = extract_arcs(
+                read_photo(folder / name / instant), calibration[name], options=ExtractionOptions(min_length_px=15.0)
+            )
             off, chance = held_out(lines.ends_m[lines.known], pose, calibration[name], arcs.endpoints_px)
             rows.append(
                 [

@@ -4,7 +4,6 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-
 from hostile import corpus_formats
 from hostile.case import Case, play
 

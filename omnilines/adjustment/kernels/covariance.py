@@ -61,8 +61,8 @@ def line_covariances(low, high, views, pose, lines, pairs, covariance, solved, r
     r, z, e = np.empty((most, 2)), np.zeros((most, 8)), np.empty((4, 4))
     for place in range(low, high):
         line, begin, end = views.order[place], views.start[place], views.start[place + 1]
-        told = solved.diagonal[line]
-        if not (told[0] > 0.0 or told[1] > 0.0 or told[2] > 0.0 or told[3] > 0.0):
+        known = solved.diagonal[line]
+        if not (known[0] > 0.0 or known[1] > 0.0 or known[2] > 0.0 or known[3] > 0.0):
             result[line] = np.nan
             continue
         observe(views, place, pose, lines, r, by_line, by_frame)

@@ -16,6 +16,7 @@ from numba import njit
 # Sums may be reordered and multiply-adds fused; NaN and infinity keep their meaning, since they make a step be refused.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 NONE, HUBER, CAUCHY = 0, 1, 2
+LOSS_KINDS = {"none": NONE, "huber": HUBER, "cauchy": CAUCHY}
 PHI_MIN_RAD, PHI_MAX_RAD = math.radians(20), math.radians(70)
 """As in `LineChart`."""
 
@@ -36,7 +37,7 @@ class Views(NamedTuple):
     kind: int
     """Of the loss: NONE, HUBER or CAUCHY."""
     scale: float
-    """At which it bends."""
+    """Of the loss, in the unit of the residuals."""
 
 
 class LineStates(NamedTuple):
@@ -92,7 +93,7 @@ class LineSearch(NamedTuple):
     """MOVING, or how it ended (int8)."""
 
 
-MOVING, SETTLED, STALLED, SINGULAR = 0, 1, 2, 3
+MOVING, CONVERGED, STALLED, SINGULAR = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

@@ -12,9 +12,9 @@ from numba import njit
 
 from omnilines.adjustment.kernels.line import (
     CAUCHY,
+    CONVERGED,
     FAST,
     MOVING,
-    SETTLED,
     SINGULAR,
     STALLED,
     backward,
@@ -118,12 +118,12 @@ def follow_frames(low, high, views, pose, moved_pose, step, lines, damping, solv
 def step_lines(low, high, views, pose, lines, search, least):
     """One step of every line at the places low to high that still moves, all frames held; changes `lines` and `search`.
 
-    Each has its own damping, refuses what does not lower its own cost, and is settled once its linear model promises no more
-    than `least`. The rules are those of `levenberg_marquardt.minimise`. Returns how many lines moved.
+    Each has its own damping, refuses what does not lower its own cost, and has converged once its linear model promises no
+    more than `least`. The rules are those of `levenberg_marquardt.minimise`. Returns how many lines moved.
     """
     most = most_views(views, low, high)
     by_line, by_frame, r = np.zeros((most, 8)), np.zeros((most, 2, 6)), np.empty((most, 2))
-    e, bent, factor, gradient, diagonal = np.empty((4, 4)), np.empty((4, 4)), np.empty(10), np.empty(4), np.empty(4)
+    e, curved, factor, gradient, diagonal = np.empty((4, 4)), np.empty((4, 4)), np.empty(10), np.empty(4), np.empty(4)
     own, turned, new_centre, new_turn = np.empty(4), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     moved = 0
     for place in range(low, high):
@@ -133,12 +133,12 @@ def step_lines(low, high, views, pose, lines, search, least):
         observe(views, place, pose, lines, r, by_line, by_frame)
         count = views.start[place + 1] - views.start[place]
         line_block(by_line, r, count, e, gradient)
-        bent[:] = e
-        bend(views, count, by_line, r, bent)
+        curved[:] = e
+        take_loss_curvature(views, count, by_line, r, curved)
         damping = search.damping[line]
-        # Away from the minimum the loss may bend more than the residuals.
-        if factorise(bent, damping, factor):
-            e[:] = bent
+        # Away from the minimum the curvature of the loss may outweigh that of the residuals.
+        if factorise(curved, damping, factor):
+            e[:] = curved
         elif not factorise(e, damping, factor):
             refuse(search, line, max(damping, 1e-12))
             if search.damping[line] > MOST_DAMPING:
@@ -148,7 +148,7 @@ def step_lines(low, high, views, pose, lines, search, least):
             diagonal[x] = e[x, x]
         promised, phi = move_line(line, gradient, factor, gradient, diagonal, damping, lines, new_centre, new_turn, own, turned)
         if promised <= least:
-            search.end[line] = SETTLED
+            search.end[line] = CONVERGED
         cost = line_cost(views, place, pose, new_centre, lines.rho[line], new_turn, phi)
         if cost < search.cost[line]:
             ratio = (search.cost[line] - cost) / promised
@@ -165,7 +165,7 @@ def step_lines(low, high, views, pose, lines, search, least):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def bend(views, count, by_line, r, e):
+def take_loss_curvature(views, count, by_line, r, e):
     """Take from E the curvature of the loss, -2 L'' (J'r)(J'r)' of each observation, from rows weighted by the root of L'.
 
     Without it convergence is slow where a line has as many doubtful observations as good ones. That of Huber's loss jumps, and

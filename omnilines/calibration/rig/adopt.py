@@ -10,18 +10,24 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose
-from omnilines.calibration.rig.consensus import AGREES
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.start import ViewNumberings
 
 
 def adopted_views(
-    data: RigData, state: RigState, options: ViewNumberings, handed: dict[int, bool], candidates: Iterable[int]
+    data: RigData,
+    state: RigState,
+    options: ViewNumberings,
+    handed: dict[int, bool],
+    candidates: Iterable[int],
+    *,
+    agreeing_squares: float,
 ) -> dict[int, Pose]:
     """Of the candidates those whose board is where the rig says, with the numbering under which it is.
 
-    `handed` says of each member whether its boards are numbered as in a mirror.
+    `handed` says of each member whether its boards are numbered as in a mirror, `agreeing_squares` how far off
+    corners may be.
     """
     views, corners = data.views, data.views.corners
     found = {}
@@ -37,9 +43,9 @@ def adopted_views(
         pitch = options.pitch_m[int(views.board[view])]
         off = _off(state.models[member], predicted, places, torch.as_tensor(corners.pixels[rows]), pitch)
         best = int(off.argmin())
-        if float(off[best]) < AGREES:
+        if float(off[best]) < agreeing_squares:
             # The numbering as it is, unless it is plainly worse.
-            found[view] = motions[0 if float(off[0]) < AGREES else best]
+            found[view] = motions[0 if float(off[0]) < agreeing_squares else best]
     return found
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,25 +15,21 @@ from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.intervals import stated_variance_px2
+from omnilines.calibration.options import AUTO
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
-from omnilines.calibration.robust import Settled, settle
+from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import calibrate_camera, robust_camera
 from omnilines.calibration.start import CameraKind
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, views_lost
 from omnilines.least_squares import Progress
 from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
 
-AUTO = "auto"
-"""In the place of a model's name: fit all and take the one that predicts views best."""
 LEAST_SIGMA_PX = 1e-4
 """Corners are never weighted as better than this: of exact ones, rounding alone would decide the weights."""
-
-
-OUTSIDE = 0.1
-"""Share of corners outside the field of view of a given calibration from which it is not that of this camera."""
 
 
 @dataclass(frozen=True)
@@ -69,92 +65,107 @@ class AloneCamera:
 
 
 def alone_camera(
-    corners: Corners, numbers: Int[np.ndarray, " v"], setup: CameraSetup, loss: str, callback: Callable[[Progress], None] | None
+    corners: Corners,
+    numbers: Int[np.ndarray, " v"],
+    setup: CameraSetup,
+    loss: str,
+    thresholds: CalibrationThresholds,
+    *,
+    callback: Callable[[Progress], None] | None,
 ) -> AloneCamera:
     """One camera from its own corners; `numbers` are its views in the rig's table.
 
     Raises InputError for too few views and GeometryError where they leave the camera open.
     """
-    refusals = unusable_views(corners)
+    least_views, least_corners = thresholds.views.least_views, thresholds.views.least_corners
+    refusals = unusable_views(corners, least_corners)
     usable = [v for v in range(len(corners.view_names)) if v not in refusals]
     if setup.start is None:
-        require_views(len(usable), len(corners.view_names), refusals)
+        require_views(len(usable), len(corners.view_names), refusals, least_views)
     elif not usable:
         raise InputError("At least one view with enough corners for a pose was expected, found none; add photos of the board.")
     rows: Bool[np.ndarray, " n"] = np.isin(corners.view, usable)
     points, weight = board_points(corners, rows, usable), corner_weights(corners, rows)
-    settled = _settled(corners, points, weight, setup, loss, callback)
-    kept = settled.kept
+    fit = _robust(corners, points, weight, setup, loss, thresholds=thresholds, callback=callback)
+    state, kept = fit.state, fit.kept
     if loss == "none":
-        problem = BoardProblem(points, settled.state.model.calibration_basis()[:, : 0 if setup.hold else None], weight)
-        settled, kept = replace(settled, state=problem.solve(settled.state).state), torch.ones_like(kept)
+        problem = BoardProblem(points, state.model.calibration_basis()[:, : 0 if setup.hold else None], weight)
+        state, kept = problem.solve(state).state, torch.ones_like(kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
-    refusals |= views_lost(corners, rows, fitting)
+    refusals |= views_lost(corners, rows, fitting, least_corners)
     stays = torch.tensor([v not in refusals for v in usable])
     good = torch.nonzero(stays).flatten().tolist()
-    poses = settled.state.cam_from_board[good]
+    poses = state.cam_from_board[good]
     if setup.start is None:
-        require_views(len(good), len(corners.view_names), refusals)
-        refuse_parallel_boards(poses)
+        require_views(len(good), len(corners.view_names), refusals, least_views)
+        refuse_parallel_boards(poses, thresholds.degeneracy.parallel_deg)
     elif not good:
         raise GeometryError(
             f"Boards that the given calibration fits were expected, found none among {len(usable)} views; give another "
             "calibration or calibrate anew."
         )
     kept = kept & stays[points.view]
-    residual = settled.state.residual_px(points)[kept]
-    basis = settled.state.model.calibration_basis()
+    residual = state.residual_px(points)[kept]
+    basis = state.model.calibration_basis()
     if setup.hold:
         basis = basis[:, :0]
+    stated = stated_variance_px2(corners, np.ones(len(corners), dtype=bool), thresholds.noise.corner_floor_px)
+    residual_of_mean_weight = whitened(residual, None if weight is None else weight[kept])
     return AloneCamera(
-        settled.state.model,
-        basis,
-        numbers[[usable[v] for v in good]],
-        poses,
-        _sigma_px(
-            whitened(residual, None if weight is None else weight[kept]),
-            len(good),
-            basis.shape[1],
-            stated_variance_px2(corners, np.ones(len(corners), dtype=bool)),
-        ),
-        float(residual.square().sum(-1).mean().sqrt()),
-        {int(numbers[v]): reason for v, reason in refusals.items()},
+        model=state.model,
+        basis=basis,
+        views=numbers[[usable[v] for v in good]],
+        cam_from_board=poses,
+        sigma_px=_sigma_px(residual_of_mean_weight, 6 * len(good) + basis.shape[1], stated, thresholds.noise.significance),
+        rms_px_per_point=float(residual.square().sum(-1).mean().sqrt()),
+        refusals={int(numbers[v]): reason for v, reason in refusals.items()},
     )
 
 
-def _settled(
+def _robust(
     corners: Corners,
     points: BoardPoints,
     weight: Float[Tensor, " n"] | None,
     setup: CameraSetup,
     loss: str,
+    *,
+    thresholds: CalibrationThresholds,
     callback: Callable[[Progress], None] | None,
-) -> Settled:
+) -> RobustFit:
     """The robust fit from the given calibration or from none."""
     if setup.start is not None:
-        return _begun(points, weight, setup.start, setup.hold, loss)
+        return _begun(points, weight, setup.start, loss, thresholds, hold=setup.hold)
     if setup.model == AUTO:
-        chosen = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror).result
-        return _begun(points, weight, chosen.model, False, loss)
-    settled = robust_camera(
-        points, CameraKind(setup.image_size, setup.model, setup.mirror, setup.options), loss, weight, callback, least_passes=2
-    )
-    model = settled.state.model
+        chosen = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds).result
+        return _begun(points, weight, chosen.model, loss, thresholds)
+    kind = CameraKind(setup.image_size, setup.model, setup.mirror, setup.options)
+    fit = robust_camera(points, weight, kind, loss, thresholds, callback=callback, least_passes=2)
+    model = fit.state.model
     if type(model).rivals is CameraModel.rivals or not model.rivals(float(angles_off_axis(model, points.pixels).max())):
-        return settled
+        return fit
     # Of several minima that the model may be in, the plain least squares of a camera alone finds the best.
-    best = calibrate_camera(corners, setup.image_size, setup.model, loss=loss, mirror=setup.mirror, options=setup.options)
-    return _begun(points, weight, best.model, False, loss)
+    best = calibrate_camera(
+        corners, setup.image_size, setup.model, loss=loss, mirror=setup.mirror, options=setup.options, thresholds=thresholds
+    )
+    return _begun(points, weight, best.model, loss, thresholds)
 
 
-def _begun(points: BoardPoints, weight: Float[Tensor, " n"] | None, model: CameraModel, hold: bool, loss: str) -> Settled:
+def _begun(
+    points: BoardPoints,
+    weight: Float[Tensor, " n"] | None,
+    model: CameraModel,
+    loss: str,
+    thresholds: CalibrationThresholds,
+    *,
+    hold: bool = False,
+) -> RobustFit:
     """Boards resected by a known camera, which is refined with them unless it is held."""
-    smooth, _ = smooth_corners(points)
+    smooth, _ = smooth_corners(points, thresholds.screening)
     clean = points.chosen(smooth)
     _, seen = model.unproject(clean.pixels)
     outside = int((~seen).sum())
-    if outside > OUTSIDE * len(seen):
+    if outside > thresholds.rig.outside_share * len(seen):
         raise GeometryError(
             f"Corners where the given calibration sees were expected, found {outside} of {len(seen)} outside its field of view; "
             "give another calibration or calibrate anew."
@@ -163,11 +174,13 @@ def _begun(points: BoardPoints, weight: Float[Tensor, " n"] | None, model: Camer
     bearings, _ = model.unproject(clean.pixels)
     basis = model.calibration_basis()
     start = CameraAndBoards(model, resect_boards(clean, bearings))
-    return settle(points, clean, start, "cauchy" if loss == "none" else loss, weight, basis=basis[:, :0] if hold else basis)
+    task = RobustTask(points, clean, weight, "cauchy" if loss == "none" else loss, thresholds.robust)
+    return robust_fit(task, start, basis=basis[:, :0] if hold else basis)
 
 
-def _sigma_px(residual: Float[Tensor, "n 2"], views: int, estimated: int, stated_px2: float | None) -> float:
+def _sigma_px(residual: Float[Tensor, "n 2"], unknowns: int, stated_px2: float | None, significance: float) -> float:
     """Corners are never taken to be better than they are stated to be: what a detector leaves unmodelled is alike in neighbours,
     so that residuals do not show all of it, and many corners do not average it out."""
-    freedom = max(1, residual.numel() - 6 * views - estimated)
-    return max(math.sqrt(variance_factor(float(residual.square().sum()), freedom, stated_px2).value), LEAST_SIGMA_PX)
+    freedom = max(1, residual.numel() - unknowns)
+    factor = variance_factor(float(residual.square().sum()), freedom, stated_px2, significance)
+    return max(math.sqrt(factor.value), LEAST_SIGMA_PX)

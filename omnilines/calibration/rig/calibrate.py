@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,27 +11,27 @@ from jaxtyping import Bool, Int
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.calibration.numbering import Numbering
+from omnilines.calibration.options import AUTO
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
-from omnilines.calibration.rig.alone import AUTO, AloneCamera, CameraSetup, alone_camera
+from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
 from omnilines.calibration.rig.consensus import reflected
 from omnilines.calibration.rig.finish import RigOutcome, rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
-from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, settle_rig
+from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.start import (
     RigStart,
     ViewNumberings,
     faces,
-    has_sides,
     numberings_of,
-    on_other_side,
     posed_views,
     rig_start,
 )
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.views import corner_weights
 from omnilines.least_squares import Progress
 from omnilines.records import Corners
@@ -47,6 +48,7 @@ def calibrate_rig(
     loss: str = "cauchy",
     numberings: Mapping[str, Numbering] | None = None,
     seen_from_front: bool = False,
+    thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[str, Progress], None] | None = None,
 ) -> RigCalibration:
     """Calibrate a rig from corners that name camera, frame and board of every view.
@@ -58,24 +60,24 @@ def calibrate_rig(
     Raises InputError for a malformed table, and GeometryError where no two cameras hang together or the data leave the rig open.
     """
     views = RigViews.of(corners, tuple(cameras), relation)
-    alone, failures = _alone(views, cameras, loss, callback)
-    sides = frozenset(c for c, own in alone.items() if cameras[views.cameras[c]].start is None and has_sides(own.model))
+    alone, failures = _alone(views, cameras, loss, thresholds, callback)
+    sides = frozenset(c for c, own in alone.items() if cameras[views.cameras[c]].start is None and own.model.AXIS_SIGN_OPEN)
     options = ViewNumberings(views, numberings or numberings_of(views), sides)
     posed, numbers = posed_views(options, alone)
-    told: frozenset[int] = frozenset()
+    by_tags: frozenset[int] = frozenset()
     if seen_from_front:
-        told = sides
+        by_tags = sides
         behind = [c for c in sides if not faces(posed, c)]
         posed, sides = posed.seen_in_mirrors(behind), frozenset()
         alone = {c: _turned(own) if c in behind else own for c, own in alone.items()}
     trusted = all(numbering.trusted for numbering in options.numberings.values())
     sizes = (len(views.cameras), views.blocks, views.parts)
     order = sorted(alone, key=lambda c: (c in sides, -int((posed.camera == c).sum())))
-    graph = largest_rig(posed, sizes, sides, views.tied, trusted, order)
+    graph = largest_rig(posed, sizes, sides, views.tied, trusted, order=order, thresholds=thresholds.rig)
     for c in alone:
         if not bool(graph.cameras[c]):
             failures[c] = _why_left_out(views, graph, c)
-    start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, views.tied is not None)
+    start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, tied=views.tied is not None)
     _require_rig(views, start, failures)
     data = _data(views, start, alone)
     state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target)
@@ -84,17 +86,33 @@ def calibrate_rig(
         if callback is not None:
             callback("refining the rig", step)
 
-    data, fit, reasons = _settled(data, start, state, options, loss, joint)
+    data, fit, reasons = _robust(data, start, state, options, loss, thresholds=thresholds, callback=joint)
     data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
-    singles = _single_results(views, cameras, failures, alone, loss)
-    signs = _sign_sources(alone, sides, told, graph, cameras)
-    return rig_result(RigOutcome(data, fit, solution, cameras, alone, failures, reasons, signs, singles, loss != "none", notes))
+    singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
+    signs = _sign_sources(alone, sides, by_tags, graph, cameras)
+    return rig_result(
+        RigOutcome(
+            data=data,
+            fit=fit,
+            solution=solution,
+            setups=cameras,
+            alone=alone,
+            failures=failures,
+            reasons=reasons,
+            sign_sources=signs,
+            singles=singles,
+            rejects=loss != "none",
+            notes=notes,
+            thresholds=thresholds,
+        )
+    )
 
 
 def _alone(
     views: RigViews,
     cameras: Mapping[str, CameraSetup],
     loss: str,
+    thresholds: CalibrationThresholds,
     callback: Callable[[str, Progress], None] | None,
 ) -> tuple[dict[int, AloneCamera], dict[int, str]]:
     """Every camera alone, and why it could not be calibrated for those that could not."""
@@ -107,7 +125,7 @@ def _alone(
                 callback(stage, step)
 
         try:
-            found[c] = alone_camera(corners, numbers, setup, loss, tell)
+            found[c] = alone_camera(corners, numbers, setup, loss, thresholds, callback=tell)
         except (InputError, GeometryError) as error:
             failures[c] = str(error).rstrip(".")
     if not found:
@@ -117,23 +135,23 @@ def _alone(
 
 def _turned(own: AloneCamera) -> AloneCamera:
     everything = torch.ones(len(own.cam_from_board), dtype=torch.bool)
-    return replace(own, model=on_other_side(own.model), cam_from_board=reflected(own.cam_from_board, everything))
+    return replace(own, model=own.model.reversed(), cam_from_board=reflected(own.cam_from_board, everything))
 
 
 def _sign_sources(
     alone: Mapping[int, AloneCamera],
     sides: frozenset[int],
-    told: frozenset[int],
+    by_tags: frozenset[int],
     graph: RigGraph,
     cameras: Mapping[str, CameraSetup],
 ) -> dict[int, str]:
     """What decided the side of every camera for which it was open: tags, the rig, or what was assumed of its first camera."""
     members = [c for c in alone if bool(graph.cameras[c])]
     open_rig = sides.issuperset(members)
-    found = dict.fromkeys(told, "tags")
+    found = dict.fromkeys(by_tags, "tags")
     for c in sides.intersection(members):
-        settled = bool(graph.told[c]) and (not open_rig or len(set(graph.turned[members].tolist())) > 1)
-        found[c] = "rig" if settled else "mirror" if list(cameras.values())[c].mirror else "assumed"
+        by_rig = bool(graph.determined[c]) and (not open_rig or len(set(graph.turned[members].tolist())) > 1)
+        found[c] = "rig" if by_rig else "mirror" if list(cameras.values())[c].mirror else "assumed"
     return found
 
 
@@ -155,20 +173,25 @@ def _why_left_out(views: RigViews, graph: RigGraph, camera: int) -> str:
 
 
 def _single_results(
-    views: RigViews, cameras: Mapping[str, CameraSetup], failures: dict[int, str], alone: Mapping[int, AloneCamera], loss: str
+    views: RigViews,
+    cameras: Mapping[str, CameraSetup],
+    failures: dict[int, str],
+    alone: Mapping[int, AloneCamera],
+    loss: str,
+    *,
+    thresholds: CalibrationThresholds,
 ) -> dict[str, CameraCalibration]:
     """Calibrations of the cameras that are not of the rig, can be calibrated by themselves and were not given."""
     found = {}
     for c in [c for c in failures if c in alone and cameras[views.cameras[c]].start is None]:
         name, setup = views.cameras[c], cameras[views.cameras[c]]
         corners, _, _ = views.of_camera(c)
+        common: dict[str, Any] = {"loss": loss, "mirror": setup.mirror, "thresholds": thresholds}
         try:
             if setup.model == AUTO:
-                found[name] = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror).result
+                found[name] = select_model(corners, setup.image_size, **common).result
             else:
-                found[name] = calibrate_camera(
-                    corners, setup.image_size, setup.model, loss=loss, mirror=setup.mirror, options=setup.options
-                )
+                found[name] = calibrate_camera(corners, setup.image_size, setup.model, options=setup.options, **common)
         except (InputError, GeometryError) as error:
             failures[c] += f"; by itself it cannot be calibrated either: {str(error).rstrip('.')}"
     return found
@@ -195,13 +218,13 @@ def _data(views: RigViews, start: RigStart, alone: Mapping[int, AloneCamera]) ->
     members = [alone[c] for c in start.cameras]
     return _numbered(
         RigData(
-            views,
-            start.cameras,
-            start.boards,
-            tuple(own.basis for own in members),
-            tuple(own.sigma_px for own in members),
-            relative,
-            corners.board_m.copy(),
+            views=views,
+            cameras=start.cameras,
+            boards=start.boards,
+            bases=tuple(own.basis for own in members),
+            sigma_px=tuple(own.sigma_px for own in members),
+            relative=relative,
+            board_m=corners.board_m.copy(),
         ),
         start.board_from_numbered,
     )
@@ -217,12 +240,14 @@ def _numbered(data: RigData, motions: Mapping[int, Pose]) -> RigData:
     return replace(data, board_m=board_m)
 
 
-def _settled(
+def _robust(
     data: RigData,
     start: RigStart,
     state: RigState,
     options: ViewNumberings,
     loss: str,
+    *,
+    thresholds: CalibrationThresholds,
     callback: Callable[[Progress], None],
 ) -> tuple[RigData, RigFit, dict[int, str]]:
     """The robust fit, first of the views that agree with the start, then with those that the fit predicts; and why views of the
@@ -232,14 +257,15 @@ def _settled(
     handed = {data.cameras.index(int(views.camera[v])): bool(m.rotation[2, 2] < 0) for v, m in start.board_from_numbered.items()}
     found: dict[int, Pose] | None = None
     while True:
-        fit = settle_rig(data, chosen, state, loss, callback)
+        fit = robust_rig_fit(data, chosen, state, loss, thresholds, callback=callback)
         state = fit.state
         lost = fit.views[(fit.share_kept < 0.5).numpy()] if loss != "none" else chosen[:0]
         reasons |= dict.fromkeys(lost.tolist(), MISFIT)
         first, found = found is None, {}
         if first:
             candidates = _candidates(data, np.setdiff1d(chosen, lost), chosen)
-            found = adopted_views(data, state, options, handed, candidates.tolist())
+            squares = thresholds.rig.agreeing_squares
+            found = adopted_views(data, state, options, handed, candidates.tolist(), agreeing_squares=squares)
             reasons |= dict.fromkeys(np.setdiff1d(candidates, list(found)).tolist(), ELSEWHERE)
         if not len(lost) and not found:
             return data, fit, reasons

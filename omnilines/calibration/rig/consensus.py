@@ -13,12 +13,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from camera_models.rotations import mean_rotation
+from omnilines.calibration.thresholds import RigThresholds
 
-AGREES = 0.3
-"""Mean distance, in squares of the board as they are seen, up to which a view agrees with a predicted pose: a wrong numbering
-is off by a whole square or more."""
-AS_NUMBERED = 0.05
-"""Bonus of a view that agrees as it is numbered."""
 _CHUNK = 2_000_000
 
 
@@ -44,15 +41,15 @@ class PosedViews:
     def chosen(self, views: Int[Tensor, " w"]) -> "PosedViews":
         """Some of the views."""
         return PosedViews(
-            self.camera[views],
-            self.frame[views],
-            self.board[views],
-            self.corners[views],
-            self.cam_from_board[views],
-            self.patch_m[views],
-            self.pitch_m[views],
-            self.board_from_numbered[views],
-            self.allowed[views],
+            camera=self.camera[views],
+            frame=self.frame[views],
+            board=self.board[views],
+            corners=self.corners[views],
+            cam_from_board=self.cam_from_board[views],
+            patch_m=self.patch_m[views],
+            pitch_m=self.pitch_m[views],
+            board_from_numbered=self.board_from_numbered[views],
+            allowed=self.allowed[views],
         )
 
     def as_numbered(self) -> "PosedViews":
@@ -87,14 +84,16 @@ class PosedViews:
             found.append(torch.where(self.allowed, off / spacing[:, None], torch.inf))
         return torch.cat(found)
 
-    def agreement(self, predicted: Pose) -> tuple[Float[Tensor, "h v"], Int[Tensor, "h v"], Bool[Tensor, "h v"]]:
+    def agreement(
+        self, predicted: Pose, thresholds: RigThresholds
+    ) -> tuple[Float[Tensor, "h v"], Int[Tensor, "h v"], Bool[Tensor, "h v"]]:
         """How well every view agrees with a predicted pose (0 to 1), with which numbering, and whether it does at all.
 
         A truncated square, as in M-estimator sample consensus (P. Torr, A. Zisserman, MLESAC, CVIU 2000); the numbering as it is
         has a small bonus.
         """
-        gain = (1 - (self.distance(predicted) / AGREES).square()).clamp_min(0)
-        gain[..., 0] += AS_NUMBERED * (gain[..., 0] > 0)
+        gain = (1 - (self.distance(predicted) / thresholds.agreeing_squares).square()).clamp_min(0)
+        gain[..., 0] += thresholds.as_numbered_bonus * (gain[..., 0] > 0)
         value, numbering = gain.max(-1)
         return value, numbering, value > 0
 
@@ -113,6 +112,4 @@ def _unit(points: Tensor) -> Tensor:
 def mean_pose(poses: Pose, weight: Float[Tensor, " n"]) -> Pose:
     """Weighted mean of poses that are near each other: the chordal mean of their rotations, the mean of their centres."""
     total = weight.sum()
-    u, _, vt = torch.linalg.svd((weight[:, None, None] * poses.rotation).sum(0))
-    turn = torch.diag(torch.stack([*torch.ones(2, dtype=torch.float64), torch.linalg.det(u @ vt)]))
-    return Pose(u @ turn @ vt, (weight[:, None] * poses.translation).sum(0) / total)
+    return Pose(mean_rotation(poses.rotation, weight), (weight[:, None] * poses.translation).sum(0) / total)

@@ -19,15 +19,11 @@ from omnilines.calibration.rig.links import Link, links, weakest_link
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
-from omnilines.calibration.robust import REJECT_SIGMA
 from omnilines.calibration.single import CameraCalibration
-from omnilines.calibration.views import MANY_REJECTED
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Outcome, Solution
 from omnilines.least_squares.variance import VarianceFactor, variance_factor
 from omnilines.records import ViewResult
-
-WORSE_THAN_ALONE = 1.08
-"""A camera whose corners fit the rig worse than this many times as well as alone is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +47,7 @@ class RigOutcome:
     rejects: bool
     """Whether corners far off were rejected."""
     notes: tuple[str, ...]
+    thresholds: CalibrationThresholds
 
     @property
     def freedom(self) -> int:
@@ -62,7 +59,7 @@ class RigOutcome:
     def factor(self) -> VarianceFactor:
         """Of the whitened residuals; corners with a stated accuracy are never taken to be better than that."""
         stated = None if self.data.views.corners.sigma_px is None else 1.0
-        return variance_factor(self.solution.cost, self.freedom, stated)
+        return variance_factor(self.solution.cost, self.freedom, stated, self.thresholds.noise.significance)
 
 
 def rig_result(outcome: RigOutcome) -> RigCalibration:
@@ -90,28 +87,28 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     used = residual[kept]
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
     return RigCalibration(
-        members,
-        names,
-        covariance.numpy(),
-        tuple(data.views.boards[b] for b in data.boards),
-        solution.state.target_from_board,
-        boards.numpy(),
-        tuple(_block_name(data, block) for block in blocks.tolist()),
-        solution.state.rig_from_target[torch.as_tensor(blocks)],
-        frame_covariance[blocks].numpy(),
-        replace(data.views.corners, board_m=data.board_m),
-        data.views.tied is not None,
-        residual,
-        kept,
-        _views(outcome, residual, kept),
-        found,
-        weakest,
-        left_out,
-        outcome.singles,
-        float(np.sqrt((used**2).mean())),
-        float(np.sqrt((used**2).sum(-1).mean())),
-        solution.iterations,
-        _notes(outcome, members, found, weakest, left_out),
+        members=members,
+        names=names,
+        covariance=covariance.numpy(),
+        boards=tuple(data.views.boards[b] for b in data.boards),
+        target_from_board=solution.state.target_from_board,
+        board_covariance=boards.numpy(),
+        frames=tuple(_block_name(data, block) for block in blocks.tolist()),
+        rig_from_target=solution.state.rig_from_target[torch.as_tensor(blocks)],
+        frame_covariance=frame_covariance[blocks].numpy(),
+        corners=replace(data.views.corners, board_m=data.board_m),
+        in_one_frame=data.views.tied is not None,
+        residual_px=residual,
+        kept=kept,
+        views=_views(outcome, residual, kept),
+        links=found,
+        weakest=weakest,
+        left_out=left_out,
+        left_out_alone=outcome.singles,
+        rms_px_per_axis=float(np.sqrt((used**2).mean())),
+        rms_px_per_point=float(np.sqrt((used**2).sum(-1).mean())),
+        iterations=solution.iterations,
+        notes=_notes(outcome, members, weakest, left_out),
     )
 
 
@@ -147,7 +144,7 @@ def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tens
     frames = solution.eliminated_covariance() * outcome.factor.value
     if outcome.data.views.corners.sigma_px is not None:
         problem = outcome.data.problem(outcome.fit.points.chosen(outcome.fit.kept))
-        by_kept, by_frames = moved_by_radial_shifts(problem, solution)
+        by_kept, by_frames = moved_by_radial_shifts(problem, solution, outcome.thresholds.noise.radial_shift_px)
         kept = kept + by_kept.mT @ by_kept
         frames = frames + (by_frames[..., :, None] * by_frames[..., None, :]).sum(0)
     return kept, frames
@@ -183,8 +180,8 @@ def _links(
         views.frame[of_row],
         place,
         residual[kept],
-        outcome.solution.state.cam_from_rig,
-        poses,
+        cam_from_rig=outcome.solution.state.cam_from_rig,
+        covariance=poses,
     )
 
 
@@ -197,27 +194,29 @@ def _members(
 ) -> tuple[RigMember, ...]:
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
+    sigmas = outcome.factor.sigmas(SHARE)
     for k, c in enumerate(data.cameras):
         model, name = state.models[k], data.views.cameras[c]
         high = low + len(model.parameters)
         own = kept & (data.views.camera[corners.view] == c)
         squares = float((residual[own] ** 2).sum())
-        angles = supported_angles_deg(model, _extremes(model, torch.as_tensor(corners.pixels[own])))
+        low_deg, high_deg = supported_angles_deg(model, _extremes(model, torch.as_tensor(corners.pixels[own])))
         setup = outcome.setups[name]
         found.append(
             RigMember(
-                name,
-                model,
-                covariance[low:high, low:high].numpy(),
-                state.cam_from_rig[k],
-                poses[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].numpy(),
-                math.sqrt(squares / (2 * own.sum())),
-                math.sqrt(squares / own.sum()),
-                outcome.alone[c].rms_px_per_point,
-                *angles,
-                outcome.sign_sources.get(c),
-                setup.start is not None and setup.hold,
-                linear_intervals(model.parameters, covariance[low:high, low:high], outcome.factor.sigmas(SHARE)).numpy(),
+                name=name,
+                model=model,
+                covariance=covariance[low:high, low:high].numpy(),
+                cam_from_rig=state.cam_from_rig[k],
+                pose_covariance=poses[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].numpy(),
+                rms_px_per_axis=math.sqrt(squares / (2 * own.sum())),
+                rms_px_per_point=math.sqrt(squares / own.sum()),
+                alone_rms_px_per_point=outcome.alone[c].rms_px_per_point,
+                min_angle_deg=low_deg,
+                max_angle_deg=high_deg,
+                sign_source=outcome.sign_sources.get(c),
+                held=setup.start is not None and setup.hold,
+                interval_95=linear_intervals(model.parameters, covariance[low:high, low:high], sigmas).numpy(),
             )
         )
         low = high
@@ -254,17 +253,43 @@ def _views(outcome: RigOutcome, residual: Float[np.ndarray, "n 2"], kept: np.nda
         camera, frame = views.cameras[views.camera[v]], views.frames[views.frame[v]]
         if v not in place or not used[v]:
             reason = _reason(outcome, v)
-            found.append(ViewResult(name, image, False, reason, 0, int(seen[v]), camera=camera, frame=frame))
+            found.append(
+                ViewResult(
+                    name=name,
+                    image=image,
+                    used=False,
+                    reason=reason,
+                    corners_used=0,
+                    corners_rejected=int(seen[v]),
+                    camera=camera,
+                    frame=frame,
+                )
+            )
             continue
         remarks: tuple[str, ...] = ()
         if anew[v]:
             remarks = ("its corners are numbered otherwise than the other cameras say; they were numbered anew",)
-        if seen[v] - used[v] > MANY_REJECTED * seen[v]:
+        if seen[v] - used[v] > outcome.thresholds.views.many_rejected_share * seen[v]:
             remarks += (f"{seen[v] - used[v]} of {seen[v]} corners rejected: they are not where the rig sees them",)
         rms = float(np.sqrt(squares[v] / used[v]))
         pose = poses[place[v]]
         rejected = int(seen[v] - used[v])
-        found.append(ViewResult(name, image, True, None, int(used[v]), rejected, rms, pose, camera, None, remarks, frame))
+        found.append(
+            ViewResult(
+                name=name,
+                image=image,
+                used=True,
+                reason=None,
+                corners_used=int(used[v]),
+                corners_rejected=rejected,
+                rms_px_per_point=rms,
+                cam_from_board=pose,
+                camera=camera,
+                leverage=None,
+                remarks=remarks,
+                frame=frame,
+            )
+        )
     return tuple(found)
 
 
@@ -282,7 +307,6 @@ def _reason(outcome: RigOutcome, view: int) -> str:
 def _notes(
     outcome: RigOutcome,
     members: tuple[RigMember, ...],
-    found: tuple[Link, ...],
     weakest: Link | None,
     left_out: Mapping[str, str],
 ) -> tuple[str, ...]:
@@ -295,7 +319,7 @@ def _notes(
             f"{1e3 * weakest.translation_sigma_m:.2g} mm (one standard deviation)."
         )
     for k, member in enumerate(members):
-        if member.rms_px_per_point > WORSE_THAN_ALONE * member.alone_rms_px_per_point:
+        if member.rms_px_per_point > outcome.thresholds.rig.worse_than_alone_factor * member.alone_rms_px_per_point:
             notes.append(
                 f"Camera {member.name} fits the rig worse than alone: {member.rms_px_per_point:.3g} px instead of "
                 f"{member.alone_rms_px_per_point:.3g} px per point; check that all cameras see the same instant and that the "
@@ -308,8 +332,8 @@ def _notes(
     lost = ~outcome.fit.kept
     if outcome.rejects and bool(lost.any()):
         notes.append(
-            f"{int(lost.sum())} of {len(lost)} corners were rejected: they lie more than {REJECT_SIGMA:g} robust standard "
-            "deviations from where the rig sees them."
+            f"{int(lost.sum())} of {len(lost)} corners were rejected: they lie more than "
+            f"{outcome.thresholds.robust.reject_sigma:g} robust standard deviations from where the rig sees them."
         )
     if outcome.solution.outcome is not Outcome.CONVERGED:
         notes.append(outcome.solution.outcome.value)
@@ -320,10 +344,10 @@ def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[s
     """Cameras whose corners are worse than stated, and that there are few."""
     views, corners = outcome.data.views, outcome.data.views.corners
     if corners.sigma_px is None:
-        return few_notes(outcome.factor)
-    found = []
+        return few_notes(outcome.factor, outcome.thresholds.noise.large_freedom)
+    found, floor_px = [], outcome.thresholds.noise.corner_floor_px
     for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
-        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c) or 1.0)
+        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c, floor_px) or 1.0)
         if sigma > stated:
             found.append(
                 f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "

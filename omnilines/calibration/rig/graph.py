@@ -15,15 +15,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.calibration.rig.consensus import PosedViews, mean_pose
-
-PROPOSERS = 12
-"""Views with the most corners, each of which proposes a pose for a camera or a board that is added."""
-LEAST_SHARE = 1 / 3
-"""Share of the views that must agree on where a camera stands."""
-LEAST_PLAIN, PLAIN_SHARE = 3, 0.7
-"""Where at least so many views, and this share of them, agree as they are numbered, no other numbering is looked for."""
-TIE = 0.9
-"""Another pose that is agreed on as well as this, relative to the best, leaves the numbering open."""
+from omnilines.calibration.thresholds import RigThresholds
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +32,7 @@ class RigGraph:
     """Of every view that agrees with the others, which numbering it has; -1 for the rest."""
     turned: Bool[Tensor, " c"]
     """Cameras that look to the other side than was assumed."""
-    told: Bool[Tensor, " c"]
+    determined: Bool[Tensor, " c"]
     """Cameras whose side follows from the others."""
     open_cameras: frozenset[int]
     """Cameras that see the same boards as others, but in too few frames to tell how their boards are numbered."""
@@ -65,7 +57,7 @@ class _Proposal:
     """Support of the best pose that is another one."""
     turned: bool = False
     mirrored: bool = False
-    told: bool = True
+    determined: bool = True
     """Whether the other side of the camera is agreed with clearly less."""
 
 
@@ -74,9 +66,16 @@ class RigGrowth:
     on the target, `trusted` whether numberings are taken as they are where nothing contradicts them."""
 
     def __init__(
-        self, views: PosedViews, sizes: tuple[int, int, int], sides: frozenset[int], tied: Pose | None, trusted: bool
+        self,
+        views: PosedViews,
+        sizes: tuple[int, int, int],
+        sides: frozenset[int],
+        tied: Pose | None,
+        trusted: bool,
+        *,
+        thresholds: RigThresholds,
     ) -> None:
-        self.views, self.sides, self.trusted = views, sides, trusted
+        self.views, self.sides, self.trusted, self.thresholds = views, sides, trusted, thresholds
         cameras, self.frame_count, boards = sizes
         self.camera_known = torch.zeros(cameras, dtype=torch.bool)
         self.board_known = torch.full((boards,), tied is not None)
@@ -84,7 +83,7 @@ class RigGrowth:
         self.cam_from_rig, self.rig_from_target = Pose.identity(cameras), Pose.identity(self.frame_count)
         self.target_from_board = Pose.identity(boards) if tied is None else tied
         self.turned = torch.zeros(cameras, dtype=torch.bool)
-        self.told = torch.zeros(cameras, dtype=torch.bool)
+        self.determined = torch.zeros(cameras, dtype=torch.bool)
         self.open_cameras: set[int] = set()
         self.numbering = torch.full((len(views),), -1)
 
@@ -110,22 +109,22 @@ class RigGrowth:
                 _put(self.target_from_board, which, best.pose)
             self._place_frames()
         return RigGraph(
-            self.camera_known,
-            self.board_known,
-            self.frame_known,
-            self.cam_from_rig,
-            self.target_from_board,
-            self.rig_from_target,
-            self.numbering,
-            self.turned,
-            self.told,
-            frozenset(self.open_cameras) - set(torch.nonzero(self.camera_known).flatten().tolist()),
+            cameras=self.camera_known,
+            boards=self.board_known,
+            frames=self.frame_known,
+            cam_from_rig=self.cam_from_rig,
+            target_from_board=self.target_from_board,
+            rig_from_target=self.rig_from_target,
+            numbering=self.numbering,
+            turned=self.turned,
+            determined=self.determined,
+            open_cameras=frozenset(self.open_cameras) - set(torch.nonzero(self.camera_known).flatten().tolist()),
         )
 
     def _add_camera(self, camera: int, best: _Proposal) -> None:
         self.camera_known[camera] = True
         _put(self.cam_from_rig, camera, best.pose)
-        self.turned[camera], self.told[camera] = best.turned, best.told
+        self.turned[camera], self.determined[camera] = best.turned, best.determined
         if best.turned:
             self.views = self.views.seen_in_mirrors([camera])
         self._allow(camera, best.mirrored)
@@ -147,20 +146,20 @@ class RigGrowth:
         in_rig = self.rig_from_target[mine.frame] @ self.target_from_board[mine.board]
         sides = [(False, mine), *([(True, mine.seen_in_mirrors([camera]))] if camera in self.sides else [])]
         if self.trusted:
-            plain = [_proposal(side.as_numbered(), Pose.identity(len(rows)), in_rig, turned) for turned, side in sides]
+            plain = [self._proposal(side.as_numbered(), Pose.identity(len(rows)), in_rig, turned) for turned, side in sides]
             best = max(plain, key=lambda proposal: proposal.support)
-            if best.views >= max(LEAST_PLAIN, PLAIN_SHARE * best.of):
-                return _with_side(best, plain)
+            if best.views >= max(self.thresholds.as_numbered_views, self.thresholds.as_numbered_share * best.of):
+                return self._with_side(best, plain)
         found = []
         for turned, seen in sides:
             for mirrored in (False, True):
                 allowed = seen.allowed & ((seen.board_from_numbered.rotation[..., 2, 2] < 0) == mirrored)
                 if bool(allowed.any()):
                     handed = _with_allowed(seen, allowed)
-                    found.append(_proposal(handed, Pose.identity(len(rows)), in_rig, turned, mirrored))
+                    found.append(self._proposal(handed, Pose.identity(len(rows)), in_rig, turned, mirrored))
         best = max(found, key=lambda proposal: proposal.support)
         others = [proposal.support for proposal in found if proposal is not best]
-        return self._sound(_with_side(best, found), max([best.rival, *others]), camera)
+        return self._sound(self._with_side(best, found), max([best.rival, *others]), camera)
 
     def _board_proposal(self, board: int) -> _Proposal | None:
         use = (self.views.board == board) & self.frame_known[self.views.frame] & self.camera_known[self.views.camera]
@@ -169,14 +168,14 @@ class RigGrowth:
             return None
         mine = self.views.chosen(rows)
         on_camera = self.cam_from_rig[mine.camera] @ self.rig_from_target[mine.frame]
-        best = _proposal(mine, on_camera, Pose.identity(len(rows)))
+        best = self._proposal(mine, on_camera, Pose.identity(len(rows)))
         # A single view says where the board is, in its own numbering.
-        return best if best.views >= max(1, LEAST_SHARE * best.of) else None
+        return best if best.views >= max(1, self.thresholds.agreeing_share * best.of) else None
 
     def _sound(self, best: _Proposal, rival: float, camera: int) -> _Proposal | None:
-        if best.views < max(1, LEAST_SHARE * best.of):
+        if best.views < max(1, self.thresholds.agreeing_share * best.of):
             return None
-        if rival >= TIE * best.support and not self.trusted:
+        if rival >= self.thresholds.tied_share * best.support and not self.trusted:
             self.open_cameras.add(camera)
             return None
         return best
@@ -211,7 +210,8 @@ class RigGrowth:
         )
         voter = seen.chosen(second)
         predicted = self.cam_from_rig[voter.camera] @ own[first] @ self.target_from_board[voter.board]
-        value, chosen, agrees = (part[0] for part in voter.agreement(Pose(predicted.rotation[None], predicted.translation[None])))
+        one = Pose(predicted.rotation[None], predicted.translation[None])
+        value, chosen, agrees = (part[0] for part in voter.agreement(one, self.thresholds))
         weight = value * voter.corners
         total = torch.zeros(len(proposer), dtype=torch.float64).index_add_(0, first, weight)
         total = total + 1e-6 * seen.corners[proposer] - 1e-3 * numbering.clamp_max(1)
@@ -229,45 +229,50 @@ class RigGrowth:
         self.numbering[rows] = -1
         self.numbering[rows[second[of_winner]]] = chosen[of_winner]
 
+    def _proposal(self, views: PosedViews, left: Pose, right: Pose, turned: bool = False, mirrored: bool = False) -> _Proposal:
+        """The pose U that most corners agree with in cam_from_board = left U right; each of the largest views proposes U."""
+        top = torch.argsort(views.corners, descending=True, stable=True)[: self.thresholds.proposers]
+        place, numbering = torch.nonzero(views.allowed[top], as_tuple=True)
+        view = top[place]
+        own = views.cam_from_board[view] @ views.board_from_numbered[view, numbering].inverse()
+        proposed = left[view].inverse() @ own @ right[view].inverse()
+        value, chosen, agrees = self._votes(views, proposed, left, right)
+        support = value @ views.corners.to(value.dtype)
+        best = int(support.argmax())
+        pose, support_of_best = proposed[best], float(support[best])
+        voters = torch.nonzero(agrees[best]).flatten()
+        each = views.cam_from_board[voters] @ views.board_from_numbered[voters, chosen[best, voters]].inverse()
+        each = left[voters].inverse() @ each @ right[voters].inverse()
+        mean = mean_pose(each, views.corners[voters] * value[best, voters])
+        mean_value, _, mean_agrees = self._votes(views, Pose(mean.rotation[None], mean.translation[None]), left, right)
+        mean_support = float(mean_value[0] @ views.corners.to(value.dtype))
+        # A rival stands where the voters of the best, numbered as they are for it, do not see it.
+        same = (chosen[:, voters] == chosen[best, voters]) & agrees[:, voters]
+        other = ~same.any(-1)
+        rival = float(support[other].max()) if bool(other.any()) else 0.0
+        if mean_support > support_of_best:
+            pose, support_of_best, agrees_with = mean, mean_support, mean_agrees[0]
+        else:
+            agrees_with = agrees[best]
+        return _Proposal(
+            pose=pose,
+            support=support_of_best,
+            views=int(agrees_with.sum()),
+            of=len(views),
+            rival=rival,
+            turned=turned,
+            mirrored=mirrored,
+        )
 
-def _proposal(views: PosedViews, left: Pose, right: Pose, turned: bool = False, mirrored: bool = False) -> _Proposal:
-    """The pose U that most corners agree with in cam_from_board = left U right; each of the largest views proposes U."""
-    top = torch.argsort(views.corners, descending=True, stable=True)[:PROPOSERS]
-    place, numbering = torch.nonzero(views.allowed[top], as_tuple=True)
-    view = top[place]
-    own = views.cam_from_board[view] @ views.board_from_numbered[view, numbering].inverse()
-    proposed = left[view].inverse() @ own @ right[view].inverse()
-    value, chosen, agrees = _votes(views, proposed, left, right)
-    support = value @ views.corners.to(value.dtype)
-    best = int(support.argmax())
-    pose, support_of_best = proposed[best], float(support[best])
-    voters = torch.nonzero(agrees[best]).flatten()
-    each = views.cam_from_board[voters] @ views.board_from_numbered[voters, chosen[best, voters]].inverse()
-    each = left[voters].inverse() @ each @ right[voters].inverse()
-    mean = mean_pose(each, views.corners[voters] * value[best, voters])
-    mean_value, _, mean_agrees = _votes(views, Pose(mean.rotation[None], mean.translation[None]), left, right)
-    mean_support = float(mean_value[0] @ views.corners.to(value.dtype))
-    # A rival stands where the voters of the best, numbered as they are for it, do not see it.
-    same = (chosen[:, voters] == chosen[best, voters]) & agrees[:, voters]
-    other = ~same.any(-1)
-    rival = float(support[other].max()) if bool(other.any()) else 0.0
-    if mean_support > support_of_best:
-        pose, support_of_best, agrees_with = mean, mean_support, mean_agrees[0]
-    else:
-        agrees_with = agrees[best]
-    return _Proposal(pose, support_of_best, int(agrees_with.sum()), len(views), rival, turned, mirrored)
+    def _with_side(self, best: _Proposal, found: Sequence[_Proposal]) -> _Proposal:
+        """Whether the other side of the camera is agreed with clearly less; the one that was assumed where it is not."""
+        other = max((item for item in found if item.turned != best.turned), key=lambda item: item.support, default=None)
+        determined = other is None or other.support < self.thresholds.tied_share * best.support
+        return replace(best if determined or other is None or not best.turned else other, determined=determined)
 
-
-def _with_side(best: _Proposal, found: Sequence[_Proposal]) -> _Proposal:
-    """Whether the other side of the camera is agreed with clearly less; the one that was assumed where it is not."""
-    other = max((item for item in found if item.turned != best.turned), key=lambda item: item.support, default=None)
-    told = other is None or other.support < TIE * best.support
-    return replace(best if told or other is None or not best.turned else other, told=told)
-
-
-def _votes(views: PosedViews, proposed: Pose, left: Pose, right: Pose) -> tuple[Tensor, Tensor, Tensor]:
-    predicted = left[None] @ proposed[:, None] @ right[None]
-    return views.agreement(predicted)
+    def _votes(self, views: PosedViews, proposed: Pose, left: Pose, right: Pose) -> tuple[Tensor, Tensor, Tensor]:
+        predicted = left[None] @ proposed[:, None] @ right[None]
+        return views.agreement(predicted, self.thresholds)
 
 
 def _pairs(first: Int[Tensor, " a"], second: Int[Tensor, " b"]) -> tuple[Int[Tensor, " p"], Int[Tensor, " p"]]:
@@ -290,7 +295,14 @@ def _with_allowed(views: PosedViews, allowed: Bool[Tensor, "v k"]) -> PosedViews
 
 
 def largest_rig(
-    views: PosedViews, sizes: tuple[int, int, int], sides: frozenset[int], tied: Pose | None, trusted: bool, order: Sequence[int]
+    views: PosedViews,
+    sizes: tuple[int, int, int],
+    sides: frozenset[int],
+    tied: Pose | None,
+    trusted: bool,
+    *,
+    order: Sequence[int],
+    thresholds: RigThresholds,
 ) -> RigGraph:
     """The rig with the most cameras, then views, grown from each camera of `order` that no rig before it holds."""
     best: RigGraph | None = None
@@ -298,7 +310,7 @@ def largest_rig(
     for camera in order:
         if camera in seen or not bool((views.camera == camera).any()):
             continue
-        graph = RigGrowth(views, sizes, sides, tied, trusted).grown_from(camera)
+        graph = RigGrowth(views, sizes, sides, tied, trusted, thresholds=thresholds).grown_from(camera)
         seen |= set(torch.nonzero(graph.cameras).flatten().tolist())
         if best is None or graph.size > best.size:
             best = graph

@@ -1,5 +1,4 @@
-"""The joint fit of a rig: a loss bent at the scale of the data until it is settled which corners to trust, then plain least
-squares."""
+"""The joint fit of a rig: a loss scaled by the residuals until it is clear which corners to trust, then plain least squares."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,11 +12,10 @@ from omnilines.calibration.redundancy import basis_without, redundant_parameter
 from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
 from omnilines.calibration.rig.views import RigViews
-from omnilines.calibration.robust import LEAST_SCALE_PX, PASSES, REJECT_SIGMA, SETTLED
+from omnilines.calibration.robust import CONVERGED, LEAST_SCALE_PX, PASSES
+from omnilines.calibration.thresholds import CalibrationThresholds, RobustThresholds
 from omnilines.least_squares import Loss, Outcome, Progress, Solution, solve
 
-AS_GOOD = 1.05
-"""Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
 TOLERANCE = 1e-10
 """Relative decrease of the cost at which least squares ends: with 20,000 corners that is a thousandth of a standard deviation."""
 
@@ -54,13 +52,13 @@ class RigData:
         camera = member[views.camera[ordered]]
         sigma = np.array(self.sigma_px)[camera[place[corners.view[rows]]]] * self.relative[rows]
         points = RigPoints(
-            torch.as_tensor(place[corners.view[rows]]),
-            torch.as_tensor(self.board_m[rows]),
-            torch.as_tensor(corners.pixels[rows]),
-            torch.as_tensor(1 / sigma),
-            torch.as_tensor(camera),
-            torch.as_tensor(views.block[ordered]),
-            torch.as_tensor(part[views.part[ordered]]),
+            view=torch.as_tensor(place[corners.view[rows]]),
+            board_m=torch.as_tensor(self.board_m[rows]),
+            pixels=torch.as_tensor(corners.pixels[rows]),
+            weight=torch.as_tensor(1 / sigma),
+            camera=torch.as_tensor(camera),
+            frame=torch.as_tensor(views.block[ordered]),
+            board=torch.as_tensor(part[views.part[ordered]]),
         )
         return points, ordered, rows
 
@@ -71,7 +69,7 @@ class RigData:
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """A robust fit of some views, and the corners within REJECT_SIGMA of it."""
+    """A robust fit of some views, and the corners that are near enough to it."""
 
     points: RigPoints
     problem: RigProblem
@@ -93,31 +91,49 @@ class RigFit:
         return torch.bincount(self.points.view, self.kept.to(torch.float64), minlength=views) / count
 
 
-def judged(problem: RigProblem, views: Int[np.ndarray, " v"], rows: Int[np.ndarray, " n"], state: RigState) -> RigFit:
+def judged(
+    problem: RigProblem,
+    views: Int[np.ndarray, " v"],
+    rows: Int[np.ndarray, " n"],
+    state: RigState,
+    thresholds: RobustThresholds,
+) -> RigFit:
     """The corners near enough to a state."""
     residual = problem.linearise(state).residual
-    scale = max(robust_scale_px(residual), LEAST_SCALE_PX)
-    return RigFit(problem.points, problem, views, rows, state, residual.norm(dim=-1) <= REJECT_SIGMA * scale, scale)
+    scale = max(robust_scale_px(residual, thresholds.many_unknowns_share), LEAST_SCALE_PX)
+    return RigFit(
+        points=problem.points,
+        problem=problem,
+        views=views,
+        rows=rows,
+        state=state,
+        kept=residual.norm(dim=-1) <= thresholds.reject_sigma * scale,
+        scale=scale,
+    )
 
 
-def settle_rig(
+def robust_rig_fit(
     data: RigData,
     chosen: Int[np.ndarray, " v"],
     state: RigState,
     loss: str,
+    thresholds: CalibrationThresholds,
+    *,
     callback: Callable[[Progress], None] | None = None,
 ) -> RigFit:
-    """Refine with a loss bent at twice the scale of the residuals until the scale and the set of kept corners settle."""
+    """Refine with a loss scaled by the residuals until their scale and the set of kept corners converge."""
     points, views, rows = data.points(chosen)
     problem = data.problem(points)
-    fit = judged(problem, views, rows, state)
+    limits = thresholds.robust
+    fit = judged(problem, views, rows, state, limits)
     for done in range(PASSES):
         # The first passes only have to bring the scale down.
-        bent = Loss("cauchy" if loss == "none" else loss, 2 * fit.scale)
-        solution = solve(problem, fit.state, bent, tolerance=1e-3 if done == 0 else 1e-4, callback=callback)
-        before, fit = fit, judged(problem, views, rows, solution.state)
+        scaled = Loss("cauchy" if loss == "none" else loss, limits.loss_scale * fit.scale)
+        solution = solve(problem, fit.state, scaled, tolerance=1e-3 if done == 0 else 1e-4, callback=callback)
+        before, fit = fit, judged(problem, views, rows, solution.state, limits)
         # Where corners fit the rig as well as their own cameras, nothing more is to be gained.
-        if fit.scale < AS_GOOD or (bool((fit.kept == before.kept).all()) and fit.scale > (1 - SETTLED) * before.scale):
+        same = bool((fit.kept == before.kept).all()) and fit.scale > (1 - CONVERGED) * before.scale
+        if fit.scale < thresholds.rig.as_good_as_alone_factor or same:
             break
     return fit
 
@@ -134,7 +150,7 @@ def least_squares_rig(
     problem = fit.problem if bool(kept.all()) else data.problem(points)
     notes: list[str] = []
     while True:
-        solution = solve(problem, state, None, 300, TOLERANCE, callback, damping=1e-8)
+        solution = solve(problem, state, max_iterations=300, tolerance=TOLERANCE, callback=callback, damping=1e-8)
         held = _redundant(data, solution, points) if solution.outcome is Outcome.DEGENERATE else None
         if held is None:
             return data, replace(fit, state=solution.state, kept=kept), solution, tuple(notes)

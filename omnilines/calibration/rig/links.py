@@ -38,6 +38,7 @@ def links(
     frame: Int[np.ndarray, " n"],
     place: Int[np.ndarray, "n d"],
     residual_px: Float[np.ndarray, "n 2"],
+    *,
     cam_from_rig: Pose,
     covariance: Float[Tensor, "k k"],
 ) -> tuple[Link, ...]:
@@ -58,15 +59,15 @@ def links(
         worst = [math.sqrt(max(0.0, float(torch.linalg.eigvalsh(block)[-1]))) for block in (spread[:3, :3], spread[3:, 3:])]
         found.append(
             Link(
-                first,
-                second,
-                len(common),
-                len(np.intersect1d(keys[camera == first], keys[camera == second])),
-                float(np.sqrt((residual_px[both] ** 2).sum(-1).mean())),
-                float(baseline),
-                math.sqrt(max(0.0, float(along @ spread[3:, 3:] @ along))),
-                math.degrees(worst[0]),
-                worst[1],
+                first=first,
+                second=second,
+                frames=len(common),
+                corners=len(np.intersect1d(keys[camera == first], keys[camera == second])),
+                rms_px_per_point=float(np.sqrt((residual_px[both] ** 2).sum(-1).mean())),
+                baseline_m=float(baseline),
+                baseline_sigma_m=math.sqrt(max(0.0, float(along @ spread[3:, 3:] @ along))),
+                rotation_sigma_deg=math.degrees(worst[0]),
+                translation_sigma_m=worst[1],
             )
         )
     return tuple(found)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from camera_models import CameraModel, Scaramuzza
+from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.alone import AloneCamera
@@ -52,22 +52,17 @@ def posed_views(options: ViewNumberings, alone: Mapping[int, AloneCamera]) -> tu
     most = max(len(motion) for motion in motions)
     place = torch.arange(most)
     found = PosedViews(
-        torch.as_tensor(views.camera[numbers]),
-        torch.as_tensor(views.block[numbers]),
-        torch.as_tensor(views.part[numbers]),
-        torch.as_tensor(np.bincount(views.corners.view, minlength=len(views.camera))[numbers]),
-        Pose(torch.cat([pose.rotation for pose in poses]), torch.cat([pose.translation for pose in poses])),
-        torch.as_tensor(options.patch_m[numbers]),
-        torch.tensor(options.pitch_m, dtype=torch.float64)[torch.as_tensor(views.board[numbers])],
-        Pose.stack([motion[place.clamp_max(len(motion) - 1)] for motion in motions]),
-        torch.stack([place < len(motion) for motion in motions]),
+        camera=torch.as_tensor(views.camera[numbers]),
+        frame=torch.as_tensor(views.block[numbers]),
+        board=torch.as_tensor(views.part[numbers]),
+        corners=torch.as_tensor(np.bincount(views.corners.view, minlength=len(views.camera))[numbers]),
+        cam_from_board=Pose(torch.cat([pose.rotation for pose in poses]), torch.cat([pose.translation for pose in poses])),
+        patch_m=torch.as_tensor(options.patch_m[numbers]),
+        pitch_m=torch.tensor(options.pitch_m, dtype=torch.float64)[torch.as_tensor(views.board[numbers])],
+        board_from_numbered=Pose.stack([motion[place.clamp_max(len(motion) - 1)] for motion in motions]),
+        allowed=torch.stack([place < len(motion) for motion in motions]),
     )
     return found, numbers
-
-
-def has_sides(model: CameraModel) -> bool:
-    """Whether the model may as well look to the other side, for all that plane boards say."""
-    return isinstance(model, Scaramuzza)
 
 
 def _patches(
@@ -127,13 +122,6 @@ def faces(posed: PosedViews, camera: int) -> bool:
     return bool(((pose.rotation[..., 2] * middle).sum(-1) > 0).to(torch.float64).mean() > 0.5)
 
 
-def on_other_side(model: CameraModel) -> CameraModel:
-    """The model that looks to the other side: f(rho) with the opposite sign (z reversed)."""
-    parameters = model.parameters.clone()
-    parameters[5:] = -parameters[5:]
-    return model.with_parameters(parameters)
-
-
 @dataclass(frozen=True, eq=False)
 class RigStart:
     """A rig as it hangs together: members in their order, the first camera being the rig frame and, unless the places of boards
@@ -157,29 +145,30 @@ def rig_start(
     numbers: Int[np.ndarray, " p"],
     models: Mapping[int, CameraModel],
     sides: frozenset[int],
+    *,
     tied: bool,
 ) -> RigStart:
     """The grown rig seen from its first camera and first board; where all `sides` are open, most cameras keep theirs."""
     cameras = torch.nonzero(graph.cameras).flatten().tolist()
     boards = torch.nonzero(graph.boards).flatten().tolist()
-    own = [on_other_side(models[c]) if graph.turned[c] else models[c] for c in cameras]
+    own = [models[c].reversed() if graph.turned[c] else models[c] for c in cameras]
     in_rig, on_target, target = graph.cam_from_rig[cameras], graph.target_from_board[boards], graph.rig_from_target
     # All sides open: the whole rig may as well be mirrored.
     if sides.issuperset(cameras) and 2 * int(graph.turned.sum()) > len(cameras):
         everything = torch.ones(1, dtype=torch.bool)
         in_rig, on_target, target = (reflected(pose, everything.expand(len(pose))) for pose in (in_rig, on_target, target))
-        own = [on_other_side(model) for model in own]
+        own = [model.reversed() for model in own]
     # Boards with known places keep their common frame; else the first board is the frame of the target.
     first, board = in_rig[0], Pose.identity() if tied else on_target[0]
     chosen = torch.nonzero(graph.numbering >= 0).flatten()
     motions = posed.board_from_numbered[chosen, graph.numbering[chosen]]
     return RigStart(
-        tuple(cameras),
-        tuple(boards),
-        tuple(own),
-        in_rig @ first.inverse(),
-        board.inverse() @ on_target,
-        first @ target @ board,
-        graph.frames,
-        {int(numbers[v]): motions[k] for k, v in enumerate(chosen.tolist())},
+        cameras=tuple(cameras),
+        boards=tuple(boards),
+        models=tuple(own),
+        cam_from_rig=in_rig @ first.inverse(),
+        target_from_board=board.inverse() @ on_target,
+        rig_from_target=first @ target @ board,
+        placed=graph.frames,
+        board_from_numbered={int(numbers[v]): motions[k] for k, v in enumerate(chosen.tolist())},
     )

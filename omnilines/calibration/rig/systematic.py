@@ -3,7 +3,7 @@
 Residuals show what differs from corner to corner. A detector also leaves something that is alike in all of them: rendered photos
 of wide lenses show corners shifted towards the centre of the image by 0.001 to 0.002 px, whatever their noise (a blurred edge
 that a lens bends moves to its hollow side). Thousands of corners average their noise to less than that, so it is carried as an
-error of its own: a radial shift of each camera, unknown, of standard deviation RADIAL_SHIFT_PX. With b its effect on the
+error of its own: a radial shift of each camera, unknown, of a given standard deviation. With b its effect on the
 residuals, the estimate moves by (J' J)^-1 J' b.
 """
 
@@ -17,20 +17,18 @@ from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
 from omnilines.least_squares import Solution
 from omnilines.least_squares.schur import back_substitute, normal_equations, reduce
 
-RADIAL_SHIFT_PX = 0.002
-
 
 def moved_by_radial_shifts(
-    problem: RigProblem, solution: Solution[RigState]
+    problem: RigProblem, solution: Solution[RigState], radial_shift_px: float
 ) -> tuple[Float[Tensor, "c k"], Float[Tensor, "c f 6"]]:
     """How the kept parameters and the poses of all frames move if the corners of each camera in turn are shifted away from the
-    centre of its image by RADIAL_SHIFT_PX."""
+    centre of its image by so much."""
     points, state = problem.points, solution.state
     at = problem.linearise(state)
     weight, covariance = torch.ones(len(points.view), dtype=torch.float64), solution.kept_covariance()
     kept, frames = [], []
     for camera, model in enumerate(state.models):
-        shift = _outwards(points, camera, model.centre_px) * points.weight[:, None] * RADIAL_SHIFT_PX
+        shift = _outwards(points, camera, model.centre_px) * points.weight[:, None] * radial_shift_px
         # An observed pixel that moves outwards is a residual that shrinks by as much.
         equations = normal_equations(problem.structure, replace(at, residual=-shift), weight)
         reduced = reduce(equations, 0.0)

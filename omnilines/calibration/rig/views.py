@@ -56,7 +56,15 @@ class RigViews:
         camera = np.array([tuple(cameras).index(name) for name in camera_names])
         _require_distinct(corners, camera, frame, board)
         return RigViews(
-            corners, tuple(cameras), boards, frames, camera, board, frame, tied, relation == "moving" and len(boards) > 1
+            corners=corners,
+            cameras=tuple(cameras),
+            boards=boards,
+            frames=frames,
+            camera=camera,
+            board=board,
+            frame=frame,
+            tied=tied,
+            moving=relation == "moving" and len(boards) > 1,
         )
 
     @property
@@ -91,13 +99,13 @@ def views_of(corners: Corners, views: Int[np.ndarray, " w"], rows: Bool[np.ndarr
     place = np.full(len(corners.view_names), -1)
     place[views] = np.arange(len(views))
     return Corners(
-        place[corners.view[rows]],
-        tuple(corners.view_names[v] for v in views),
-        tuple(corners.images[v] for v in views),
-        corners.board_m[rows],
-        corners.pixels[rows],
-        None if corners.sigma_px is None else corners.sigma_px[rows],
-        None if corners.ids is None else corners.ids[rows],
+        view=place[corners.view[rows]],
+        view_names=tuple(corners.view_names[v] for v in views),
+        images=tuple(corners.images[v] for v in views),
+        board_m=corners.board_m[rows],
+        pixels=corners.pixels[rows],
+        sigma_px=None if corners.sigma_px is None else corners.sigma_px[rows],
+        ids=None if corners.ids is None else corners.ids[rows],
     )
 
 

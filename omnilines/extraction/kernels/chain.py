@@ -10,24 +10,23 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.kernels.tables import Edgels, SeenChains
+from omnilines.extraction.options import ChainOptions
 
 REACH = 2
 """Pixels to either side in which an edge point looks for its neighbours."""
-LEAST_COSINE = 0.8
-"""Between the directions of neighbours in a chain: 37 degrees."""
 LEAST_COSINE_ALONG = -0.5
 """Of the angle that a piece of a circle spans: 120 degrees. Longer arcs are two."""
-NOISE_PX = 0.3
-"""Standard deviation of an edge point across the edge, for the covariance that a chain starts with."""
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: bool) -> np.ndarray:
-    """The neighbour of every edge point on either side along its edge, -1 for none.
+def links(edgels: Edgels, cells: np.ndarray, min_cosine: float) -> np.ndarray:
+    """The neighbour (n, 2) of every edge point on either side along its edge, -1 for none.
 
-    `number` (h, w) holds the index of the edge point of each pixel or -1; `closed`: the last column is beside the first.
+    `cells` (n, 2) are the rows and columns of the edge points' pixels; `min_cosine` is that between directions of neighbours.
     """
+    number, points, closed = edgels
     height, width = number.shape
     count = len(cells)
     best = np.full((count, 2), -1, dtype=np.int32)
@@ -44,7 +43,7 @@ def links(number: np.ndarray, cells: np.ndarray, points: np.ndarray, closed: boo
                 other = number[i, j]
                 if other < 0 or other == k:
                     continue
-                if abs(x * points[other, 2] + y * points[other, 3]) < LEAST_COSINE:
+                if abs(x * points[other, 2] + y * points[other, 3]) < min_cosine:
                     continue
                 du, dv = points[other, 0] - u + (column - j), points[other, 1] - v
                 along, across = x * dv - y * du, abs(x * du + y * dv)
@@ -153,20 +152,15 @@ def _solve(sums: np.ndarray, frame: np.ndarray, normal: np.ndarray) -> None:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def circles(
-    starts: np.ndarray,
-    bearings: np.ndarray,
-    acrosses: np.ndarray,
-    least: int,
-    within_px: float,
-    most_missed: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def circles(seen: SeenChains, within_px: float, options: ChainOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals (m, 3) of great circles along pieces of chains, the first and last bearing of each (m, 2, 3), and the information
-    (m, 3, 3) on the normal, for edge points with NOISE_PX.
+    (m, 3, 3) on the normal.
 
-    A piece begins with `least` edge points on one circle and grows, fitted anew with each, until more than `most_missed`
+    A piece begins with `min_points` edge points on one circle and grows, fitted anew with each, until more than `max_missed`
     in a row are farther than `within_px` from it.
     """
+    starts, bearings, acrosses = seen
+    least, sigma_px = options.min_points, options.sigma_px
     room = 1024
     normals, ends, information = np.empty((room, 3)), np.empty((room, 2, 3)), np.empty((room, 3, 3))
     count = 0
@@ -200,7 +194,7 @@ def circles(
                     end, missed = k, 0
                 else:
                     missed += 1
-                    if missed > most_missed:
+                    if missed > options.max_missed:
                         break
             if count == room:
                 room *= 2
@@ -209,7 +203,7 @@ def circles(
             ends[count, 0], ends[count, 1] = frame[1], bearings[end]
             information[count] = 0.0
             for k in range(begin, end + 1):
-                weight = 1.0 / ((acrosses[k, 0] ** 2 + acrosses[k, 1] ** 2 + acrosses[k, 2] ** 2) * NOISE_PX * NOISE_PX)
+                weight = 1.0 / ((acrosses[k, 0] ** 2 + acrosses[k, 1] ** 2 + acrosses[k, 2] ** 2) * sigma_px * sigma_px)
                 for p in range(3):
                     for q in range(3):
                         information[count, p, q] += weight * bearings[k, p] * bearings[k, q]

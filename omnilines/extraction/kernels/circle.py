@@ -15,6 +15,7 @@ from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.kernels.tables import Places
 
 X, Y, OFF, SHARE, WEIGHT, LEFT = range(6)
 LEAST_SCALE_PX = 0.05
@@ -46,26 +47,16 @@ def _median(room: np.ndarray, row: int, count: int) -> float:
 
 @njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
-def own_places(
-    begin: int,
-    end: int,
-    angle: np.ndarray,
-    rate: np.ndarray,
-    shift: np.ndarray,
-    strength: np.ndarray,
-    usable: np.ndarray,
-    most_shift_px: float,
-    room: np.ndarray,
-    chosen: np.ndarray,
-) -> int:
-    """Fill the room with the samples of an arc that are usable and not of another edge, and `chosen` with their numbers; how
-    many.
+def own_places(places: Places, begin: int, end: int, max_shift_px: float, room: np.ndarray, chosen: np.ndarray) -> int:
+    """Fill the room with the places of an arc, numbers `begin` to `end`, that are usable and not of another edge, and `chosen`
+    with their numbers; how many.
 
     A point at angle t moves by -rate (a cos t + b sin t) px across. Shares rise with the contrast, up to 1.
     """
+    angle, rate, shift, strength, usable = places
     count = 0
     for n in range(begin, end):
-        if usable[n] and abs(shift[n]) < most_shift_px:
+        if usable[n] and abs(shift[n]) < max_shift_px:
             chosen[count] = n
             room[X, count], room[Y, count] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
             room[OFF, count], room[SHARE, count] = shift[n], strength[n]
@@ -136,29 +127,24 @@ def scatter_of(room: np.ndarray, count: int) -> tuple[float, int]:
 @njit(cache=True, nogil=True)
 @no_type_check
 def fit_circles(
-    starts: np.ndarray,
-    angle: np.ndarray,
-    rate: np.ndarray,
-    shift: np.ndarray,
-    strength: np.ndarray,
-    usable: np.ndarray,
-    most_shift_px: float,
+    starts: np.ndarray, places: Places, max_shift_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each arc the change (a, b) of its normal, the inverse normal matrix (2, 2), the residuals' variance that it is to be
-    multiplied by, and the number of samples used; and the residuals of all samples (NaN where there is none).
+    """Of each arc, with the places from starts[n] on, the change (a, b) of its normal, the inverse normal matrix (2, 2), the
+    residuals' variance that it is to be multiplied by, and the number of places used; and the residuals of all (NaN: none).
 
-    Weights fall with the contrast, and by Tukey's function with the residual; shifts of `most_shift_px` or more are another edge.
+    Weights rise with the strength, and fall by Tukey's function with the residual; shifts of `max_shift_px` or more are another
+    edge.
     """
     arcs = len(starts) - 1
     change, inverse, variance = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2)), np.zeros(arcs)
     used, longest = np.zeros(arcs), 0
-    residual = np.full(len(angle), np.nan)
+    residual = np.full(len(places.shift), np.nan)
     for arc in range(arcs):
         longest = max(longest, starts[arc + 1] - starts[arc])
     room, chosen = np.empty((6, longest)), np.empty(longest, dtype=np.int64)
     for arc in range(arcs):
         begin, end = starts[arc], starts[arc + 1]
-        count = own_places(begin, end, angle, rate, shift, strength, usable, most_shift_px, room, chosen)
+        count = own_places(places, begin, end, max_shift_px, room, chosen)
         if count < 3:
             continue
         a, b, scale, m00, m01, m11 = fit_circle(room, count, 0.0, 0.0, EVERY, ROUNDS)

@@ -10,25 +10,19 @@ from numba import njit
 
 from omnilines.extraction.kernels.profile import REORDERED
 from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.tables import Crossed
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def crossings(
-    pixel: np.ndarray,
-    across: np.ndarray,
-    own: np.ndarray,
-    other_pixel: np.ndarray,
-    other_across: np.ndarray,
-    other: np.ndarray,
-    height: int,
-    width: int,
-    closed: bool,
-    reach_px: float,
-    least_cosine: float,
+    profiles: Crossed, others: Crossed, size: tuple[int, int], closed: bool, reach_px: float, min_cosine: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the profiles at m pixels are crossed: places (m, s), the first 0 for the arc `own` (m) of the profile itself, then
-    its nearest neighbours among points a pixel apart on arcs `other`; and the number of places."""
+    """Where m profiles are crossed: places (m, s), the first 0 for the arc of the profile itself, then its nearest neighbours
+    among points a pixel apart on all arcs; and the number of places. `size` is the width and height of the image."""
+    own, pixel, across = profiles
+    other, other_pixel, other_across = others
+    width, height = size
     cell = 8
     rows, columns = height // cell + 2, width // cell + 2
     head = np.full((rows, columns), -1, dtype=np.int32)
@@ -59,7 +53,7 @@ def crossings(
                         du -= width * round(du / width)
                     along, offset = -y * du + x * dv, x * du + y * dv
                     cosine = x * other_across[k, 0] + y * other_across[k, 1]
-                    if other[k] != own[n] and abs(along) <= 1.0 and abs(cosine) >= least_cosine:
+                    if other[k] != own[n] and abs(along) <= 1.0 and abs(cosine) >= min_cosine:
                         # Along the neighbour to where it meets the profile.
                         sine = -y * other_across[k, 0] + x * other_across[k, 1]
                         offset += along * sine / cosine

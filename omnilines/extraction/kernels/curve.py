@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.kernels.tables import Curves
 
 
 @njit(cache=True, nogil=True)
@@ -123,8 +124,9 @@ def _hermite(s: float, k: int, c: int, table: np.ndarray, slope: np.ndarray) -> 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def lengths_along(table: np.ndarray, slope: np.ndarray, node_starts: np.ndarray, parts: int) -> np.ndarray:
+def lengths_along(curves: Curves, parts: int) -> np.ndarray:
     """Lengths (n, parts + 1) in pixels from the begin of each arc, at equal steps of the angle."""
+    node_starts, table, slope = curves.starts, curves.table, curves.slope
     run = np.zeros((len(node_starts) - 1, parts + 1))
     for arc in range(len(run)):
         begin, count = node_starts[arc], node_starts[arc + 1] - node_starts[arc] - 1
@@ -141,16 +143,11 @@ def lengths_along(table: np.ndarray, slope: np.ndarray, node_starts: np.ndarray,
 @njit(cache=True, nogil=True)
 @no_type_check
 def read_curves(
-    angle: np.ndarray,
-    run: np.ndarray,
-    starts: np.ndarray,
-    table: np.ndarray,
-    slope: np.ndarray,
-    good: np.ndarray,
-    node_starts: np.ndarray,
+    curves: Curves, run: np.ndarray, starts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Samples of arcs at equal steps of the length `run`, those of arc n from starts[n] on: owner, angle, pixel, unit vector
     across, rate, and whether the cubics are good there (the pixel and what follows mean nothing otherwise)."""
+    node_starts, angle, table, slope, good = curves
     count, parts = starts[-1], run.shape[1] - 1
     owner, place = np.empty(count, dtype=np.int64), np.empty(count)
     pixel, across = np.empty((count, 2)), np.empty((count, 2))

@@ -12,6 +12,7 @@ from numba import njit
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
 from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.tables import Stepped, Window
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
@@ -42,8 +43,9 @@ def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _explained(offsets: np.ndarray, weight: np.ndarray, place: np.ndarray, blur: float, basis: np.ndarray) -> int:
+def _explained(window: Window, place: np.ndarray, blur: float, basis: np.ndarray) -> int:
     """Fill the first rows of `basis`, orthonormal, with what a level, steps at places and their shifts explain; how many."""
+    offsets, weight = window.offsets_px, window.weight
     size, steps = len(offsets), len(place)
     for k in range(size):
         basis[0, k] = weight[k]
@@ -77,22 +79,22 @@ def _rest(profile: np.ndarray, weight: np.ndarray, basis: np.ndarray, kept: int,
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def one_more_step(
-    profile: np.ndarray,
-    offsets: np.ndarray,
-    weight: np.ndarray,
-    place: np.ndarray,
-    count: np.ndarray,
+    stepped: Stepped,
     starts: np.ndarray,
     whole: np.ndarray,
+    window: Window,
     blur: float,
     candidates: np.ndarray,
-    least_apart_px: float,
+    min_apart_px: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each arc (n) with profiles (m, c, k) from starts[n] on and each candidate place: how much less one more step there
-    leaves of the sum of squares (n, d), and the mean square of its height over channels (n, d); and what is left without (n).
+    """For each arc (n) with profiles (m, c, k) from starts[n] on, of which those `whole` (m) count, and each candidate place: how
+    much less one more step there leaves of the sum of squares (n, d), and the mean square of its height over channels (n, d); and
+    what is left without (n).
 
     The steps known may move to first order: what a small shift of theirs explains is no new step.
     """
+    profile, place, count = stepped
+    offsets, weight = window.offsets_px, window.weight
     arcs, size, channels = len(starts) - 1, profile.shape[2], profile.shape[1]
     gain, height, left = np.zeros((arcs, len(candidates))), np.zeros((arcs, len(candidates))), np.zeros(arcs)
     basis, rest = np.empty((2 * MOST_STEPS + 1, size)), np.empty((channels, size))
@@ -107,12 +109,12 @@ def one_more_step(
             if not whole[n]:
                 continue
             used += 1
-            kept = _explained(offsets, weight, place[n, : count[n]], blur, basis)
+            kept = _explained(window, place[n, : count[n]], blur, basis)
             left[arc] += _rest(profile[n], weight, basis, kept, rest)
             for d in range(len(candidates)):
                 near = False
                 for j in range(count[n]):
-                    near = near or abs(place[n, j] - candidates[d]) < least_apart_px
+                    near = near or abs(place[n, j] - candidates[d]) < min_apart_px
                 if near:
                     continue
                 # The step less what the basis explains of it; what is left of the profile has nothing of the basis.

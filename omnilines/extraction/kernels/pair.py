@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.kernels.tables import PairLimits, Ranked
 
 _CELL = 1.5
 """Side of a cell, in mean spans of arcs."""
@@ -79,25 +80,17 @@ def _table(frame: np.ndarray, low: np.ndarray, high: np.ndarray, reach: np.ndarr
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def near_pairs(
-    frame: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    length_px: np.ndarray,
-    beside: np.ndarray,
-    near: float,
-    most_gap_px: float,
-    most_gap: float,
-    longest: float,
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Pairs (k, 2) of arcs, the longer one first, and (k, 4) the angles of the ends of the second on the first one's circle, the
-    gap between both in radians, negative where they overlap, and whether the second follows the first one's high end; and how
-    many pairs were looked at.
+def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarray, int]:
+    """Pairs (k, 2) of arcs, the one of higher rank first, and (k, 4) the angles of the ends of the second on the first one's
+    circle, the gap between both in radians, negative where they overlap, and whether the second follows the first one's high end;
+    and how many pairs were looked at.
 
-    Their normals, or one and the opposite of the other, are at most `near` apart; the ends of the second lie at most `beside`
-    (n, radians, of the first) off the first one's circle; together they span less than `longest`. The gap is below `most_gap`,
-    `most_gap_px` and half of both lengths; or the second lies beside the first over more than half of its length.
+    Their normals, or one and the opposite of the other, are at most `near_rad` apart; the ends of the second lie at most `beside`
+    (of the first) off the first one's circle; together they span less than `longest_rad`. The gap is below both limits and half
+    of both lengths; or the second lies beside the first over more than half of its length.
     """
+    frame, low, high, length_px, beside = table
+    near, most_gap_px, most_gap, longest = limits
     arcs, count, room, looked = len(low), 0, 1024, 0
     pairs, values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
     least_cosine, ppr, reach, total = 1.0 - 0.5 * near * near, np.empty(arcs), np.empty(arcs), 0.0

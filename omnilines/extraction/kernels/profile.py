@@ -10,23 +10,22 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.kernels.tables import Edgels, Picture, Samples
+from omnilines.extraction.options import SupportOptions
 
 REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
 """Of a profile, across the arc."""
 SIZE = len(OFFSETS_PX)
-TAPER_PX, WIDE_TAPER_PX = 1.0, 1.8
-"""Standard deviations of the weights of a profile."""
 BLURS_PX = np.array([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 1.9, 2.4])
 """Standard deviations of the blurred steps that a profile is compared with."""
-ALONG_PX = 3.0
-"""Standard deviation of the average along an arc of the difference between its sides."""
 
 
 def step_filters(taper_px: float) -> np.ndarray:
-    """For each blur (b, k + 1, k): the row that turns a profile of a unit step into its shift (px), and the matrix, transposed,
-    to what a level, a step and a shift cannot explain, weighted."""
+    """For each blur (b, k + 1, k), weights of a profile having a standard deviation of `taper_px`: the row that turns a profile
+    of a unit step into its shift (px), and the matrix, transposed, to what a level, a step and a shift cannot explain,
+    weighted."""
     weight, filters = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2), []
     for blur in BLURS_PX:
         step = np.array([0.5 * math.erf(x / (blur * math.sqrt(2.0))) for x in OFFSETS_PX])
@@ -40,29 +39,22 @@ def step_filters(taper_px: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def profiles(
-    image: np.ndarray, unit: float, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, closed: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def profiles(picture: Picture, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of 255 (m, c, k) at offsets across samples, bilinear, and whether all of them lie in the image (m)."""
     count = len(pixel)
-    grey, inside = np.empty((count, image.shape[2], len(offsets)), dtype=np.float32), np.ones(count, dtype=np.bool_)
-    read_profiles(image, unit, pixel, across, offsets, closed, grey, inside)
+    grey = np.empty((count, picture.image.shape[2], len(offsets)), dtype=np.float32)
+    inside = np.ones(count, dtype=np.bool_)
+    read_profiles(picture, pixel, across, offsets, grey, inside)
     return grey, inside
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def read_profiles(
-    image: np.ndarray,
-    unit: float,
-    pixel: np.ndarray,
-    across: np.ndarray,
-    offsets: np.ndarray,
-    closed: bool,
-    grey: np.ndarray,
-    inside: np.ndarray,
+    picture: Picture, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, grey: np.ndarray, inside: np.ndarray
 ) -> None:
     """As `profiles`, into `grey` and `inside`."""
+    image, unit, closed = picture
     height, width, channels = image.shape
     count, size = len(pixel), len(offsets)
     flat = image.reshape(-1)
@@ -98,16 +90,9 @@ def read_profiles(
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
-def supported(
-    number: np.ndarray,
-    points: np.ndarray,
-    pixel: np.ndarray,
-    across: np.ndarray,
-    within_px: float,
-    least_cosine: float,
-    closed: bool,
-) -> np.ndarray:
+def supported(edgels: Edgels, pixel: np.ndarray, across: np.ndarray, options: SupportOptions) -> np.ndarray:
     """Whether an edge point with nearly the arc's direction lies beside each sample."""
+    number, points, closed = edgels
     height, width = number.shape
     result = np.zeros(len(pixel), dtype=np.bool_)
     for n in range(len(pixel)):
@@ -120,12 +105,12 @@ def supported(
             if i < 0 or i >= height or j < 0 or j >= width:
                 continue
             edgel = number[i, j]
-            if edgel < 0 or abs(points[edgel, 2] * x + points[edgel, 3] * y) < least_cosine:
+            if edgel < 0 or abs(points[edgel, 2] * x + points[edgel, 3] * y) < options.min_cosine:
                 continue
             du, dv = points[edgel, 0] - pixel[n, 0], points[edgel, 1] - pixel[n, 1]
             if closed:
                 du -= width * round(du / width)
-            if abs(du * x + dv * y) <= within_px:
+            if abs(du * x + dv * y) <= options.within_px:
                 result[n] = True
                 break
     return result
@@ -152,10 +137,10 @@ def side_weights() -> np.ndarray:
     return (np.sign(OFFSETS_PX) * beside / np.sum(beside & (OFFSETS_PX > 0))).astype(np.float32)
 
 
-def along_weights() -> np.ndarray:
-    """Of the average along an arc (Gaussian of ALONG_PX)."""
-    reach = int(2.5 * ALONG_PX)
-    return np.exp(-0.5 * (np.arange(-reach, reach + 1) / ALONG_PX) ** 2).astype(np.float32)
+def along_weights(along_px: float) -> np.ndarray:
+    """Of the average along an arc, a Gaussian of this standard deviation."""
+    reach = int(2.5 * along_px)
+    return np.exp(-0.5 * (np.arange(-reach, reach + 1) / along_px) ** 2).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
@@ -244,15 +229,7 @@ def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarra
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def mean_profiles(
-    image: np.ndarray,
-    unit: float,
-    pixel: np.ndarray,
-    across: np.ndarray,
-    valid: np.ndarray,
-    starts: np.ndarray,
-    wanted: np.ndarray,
-    offsets: np.ndarray,
-    closed: bool,
+    picture: Picture, at: Samples, starts: np.ndarray, wanted: np.ndarray, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of 255 (n, c, k) at offsets across samples, averaged over those from starts[n] to starts[n + 1]; and whether
     all of them are valid and lie in the image (n); what does not counts as 0. Those not `wanted` (n) are not read: 0 and false.
@@ -260,6 +237,8 @@ def mean_profiles(
     By cubic convolution (R. Keys 1981): bilinear interpolation would blur by how far a point lies from the pixels' centres, and
     edges a pixel apart are told from each other by what blur is expected.
     """
+    image, unit, closed = picture
+    pixel, across, valid = at.pixel, at.across, at.valid
     height, width, channels = image.shape
     pieces, size = len(starts) - 1, len(offsets)
     grey, inside = np.zeros((pieces, channels, size), dtype=np.float32), np.ones(pieces, dtype=np.bool_)

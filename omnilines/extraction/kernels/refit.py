@@ -6,9 +6,10 @@ What is read of an arc stays in the processor's caches, and no more of the photo
 """
 
 import math
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
 from numba import njit
 
 from omnilines.extraction.kernels.bend import bend_of
@@ -16,7 +17,6 @@ from omnilines.extraction.kernels.circle import EVERY, LEFT, ROUNDS, fit_circle,
 from omnilines.extraction.kernels.profile import (
     BLURS_PX,
     OFFSETS_PX,
-    along_weights,
     best_blur,
     projected,
     read_profiles,
@@ -27,24 +27,11 @@ from omnilines.extraction.kernels.profile import (
     supported,
 )
 from omnilines.extraction.kernels.reach import last_sample, middle_sample, reach, trim
+from omnilines.extraction.kernels.tables import Edgels, Picture, Places, Samples
+from omnilines.extraction.options import RefitOptions, SupportOptions
 
-WITHIN_PX = 0.8
-"""An edge point so near to an arc, and nearly parallel to it, supports it."""
-LEAST_COSINE = 0.97
-"""Between an arc and an edge point that supports it: 14 degrees."""
-MOST_GAP_PX = 5
-MOST_SHIFT_PX = 1.5
-"""Farther from an arc there is another edge."""
-MOST_OFF_PX = 0.4
-"""Mean distance of the last few edge places from an arc that ends there."""
-LAST_OFF_PX = 0.25
-"""Of the outermost two."""
-BEND_PX = 0.8
-"""How far the circle through one part of an arc passes from the end of the other where it bends."""
 LEAST_PART = 8
 """Samples on either side of a bend."""
-LEAST_CUT = 12
-"""Samples cut off an arc that may be one themselves."""
 LEAST_SAMPLES = 6
 """That a circle is fitted through."""
 LAGS = 9
@@ -53,7 +40,7 @@ _BEYOND = 3
 """Samples that are read beyond the last one that an arc may reach: there its contrast falls."""
 _AGAIN = 2
 """Rounds of the fit in a wide window, which begins where that in the narrow one ended."""
-_SIDES, _ALONG = side_weights(), along_weights()
+_SIDES = side_weights()
 _NOTHING = np.zeros((0, 1), dtype=np.float32)
 _COLUMNS = (
     "used length_px support contrast blur_px rate low high a b wide_a wide_b m00 m01 m11 variance bend bend_ratio "
@@ -62,136 +49,142 @@ _COLUMNS = (
 FIGURES = np.dtype([(name, np.float64) for name in _COLUMNS.split()])
 """Of an arc: samples used (0: it is lost); its length; the share of samples beside which there are edge points; contrast, blur
 and mean rate; the angles of its ends; the change of its normal, and that in a wide window; the normal matrix, and the variance
-that its inverse is to be multiplied by; where two circles explain it best, and the ratio F for it (0 where they are one
-within BEND_PX); the ends of what was cut off before and after it (the low one below the high one where something was)."""
+that its inverse is to be multiplied by; where two circles explain it best, and the ratio F for it (0 where they are one within
+`SupportOptions.within_px`); the ends of what was cut off before and after it (the low one below the high one where something
+was)."""
+
+
+class Limits(NamedTuple):
+    """What a refit asks for."""
+
+    min_px: float
+    """Shorter arcs are lost."""
+    min_cut_px: float
+    """What is cut off an arc and is shorter is lost."""
+    support: SupportOptions
+    fit: RefitOptions
+
+
+class Filters(NamedTuple):
+    """Weights of a refit."""
+
+    windows: Float32[np.ndarray, "2 b k1 k"]
+    """The `step_filters` of the narrow and the wide window."""
+    along: Float32[np.ndarray, " l"]
+    """The `along_weights`."""
+
+
+class Seen(NamedTuple):
+    """Samples of one arc: whether edge points support them, whether they are of the arc as it was, angle and rate."""
+
+    support: Bool[np.ndarray, " m"]
+    inside: Bool[np.ndarray, " m"]
+    angle: Float[np.ndarray, " m"]
+    rate: Float[np.ndarray, " m"]
+
+
+class Room(NamedTuple):
+    """Room for what is made of one arc, used again for the next."""
+
+    places: Float[np.ndarray, "6 m"]
+    """As `circle.py` has it."""
+    chosen: Int[np.ndarray, " m"]
+    sums: Float[np.ndarray, "m1 6"]
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def refit_arcs(
-    image: np.ndarray,
-    unit: float,
-    number: np.ndarray,
-    points: np.ndarray,
-    closed: bool,
-    starts: np.ndarray,
-    angle: np.ndarray,
-    pixel: np.ndarray,
-    across: np.ndarray,
-    rate: np.ndarray,
-    valid: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    least_px: float,
-    filters: np.ndarray,
+    picture: Picture,
+    edgels: Edgels,
+    at: Samples,
+    ends: np.ndarray,
+    limits: Limits,
+    filters: Filters,
     table: np.ndarray,
     products: np.ndarray,
 ) -> None:
-    """Fill the FIGURES (n) of arcs with samples from starts[n] to starts[n + 1] and the ends `low` and `high` (n), and add the
-    sums and numbers of products of residuals 0, 1, ... px apart (LAGS, 2).
-
-    Arcs that do not come out at `least_px` are lost. `filters` are the `step_filters` of both windows.
-    """
-    longest = np.max(np.diff(starts))
-    grey = np.empty((longest, image.shape[2], len(OFFSETS_PX)), dtype=np.float32)
-    imaged, chosen = np.empty(longest, dtype=np.bool_), np.empty(longest, dtype=np.int64)
-    room, sums = np.empty((6, longest)), np.empty((longest + 1, 6))
-    for arc in range(len(low)):
-        begin, end = starts[arc], starts[arc + 1]
-        edge = supported(number, points, pixel[begin:end], across[begin:end], WITHIN_PX, LEAST_COSINE, closed) & valid[begin:end]
-        inside = (angle[begin:end] >= low[arc]) & (angle[begin:end] <= high[arc])
+    """Fill the FIGURES (n) of arcs with the samples `at` and the ends (n, 2), and add the sums and numbers of products of
+    residuals 0, 1, ... px apart (LAGS, 2)."""
+    longest = np.max(np.diff(at.starts))
+    grey = np.empty((longest, picture.image.shape[2], len(OFFSETS_PX)), dtype=np.float32)
+    imaged = np.empty(longest, dtype=np.bool_)
+    room = Room(np.empty((6, longest)), np.empty(longest, dtype=np.int64), np.empty((longest + 1, 6)))
+    most_gap = limits.support.max_blind_px
+    for arc in range(len(ends)):
+        begin, end = at.starts[arc], at.starts[arc + 1]
+        angle = at.angle[begin:end]
+        edge = supported(edgels, at.pixel[begin:end], at.across[begin:end], limits.support) & at.valid[begin:end]
+        inside = (angle >= ends[arc, 0]) & (angle <= ends[arc, 1])
         seed = middle_sample(inside, edge)
         if seed < 0:
             continue
         # What edge points allow.
-        first = last_sample(inside, edge, _NOTHING, seed, -1, MOST_GAP_PX)
-        last = last_sample(inside, edge, _NOTHING, seed, 1, MOST_GAP_PX)
-        if last - first + 1 + 2 * _BEYOND < least_px and np.sum(inside) < least_px + LEAST_CUT:
+        first = last_sample(inside, edge, _NOTHING, seed, -1, most_gap)
+        last = last_sample(inside, edge, _NOTHING, seed, 1, most_gap)
+        if last - first + 1 + 2 * _BEYOND < limits.min_px and np.sum(inside) < limits.min_px + limits.min_cut_px:
             continue
         first, last = max(first - _BEYOND, 0), min(last + _BEYOND + 1, end - begin)
         one, size = slice(begin + first, begin + last), last - first
-        read_profiles(image, unit, pixel[one], across[one], OFFSETS_PX, closed, grey[:size], imaged[:size])
-        support = edge[first:last] & imaged[:size]
-        found = _refit_arc(
-            grey[:size],
-            support,
-            inside[first:last],
-            angle[one],
-            rate[one],
-            least_px,
-            filters,
-            room,
-            chosen,
-            sums,
-            table[arc : arc + 1],
-            products,
-        )
-        if found[0] >= 0:
-            _cut(edge & inside, angle[begin:end], found + first, table[arc : arc + 1])
+        read_profiles(picture, at.pixel[one], at.across[one], OFFSETS_PX, grey[:size], imaged[:size])
+        seen = Seen(edge[first:last] & imaged[:size], inside[first:last], at.angle[one], at.rate[one])
+        low, high = _refit_arc(grey[:size], seen, limits, filters, room, table[arc : arc + 1], products)
+        if low >= 0:
+            _cut(edge & inside, angle, low + first, high + first, limits.min_cut_px, table[arc : arc + 1])
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def _refit_arc(
-    grey: np.ndarray,
-    support: np.ndarray,
-    inside: np.ndarray,
-    angle: np.ndarray,
-    rate: np.ndarray,
-    least_px: float,
-    filters: np.ndarray,
-    room: np.ndarray,
-    chosen: np.ndarray,
-    sums: np.ndarray,
-    row: np.ndarray,
-    products: np.ndarray,
-) -> np.ndarray:
-    """Fill a row of the figures but for what is cut off; the first and last sample, -1 where nothing is left. `room`, `chosen`
-    and `sums` are room for its samples."""
+    grey: np.ndarray, seen: Seen, limits: Limits, filters: Filters, room: Room, row: np.ndarray, products: np.ndarray
+) -> tuple[int, int]:
+    """Fill a row of the figures but for what is cut off; the first and last sample, -1 where nothing is left."""
     difference = side_differences(grey, _SIDES)
-    found, place = np.empty(2, dtype=np.int64), np.empty(2)
-    share = reach(inside, support, difference, smoothed(difference, support, _ALONG), MOST_GAP_PX, found, place)
-    if found[0] < 0:
-        return found
-    begin, count = found[0], found[1] + 1 - found[0]
-    here = slice(begin, begin + count)
-    usable = support[here]
-    step, strength = projected(grey[here], smoothed(difference[here], usable, _ALONG))
-    blur = best_blur(step, usable, filters[0])
-    shift = shifts(step, strength, filters[0, blur, 0])
-    places = own_places(0, count, angle[here], rate[here], shift, strength, usable, MOST_SHIFT_PX, room, chosen)
+    steady = smoothed(difference, seen.support, filters.along)
+    low, high = reach(seen.inside, seen.support, difference, steady, limits.support.max_blind_px)
+    if high <= low + 1.0:
+        return -1, -1
+    # Samples whose middle lies in the arc.
+    begin, last = math.ceil(low), math.floor(high)
+    here, count = slice(begin, last + 1), last + 1 - begin
+    angle, rate, usable = seen.angle[here], seen.rate[here], seen.support[here]
+    share = np.sum(usable) / count
+    step, strength = projected(grey[here], smoothed(difference[here], usable, filters.along))
+    blur = best_blur(step, usable, filters.windows[0])
+    shift = shifts(step, strength, filters.windows[0, blur, 0])
+    most_px = limits.fit.max_shift_px
+    places = own_places(Places(angle, rate, shift, strength, usable), 0, count, most_px, room.places, room.chosen)
     if places < LEAST_SAMPLES:
-        return found
-    a, b, scale, m00, m01, m11 = fit_circle(room, places, 0.0, 0.0, EVERY, ROUNDS)
-    variance, used = scatter_of(room, places)
+        return begin, last
+    a, b, scale, m00, m01, m11 = fit_circle(room.places, places, 0.0, 0.0, EVERY, ROUNDS)
+    variance, used = scatter_of(room.places, places)
     if scale == 0.0 or used < LEAST_SAMPLES:
-        return found
+        return begin, last
     residual, off = np.full(count, np.nan), np.empty(count)
     for i in range(places):
-        residual[chosen[i]] = room[LEFT, i]
+        residual[room.chosen[i]] = room.places[LEFT, i]
     for n in range(count):
-        off[n] = shift[n] + rate[begin + n] * (a * math.cos(angle[begin + n]) + b * math.sin(angle[begin + n]))
-    kept, at = np.array([0, count - 1]), place - begin
-    trim(kept, at, residual, off, scale, MOST_OFF_PX, LAST_OFF_PX)
-    found[0], found[1] = kept[0] + begin, kept[1] + begin
-    if kept[1] - kept[0] + 1 < least_px:
-        return found
+        off[n] = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
+    begins, ends = trim(residual, off, scale, limits.fit)
+    if ends - begins + 1 < limits.min_px:
+        return begin + begins, begin + ends
     figures = row[0]
-    part, ratio, apart_px = bend_of(room, places, LEAST_PART, sums)
-    if apart_px > BEND_PX:
-        figures.bend, figures.bend_ratio = angle[begin + chosen[part]], ratio
-    figures.used, figures.length_px, figures.support, figures.variance = used, kept[1] - kept[0] + 1, share, variance
+    part, ratio, apart_px = bend_of(room.places, places, LEAST_PART, room.sums)
+    if apart_px > limits.support.within_px:
+        figures.bend, figures.bend_ratio = angle[room.chosen[part]], ratio
+    figures.used, figures.length_px, figures.support, figures.variance = used, ends - begins + 1, share, variance
     figures.contrast, figures.blur_px = math.sqrt(np.sum(strength * usable) / used), BLURS_PX[blur]
-    figures.rate = np.mean(rate)
-    figures.low, figures.high = _angle_at(angle[here], at[0]), _angle_at(angle[here], at[1])
+    figures.rate = np.mean(seen.rate)
+    figures.low = _angle_at(angle, low - begin if begins == 0 else begins - 0.5)
+    figures.high = _angle_at(angle, high - begin if ends == count - 1 else ends + 0.5)
     figures.a, figures.b, figures.m00, figures.m01, figures.m11 = a, b, m00, m01, m11
-    wide = shifts(step, strength, filters[1, blur, 0])
-    places = own_places(0, count, angle[here], rate[here], wide, strength, usable, MOST_SHIFT_PX, room, chosen)
+    wide = shifts(step, strength, filters.windows[1, blur, 0])
+    places = own_places(Places(angle, rate, wide, strength, usable), 0, count, most_px, room.places, room.chosen)
     if places >= LEAST_SAMPLES:
-        a, b = fit_circle(room, places, a, b, scale, _AGAIN)[:2]
+        a, b = fit_circle(room.places, places, a, b, scale, _AGAIN)[:2]
     figures.wide_a, figures.wide_b = a, b
     _add_products(residual, products)
-    return found
+    return begin + begins, begin + ends
 
 
 @njit(cache=True, nogil=True)
@@ -217,14 +210,14 @@ def _add_products(residual: np.ndarray, products: np.ndarray) -> None:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _cut(edge: np.ndarray, angle: np.ndarray, found: np.ndarray, row: np.ndarray) -> None:
+def _cut(edge: np.ndarray, angle: np.ndarray, first: int, last: int, least: float, row: np.ndarray) -> None:
     """What of an arc as it was lies before and after the samples found, where that is mostly an edge and long enough."""
     outermost = np.flatnonzero(edge)
     if len(outermost) == 0:
         return
-    begin, end = outermost[0], found[0] - 1
-    if end - begin >= LEAST_CUT and 2 * np.sum(edge[begin : end + 1]) > end - begin:
+    begin, end = outermost[0], first - 1
+    if end - begin >= least and 2 * np.sum(edge[begin : end + 1]) > end - begin:
         row[0].before_low, row[0].before_high = angle[begin], angle[end]
-    begin, end = found[1] + 1, outermost[-1]
-    if end - begin >= LEAST_CUT and 2 * np.sum(edge[begin : end + 1]) > end - begin:
+    begin, end = last + 1, outermost[-1]
+    if end - begin >= least and 2 * np.sum(edge[begin : end + 1]) > end - begin:
         row[0].after_low, row[0].after_high = angle[begin], angle[end]

@@ -3,13 +3,22 @@
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
 WINDOW, LEAST_LIGHT = 4, 3
 """Light begins where so many of so many pixels in a row are light."""
+
+
+class Rays(NamedTuple):
+    """Ray n goes from centre + border_px[n] way[n] to the centre (u, v) and stays there."""
+
+    centre: Float[np.ndarray, "2"]
+    way: Float[np.ndarray, "n 2"]
+    border_px: Float[np.ndarray, " n"]
 
 
 @njit(cache=True, nogil=True)
@@ -25,13 +34,9 @@ def _light(image: np.ndarray, u: float, v: float, threshold: float) -> int:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def first_light(
-    image: np.ndarray, centre: np.ndarray, way: np.ndarray, border: np.ndarray, depths: int, threshold: float
-) -> np.ndarray:
-    """Pixels from the border inwards to the first light on each ray (n), `depths` where there is none.
-
-    Ray n goes from centre + border[n] way[n] to the centre (u, v) and stays there.
-    """
+def first_light(image: np.ndarray, rays: Rays, depths: int, threshold: float) -> np.ndarray:
+    """Pixels from the border inwards to the first light on each ray (n), `depths` where there is none."""
+    centre, way, border = rays
     found = np.full(len(way), depths)
     for n in range(len(way)):
         for depth in range(depths):

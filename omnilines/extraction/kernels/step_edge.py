@@ -8,21 +8,21 @@ heights are linear: they are solved for at every step of Gauss and Newton in the
 """
 
 import math
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.kernels.tables import Stepped, Window
 
 MOST_STEPS = 6
 """Steps of one profile: its own and the nearest of its neighbours."""
 ROUNDS = 5
 SETTLED_PX = 0.01
 _MOST_MOVE_PX = 0.5
-
-
 _RIDGE = 1e-6
 """Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
 _FARTHEST_PX, _WIDEST_PX = 12.0, 12.0
@@ -31,9 +31,52 @@ _PARTS = 32
 """Rows of the table between two offsets."""
 
 
+class Table(NamedTuple):
+    """Blurred steps of 1 about 0 and their derivatives, at many distances."""
+
+    half: Float[np.ndarray, "p1 l"]
+    bell: Float[np.ndarray, "p1 l"]
+
+
+class Hold(NamedTuple):
+    """What keeps the places of steps near their starts: the variance of the noise over the squares of `stiff_px`, those of the
+    first place and of the others."""
+
+    variance: float
+    stiff_px: Float[np.ndarray, "2"]
+
+
+class Fit(NamedTuple):
+    """Room for the fit of one profile, used again for the next."""
+
+    scaled: Float[np.ndarray, "c k"]
+    """Profile times weights, y."""
+    design: Float[np.ndarray, "s1 k"]
+    """D, a row for the level and one for each step."""
+    slope: Float[np.ndarray, "s k"]
+    """Its derivative by the places of the steps."""
+    factor: Float[np.ndarray, "s1 s1"]
+    """Of N = D'D + R."""
+    ridge: Float[np.ndarray, " s1"]
+    """R."""
+    height: Float[np.ndarray, "c s1"]
+    """h."""
+
+
+class Move(NamedTuple):
+    """Room for the places of the steps of one profile and how they move."""
+
+    here: Float[np.ndarray, " s"]
+    kept: Float[np.ndarray, " s"]
+    hessian: Float[np.ndarray, "s s"]
+    pull: Float[np.ndarray, "1 s"]
+    column: Float[np.ndarray, "s s1"]
+    back: Float[np.ndarray, "s s1"]
+
+
 @njit(cache=True, nogil=True)
 @no_type_check
-def _blurred_steps(blur: float, between: float) -> tuple[np.ndarray, np.ndarray]:
+def _blurred_steps(blur: float, between: float) -> Table:
     """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in
     row j and column i: a step at any place is read from two rows, at as many columns as there are offsets."""
     columns = int(2.0 * (_FARTHEST_PX + _WIDEST_PX) / between) + 2
@@ -43,23 +86,16 @@ def _blurred_steps(blur: float, between: float) -> tuple[np.ndarray, np.ndarray]
             x = ((j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX) / blur
             half[j, i] = 0.5 * math.erf(x * 0.7071067811865476)
             bell[j, i] = math.exp(-0.5 * x * x) / (blur * 2.5066282746310002)
-    return half, bell
+    return Table(half, bell)
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _blurred_step(
-    offsets: np.ndarray,
-    weight: np.ndarray,
-    place: float,
-    half: np.ndarray,
-    bell: np.ndarray,
-    j: int,
-    design: np.ndarray,
-    slope: np.ndarray,
-) -> None:
+def _blurred_step(window: Window, place: float, steps: Table, j: int, design: np.ndarray, slope: np.ndarray) -> None:
     """A weighted step of 1 about 0 and its derivative by its place: between rows of the table by Hermite's cubic (good to 1e-8)
     and by a line (good to 2e-4)."""
+    offsets, weight = window.offsets_px, window.weight
+    half, bell = steps
     between = offsets[1] - offsets[0]
     x = (offsets[0] - min(max(place, -_FARTHEST_PX), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
     i = int(x)
@@ -133,24 +169,12 @@ def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> Non
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _heights(
-    offsets: np.ndarray,
-    weight: np.ndarray,
-    place: np.ndarray,
-    steps: int,
-    half: np.ndarray,
-    bell: np.ndarray,
-    scaled: np.ndarray,
-    design: np.ndarray,
-    slope: np.ndarray,
-    factor: np.ndarray,
-    ridge: np.ndarray,
-    height: np.ndarray,
-) -> float:
+def _heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fit) -> float:
     """Fill the design D for steps at these places, its slope, the factor of N = D'D + R, the ridge R and the heights
     h = N^-1 D'y; and the sum of squares that they leave of y, y'y - h'D'y - h'Rh."""
+    scaled, design, slope, factor, ridge, height = fit
     for j in range(steps):
-        _blurred_step(offsets, weight, place[j], half, bell, j, design, slope)
+        _blurred_step(window, place[j], table, j, design, slope)
     for p in range(steps + 1):
         for q in range(p + 1):
             factor[p, q] = _inner(design, p, design, q)
@@ -174,21 +198,11 @@ def _heights(
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _newton(
-    steps: int,
-    scaled: np.ndarray,
-    design: np.ndarray,
-    slope: np.ndarray,
-    factor: np.ndarray,
-    ridge: np.ndarray,
-    height: np.ndarray,
-    hessian: np.ndarray,
-    pull: np.ndarray,
-    column: np.ndarray,
-    back: np.ndarray,
-) -> None:
+def _newton(steps: int, fit: Fit, move: Move) -> None:
     """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and
     w = D's, they hold s's - 2 w' N^-1 w + w' N^-1 D'D N^-1 w and s'r - w' N^-1 D'r, where D'r = R h."""
+    scaled, design, slope, factor, ridge, height = fit
+    _, _, hessian, pull, column, back = move
     for i in range(steps):
         for p in range(steps + 1):
             column[i, p] = _inner(design, p, slope, i)
@@ -212,36 +226,17 @@ def _newton(
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _places(
-    offsets: np.ndarray,
-    weight: np.ndarray,
-    start: np.ndarray,
-    stiff: np.ndarray,
-    square: float,
-    rounds: int,
-    half: np.ndarray,
-    bell: np.ndarray,
-    scaled: np.ndarray,
-    here: np.ndarray,
-    kept: np.ndarray,
-    design: np.ndarray,
-    slope: np.ndarray,
-    factor: np.ndarray,
-    ridge: np.ndarray,
-    height: np.ndarray,
-    hessian: np.ndarray,
-    pull: np.ndarray,
-    column: np.ndarray,
-    back: np.ndarray,
-) -> float:
+def _places(window: Window, start: np.ndarray, hold: Hold, rounds: int, table: Table, fit: Fit, move: Move) -> float:
     """Gauss and Newton from `start` (s), damped, to the places `kept`; the sum of squares that they leave. Design, heights and
     what follows are then as `_heights` and `_newton` leave them. Of a single round the step is taken unseen."""
+    here, kept, hessian, pull, _, _ = move
+    square, stiff = hold
     steps = len(start)
     for j in range(steps):
         here[j], kept[j] = start[j], start[j]
     least, left, refused = np.inf, 0.0, False
     for number in range(rounds):
-        squares = _heights(offsets, weight, here, steps, half, bell, scaled, design, slope, factor, ridge, height)
+        squares = _heights(window, here, steps, table, fit)
         cost = squares
         for j in range(steps):
             cost += square * ((here[j] - start[j]) / stiff[min(j, 1)]) ** 2
@@ -255,11 +250,11 @@ def _places(
             kept[j] = here[j]
         if number > 0 and number == rounds - 1:
             break
-        _newton(steps, scaled, design, slope, factor, ridge, height, hessian, pull, column, back)
+        _newton(steps, fit, move)
         for j in range(steps):
-            hold = square / stiff[min(j, 1)] ** 2
-            hessian[j, j] += hold + 1e-9
-            pull[0, j] += hold * (start[j] - here[j])
+            back = square / stiff[min(j, 1)] ** 2
+            hessian[j, j] += back + 1e-9
+            pull[0, j] += back * (start[j] - here[j])
         _factor(hessian, steps)
         _solve(hessian, steps, pull, 0)
         farthest = 0.0
@@ -272,77 +267,57 @@ def _places(
                 kept[j] = here[j]
             break
     if refused:
-        left = _heights(offsets, weight, kept, steps, half, bell, scaled, design, slope, factor, ridge, height)
+        left = _heights(window, kept, steps, table, fit)
     return left
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
 @no_type_check
 def fit_steps(
-    profile: np.ndarray,
-    begin: int,
-    offsets: np.ndarray,
-    weight: np.ndarray,
-    start: np.ndarray,
-    count: np.ndarray,
-    stiff: np.ndarray,
-    sigma: np.ndarray,
-    blur: float,
-    rounds: int,
+    stepped: Stepped, sigma: np.ndarray, window: Window, stiff: np.ndarray, blur: float, rounds: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places (m, s) of the steps of m profiles (m, c, k), begun at `start`; the variance of the first place (m), the heights
-    (m, s, c) and the sum of squares that is left of the weighted profiles (m).
+    """Places (m, s) of the steps of m profiles, begun at theirs; the variance of the first place (m), the heights (m, s, c) and
+    the sum of squares that is left of the weighted profiles (m).
 
-    `offsets`, equally far apart, and `weight` are those of the values of a profile from `begin` on. Profile m has `count` steps
-    and noise of `sigma` in each value. `stiff` (s) are the standard deviations in px of the first place about its start and of
-    the others: a faint step stays where its own arc says. There are at most so many rounds; after a single one, places are
+    Profile m has noise of `sigma` in each value. `stiff` (2) are the standard deviations in px of the first place about its start
+    and of the others: a faint step stays where its own arc says. There are at most so many rounds; after a single one, places are
     good to first order, and all else is that of their start.
     """
-    m, channels, size = len(profile), profile.shape[1], len(offsets)
+    profile, start, count = stepped
+    m, channels, size, begin = len(profile), profile.shape[1], len(window.weight), window.begin
     known = min(size, profile.shape[2] - begin)
     place, variance = start.copy(), np.full(m, np.inf)
     heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros(m)
-    design, slope = np.empty((MOST_STEPS + 1, size)), np.empty((MOST_STEPS, size))
-    factor, ridge = np.empty((MOST_STEPS + 1, MOST_STEPS + 1)), np.empty(MOST_STEPS + 1)
-    height, hessian, pull = np.empty((channels, MOST_STEPS + 1)), np.empty((MOST_STEPS, MOST_STEPS)), np.empty((1, MOST_STEPS))
-    column, back = np.empty((MOST_STEPS, MOST_STEPS + 1)), np.empty((MOST_STEPS, MOST_STEPS + 1))
-    design[0] = weight
-    half, bell = _blurred_steps(blur, offsets[1] - offsets[0])
-    scaled, here, kept = np.zeros((channels, size)), np.empty(MOST_STEPS), np.empty(MOST_STEPS)
+    fit = Fit(
+        np.zeros((channels, size)),
+        np.empty((MOST_STEPS + 1, size)),
+        np.empty((MOST_STEPS, size)),
+        np.empty((MOST_STEPS + 1, MOST_STEPS + 1)),
+        np.empty(MOST_STEPS + 1),
+        np.empty((channels, MOST_STEPS + 1)),
+    )
+    move = Move(
+        np.empty(MOST_STEPS),
+        np.empty(MOST_STEPS),
+        np.empty((MOST_STEPS, MOST_STEPS)),
+        np.empty((1, MOST_STEPS)),
+        np.empty((MOST_STEPS, MOST_STEPS + 1)),
+        np.empty((MOST_STEPS, MOST_STEPS + 1)),
+    )
+    fit.design[0] = window.weight
+    table = _blurred_steps(blur, window.offsets_px[1] - window.offsets_px[0])
     for n in range(m):
         steps = count[n]
         for c in range(channels):
             for k in range(known):
-                scaled[c, k] = profile[n, c, begin + k] * weight[k]
+                fit.scaled[c, k] = profile[n, c, begin + k] * window.weight[k]
         square = sigma[n] * sigma[n]
-        first = start[n, :steps]
-        rest[n] = _places(
-            offsets,
-            weight,
-            first,
-            stiff,
-            square,
-            rounds,
-            half,
-            bell,
-            scaled,
-            here,
-            kept,
-            design,
-            slope,
-            factor,
-            ridge,
-            height,
-            hessian,
-            pull,
-            column,
-            back,
-        )
-        pull[0, :steps] = 0.0
-        pull[0, 0] = 1.0
-        _solve(hessian, steps, pull, 0)
-        variance[n] = square * pull[0, 0]
-        place[n, :steps] = kept[:steps]
+        rest[n] = _places(window, start[n, :steps], Hold(square, stiff), rounds, table, fit, move)
+        move.pull[0, :steps] = 0.0
+        move.pull[0, 0] = 1.0
+        _solve(move.hessian, steps, move.pull, 0)
+        variance[n] = square * move.pull[0, 0]
+        place[n, :steps] = move.kept[:steps]
         for c in range(channels):
-            heights[n, :steps, c] = height[c, 1 : steps + 1]
+            heights[n, :steps, c] = fit.height[c, 1 : steps + 1]
     return place, variance, heights, rest

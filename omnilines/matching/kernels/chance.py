@@ -9,7 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.matching.kernels.hypothesis import LEAST_LIKENESS, LEAST_OVERLAP, likeness
+from omnilines.matching.kernels.hypothesis import likeness
+from omnilines.matching.options import LikenessOptions
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -26,6 +27,8 @@ def shown_and_beside(
     starts: np.ndarray,
     reach_px: float,
     most_square: float,
+    min_overlap_share: float,
+    looks: LikenessOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of l lines in m photos: (l, m) widths (px) within which an arc of the photo shows the line, NaN where none does; and the
     length (px) of all other places, up to `reach_px` to both sides, at which arcs of the photo would show it.
@@ -49,7 +52,7 @@ def shown_and_beside(
                 mine = own[arc] == line
                 if not mine and not close[arc - begin]:
                     continue
-                flipped = _seen(packed[arc], direction[line], view, mine, at)
+                flipped = _seen(packed[arc], direction[line], view, mine, min_overlap_share, at)
                 if flipped < 0:
                     continue
                 first, second = at[2] / packed[arc, 12], at[3] / packed[arc, 13]
@@ -57,7 +60,9 @@ def shown_and_beside(
                 square = first * first + second * second
                 middle = (h * first + k * second) / square
                 rest = most_square - (h * h + k * k - middle * middle * square)
-                if not mine and (rest <= 0.0 or likeness(line_colours[line], colours[arc], flipped > 0) < LEAST_LIKENESS):
+                if not mine and (
+                    rest <= 0.0 or likeness(line_colours[line], colours[arc], flipped > 0, looks) < looks.min_likeness
+                ):
                     continue
                 middle, half = middle / px_rad[arc], math.sqrt(max(rest, 0.0) / square) / px_rad[arc]
                 if mine or abs(middle) < half:
@@ -102,7 +107,7 @@ def _within(ends: np.ndarray, view: np.ndarray, most_rad: np.ndarray, close: np.
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, out: np.ndarray) -> int:
+def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, min_overlap_share: float, out: np.ndarray) -> int:
     """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
 
     1 where the arc runs against the line, 0 where along it, -1 where it is not its own and does not lie beside it.
@@ -112,7 +117,8 @@ def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, out: np.nd
     first = math.atan2(p[0] * d[0] + p[1] * d[1] + p[2] * d[2], p[0] * view[3] + p[1] * view[4] + p[2] * view[5])
     last = math.atan2(p[3] * d[0] + p[4] * d[1] + p[5] * d[2], p[3] * view[3] + p[4] * view[4] + p[5] * view[5])
     low, high, begin, end = min(first, last), max(first, last), view[6], view[7]
-    if not mine and (high - low > math.pi or min(end, high) - max(begin, low) < LEAST_OVERLAP * min(end - begin, high - low)):
+    overlap, shorter = min(end, high) - max(begin, low), min(end - begin, high - low)
+    if not mine and (high - low > math.pi or overlap < min_overlap_share * shorter):
         return -1
     out[2], out[3] = math.cos(first - view[8]), math.cos(last - view[8])
     return 1 if last < first else 0

@@ -11,26 +11,18 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-LEAST_OVERLAP = 0.25
-"""Of the shorter of two stretches of the line, seen in two photos."""
-MOST_SIGMA = 0.3
-"""Largest standard deviation of an inverse depth, as a share of it: farther lines, and baselines along the plane, say nothing."""
-COLOUR_SIGMA, GAIN_SIGMA = 0.12, 0.25
-"""Of the logarithm of a colour beside one edge in two photos, and of a gain common to all of them."""
-ONE_SIDE = 3.0
-"""Added to chi-square where only one side looks the same: the other may be seen through to something else."""
-LEAST_LIKENESS = 0.05
+from omnilines.matching.options import HypothesisOptions, LikenessOptions
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
+def likeness(first: np.ndarray, second: np.ndarray, flipped: bool, options: LikenessOptions) -> float:
     """exp(-chi-square / 2) per degree of freedom of the colours (side, channel) of two arcs, in (0, 1]; 0.3 if unknown.
 
     With differences x of n logarithms, each of variance s^2 but for a common gain of variance t^2, chi-square is
     (sum x^2 - t^2 (sum x)^2 / (s^2 + n t^2)) / s^2.
     """
-    noise, gain = COLOUR_SIGMA**2, GAIN_SIGMA**2
+    noise, gain = options.colour_sigma**2, options.gain_sigma**2
     total, square, best, known = 0.0, 0.0, np.inf, 0
     for side in range(2):
         other = 1 - side if flipped else side
@@ -45,13 +37,13 @@ def likeness(first: np.ndarray, second: np.ndarray, flipped: bool) -> float:
         total += own_total
         square += own_square
         one = (own_square - gain * own_total**2 / (noise + 3 * gain)) / noise
-        best = min(best, one / 3 + ONE_SIDE)
+        best = min(best, one / 3 + options.one_side_chi_square)
     if known == 0:
         return 0.3
     if known == 2:
         best = min(best, (square - gain * total**2 / (noise + 6 * gain)) / noise / 6)
     else:
-        best -= 0.5 * ONE_SIDE
+        best -= 0.5 * options.one_side_chi_square
     return math.exp(-0.5 * best)
 
 
@@ -68,7 +60,7 @@ def cross_variance(x: float, y: float, cosine: float, sine: float, first: float,
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 @no_type_check
-def depths(i: int, j: int, packed: np.ndarray, out: np.ndarray) -> bool:
+def depths(i: int, j: int, packed: np.ndarray, options: HypothesisOptions, out: np.ndarray) -> bool:
     """The line of arcs i and j: inverse depths at both ends of i and their standard deviations into `out`; false if none.
 
     A row of `packed` holds both end bearings, normal and centre (world) and the standard deviations of both ends across the arc.
@@ -98,17 +90,17 @@ def depths(i: int, j: int, packed: np.ndarray, out: np.ndarray) -> bool:
     flipped = high < low
     if flipped:
         low, high = high, low
-    if min(high, length) - max(low, 0.0) < LEAST_OVERLAP * min(high - low, length):
+    if min(high, length) - max(low, 0.0) < options.min_overlap_share * min(high - low, length):
         return False
     out[0], out[1] = m1 / mb, m2 / mb
     out[4] = 1.0 if flipped else 0.0
-    return _depth_sigmas(p, q, bx, by, bz, mb, out)
+    return _depth_sigmas(p, q, bx, by, bz, mb, options.max_depth_sigma_share, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 @no_type_check
-def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float, mb: float, out: np.ndarray) -> bool:
-    """Standard deviations of the inverse depths in `out`; false where they say nothing.
+def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float, mb: float, most: float, out: np.ndarray) -> bool:
+    """Standard deviations of the inverse depths in `out`; false where they are above `most` of them.
 
     du = dm . (V - u b) / m.b, and V - u b points from centre j to the point that is seen, in the plane of j.
     """
@@ -120,7 +112,7 @@ def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float,
         x, y, z = p[3 * end] - u * bx, p[3 * end + 1] - u * by, p[3 * end + 2] - u * bz
         ahead, beside = x * q[0] + y * q[1] + z * q[2], x * fx + y * fy + z * fz
         variance = cross_variance(ahead, beside, cosine, sine, q[12], q[13]) + (mn * p[12 + end]) ** 2
-        if variance > (MOST_SIGMA * u * mb) ** 2:
+        if variance > (most * u * mb) ** 2:
             return False
         out[2 + end] = math.sqrt(variance) / abs(mb)
     return True
@@ -133,6 +125,8 @@ def partners(
     others: np.ndarray,
     packed: np.ndarray,
     colours: np.ndarray,
+    options: HypothesisOptions,
+    looks: LikenessOptions,
     arc: np.ndarray,
     found: np.ndarray,
     weight: np.ndarray,
@@ -141,10 +135,10 @@ def partners(
     count = 0
     out = np.empty(5)
     for j in others:
-        if not depths(i, j, packed, out):
+        if not depths(i, j, packed, options, out):
             continue
-        alike = likeness(colours[i], colours[j], out[4] > 0.5)
-        if alike < LEAST_LIKENESS:
+        alike = likeness(colours[i], colours[j], out[4] > 0.5, looks)
+        if alike < looks.min_likeness:
             continue
         arc[count], weight[count] = j, alike
         for k in range(4):
@@ -155,9 +149,11 @@ def partners(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def likenesses(first: np.ndarray, second: np.ndarray, one: np.ndarray, other: np.ndarray, flipped: np.ndarray) -> np.ndarray:
+def likenesses(
+    first: np.ndarray, second: np.ndarray, one: np.ndarray, other: np.ndarray, flipped: np.ndarray, options: LikenessOptions
+) -> np.ndarray:
     """`likeness` of rows of two tables of colours."""
     found = np.empty(len(one))
     for k in range(len(one)):
-        found[k] = likeness(first[one[k]], second[other[k]], flipped[k])
+        found[k] = likeness(first[one[k]], second[other[k]], flipped[k], options)
     return found

@@ -13,9 +13,8 @@ from numba import njit
 
 from omnilines.matching.kernels.epipolar import arcs_across, arcs_by_angle
 from omnilines.matching.kernels.hypothesis import partners
+from omnilines.matching.options import HypothesisOptions, LikenessOptions
 
-GATE = 3.0
-"""Standard deviations within which two depths agree."""
 STRIDE = 16
 """Pairs at a time by which the pairs near one are looked for."""
 
@@ -30,6 +29,8 @@ def best_lines(
     packed: np.ndarray,
     colours: np.ndarray,
     most: int,
+    options: HypothesisOptions,
+    looks: LikenessOptions,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of each arc of `rows`: inverse depths at both ends, score and best rival, up to `most` supporters, candidates.
 
@@ -45,15 +46,15 @@ def best_lines(
             photo = image[rows[k]]
             frames, begin, members = arcs_by_angle(photo, np.flatnonzero(neighbours[photo]), starts, packed)
         across = others[: arcs_across(packed[rows[k]], frames, begin, members, k, seen, others)]
-        count = partners(rows[k], across, packed, colours, arc, found, weight)
+        count = partners(rows[k], across, packed, colours, options, looks, arc, found, weight)
         tried[k] = count
         if not count:
             continue
         order = np.argsort(found[:count, 0])
         pairs = by_first_depth(found[:count], order)
-        scores = pair_scores(pairs, order, weight[:count], image[arc[:count]])
-        best, score[k, 0], score[k, 1] = _best(pairs, scores)
-        _gather(best, pairs, arc[order], weight[order], depth[k], support[k])
+        scores = pair_scores(pairs, order, weight[:count], image[arc[:count]], options.agree_sigmas)
+        best, score[k, 0], score[k, 1] = _best(pairs, scores, options.agree_sigmas)
+        _gather(best, pairs, arc[order], weight[order], options.agree_sigmas, depth[k], support[k])
     return depth, score, support, tried
 
 
@@ -71,9 +72,10 @@ def by_first_depth(found: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def pair_scores(pairs: np.ndarray, order: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def pair_scores(pairs: np.ndarray, order: np.ndarray, weight: np.ndarray, seen: np.ndarray, gate: float) -> np.ndarray:
     """What the other photos give to each pair; weight and photo are those of the pairs as they were before they were ordered,
-    which is photo by photo: so the votes of one photo are in the fastest memory."""
+    which is photo by photo: so the votes of one photo are in the fastest memory. Depths agree within `gate` standard
+    deviations."""
     count = len(order)
     place = np.empty(count, dtype=np.int64)
     for h in range(count):
@@ -85,19 +87,19 @@ def pair_scores(pairs: np.ndarray, order: np.ndarray, weight: np.ndarray, seen: 
             votes[:] = 0.0
         h = place[k]
         # A pair votes within its own standard deviation: most of them are small, and so is what they are compared with.
-        reach = math.sqrt(2.0) * GATE * math.sqrt(pairs[2, h])
+        reach = math.sqrt(2.0) * gate * math.sqrt(pairs[2, h])
         low, high = h, h + 1
         while low > 0 and first[low] >= first[h] - reach:
             low = max(low - STRIDE, 0)
         while high < count and first[high - 1] <= first[h] + reach:
             high = min(high + STRIDE, count)
-        _vote(pairs, h, low, high, weight[k], votes)
+        _vote(pairs, h, low, high, weight[k], gate, votes)
     return scores + votes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _vote(pairs: np.ndarray, own: int, low: int, high: int, weight: float, votes: np.ndarray) -> None:
+def _vote(pairs: np.ndarray, own: int, low: int, high: int, weight: float, gate: float, votes: np.ndarray) -> None:
     """Give the pairs from `low` to `high` what one of them gives, where that is more than they have.
 
     This is `_square` and exp(-chi-square / 4) without a branch and on slices, whose indices are never negative: so it is
@@ -106,7 +108,7 @@ def _vote(pairs: np.ndarray, own: int, low: int, high: int, weight: float, votes
     a, b, a_variance, b_variance = pairs[0, own], pairs[1, own], pairs[2, own], pairs[3, own]
     first, second = pairs[0][low:high], pairs[1][low:high]
     first_variance, second_variance = pairs[2][low:high], pairs[3][low:high]
-    best = votes[low:high]
+    best, most = votes[low:high], gate**2
     for h in range(len(best)):
         off, other = first[h] - a, second[h] - b
         spread, wide = a_variance + first_variance[h], b_variance + second_variance[h]
@@ -118,7 +120,7 @@ def _vote(pairs: np.ndarray, own: int, low: int, high: int, weight: float, votes
         near = 1.0 + x * (1.0 + x * (1 / 2 + x * (1 / 6 + x * near)))
         near = near * near
         near = near * near
-        vote = weight * near * near if square <= GATE**2 else 0.0
+        vote = weight * near * near if square <= most else 0.0
         best[h] = vote if vote > best[h] else best[h]
 
 
@@ -136,22 +138,24 @@ def _square(pairs: np.ndarray, one: int, other: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _best(pairs: np.ndarray, scores: np.ndarray) -> tuple[int, float, float]:
+def _best(pairs: np.ndarray, scores: np.ndarray, gate: float) -> tuple[int, float, float]:
     """Which pair of depths the other photos agree on most, its score, and that of its best rival."""
     best, rival = np.argmax(scores), 0.0
     for h in range(len(scores)):
-        if scores[h] > rival and _square(pairs, best, h) > GATE**2:
+        if scores[h] > rival and _square(pairs, best, h) > gate**2:
             rival = scores[h]
     return best, scores[best], rival
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _gather(best: int, pairs: np.ndarray, arcs: np.ndarray, weight: np.ndarray, depth: np.ndarray, support: np.ndarray) -> None:
+def _gather(
+    best: int, pairs: np.ndarray, arcs: np.ndarray, weight: np.ndarray, gate: float, depth: np.ndarray, support: np.ndarray
+) -> None:
     """The arcs that agree with the best pair of depths, and the weighted mean of their depths."""
     sums, weights, at = np.zeros(2), np.zeros(2), 0
     for k in range(len(arcs)):
-        if _square(pairs, best, k) > GATE**2:
+        if _square(pairs, best, k) > gate**2:
             continue
         if at < len(support):
             support[at] = arcs[k]

@@ -15,7 +15,7 @@ from omnilines.triangulation.kernels.sums import line_moment, row_information
 
 
 class ConsensusRules(NamedTuple):
-    """What a consensus is decided by: see the constants of `consensus.py`."""
+    """What a consensus is decided by: see `ConsensusOptions`, and the constants of `consensus.py`."""
 
     variance: float
     row_limit: float

@@ -12,7 +12,7 @@ from numba import njit
 from omnilines.triangulation.kernels.small import cross
 from omnilines.triangulation.kernels.sums import add_ends, row_information
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-10, 1e-14, 1e8
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-10, 1e-14, 1e8
 """Relative to the diagonal. The start is good, and damping would freeze a far line, which eigenvalues near 1e-11 determine."""
 TOLERANCE = 1e-12
 """A track is done when the decrease of its cost that the linear model promises is below this share of it."""
@@ -187,8 +187,8 @@ def refine_rows(track, noise, rows, origin, scale, chart, least_phi, most_phi, i
             rounding = left
         else:
             damping, growth = damping * growth, 2.0 * growth
-        damping = max(damping, LEAST_DAMPING)
-        if settled or damping >= MOST_DAMPING:
+        damping = max(damping, MIN_DAMPING)
+        if settled or damping >= MAX_DAMPING:
             return
 
 

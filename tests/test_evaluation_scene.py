@@ -112,15 +112,15 @@ def test_what_enough_photos_see() -> None:
     score = scored(found, seen)
     np.testing.assert_allclose(score.visible_of_edge_m, [2 * 0.4, 0.0, 0.0])
     np.testing.assert_allclose(score.recall, (0.2 + 2 * np.array([0.001, 0.005, 0.010])) / 0.8)
-    assert scored(found, seen, least_views=3).visible_m == pytest.approx(2 * 0.8)
+    assert scored(found, seen, min_views=3).visible_m == pytest.approx(2 * 0.8)
     # The faint photo sees it all, so that three of the other four are enough.
-    assert scored(found, seen, least_contrast=5.0).visible_m == pytest.approx(2 * 0.8)
+    assert scored(found, seen, min_contrast=5.0).visible_m == pytest.approx(2 * 0.8)
     assert scored(found, seen, colour=False).visible_m == pytest.approx(2 * 0.3)
-    assert math.isnan(scored(found, seen, least_views=6).recall[0])
+    assert math.isnan(scored(found, seen, min_views=6).recall[0])
     # Every row is 100 px: only the first photo's two, which touch, are a stretch of more.
-    assert scored(found, seen, least_px=100.0).visible_m == pytest.approx(0.8)
-    assert scored(found, seen, least_px=150.0, least_views=1).visible_m == pytest.approx(2.0)
-    assert scored(found, seen, least_px=150.0).visible_m == 0.0
+    assert scored(found, seen, min_px=100.0).visible_m == pytest.approx(0.8)
+    assert scored(found, seen, min_px=150.0, min_views=1).visible_m == pytest.approx(2.0)
+    assert scored(found, seen, min_px=150.0).visible_m == 0.0
 
 
 def test_repeated_lines() -> None:
@@ -141,7 +141,7 @@ def test_against_samples() -> None:
     t = np.sort(rng.uniform(0.0, 1.0, (240, 2)), -1)
     seen = Stretches(PHOTOS, image, edge, t, np.ones(240), np.full(240, 50.0), np.full(240, 50.0))
     thresholds = (0.004, 0.02)
-    score = scene_scores(lines, TrueEdges(tuple(map(str, range(40))), edges), seen, thresholds, least_views=2)
+    score = scene_scores(lines, TrueEdges(tuple(map(str, range(40))), edges), seen, thresholds, min_views=2)
 
     def sampled(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         share = (np.arange(2000) + 0.5) / 2000

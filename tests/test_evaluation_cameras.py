@@ -17,10 +17,11 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
-from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors, symmetric_form
+from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors
 from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
 from omnilines.records import ImagePoses
-from omnilines.synthetic.targets import board_angle_rad, example_camera, render_board_photos, simulate_corners
+from omnilines.synthetic.targets import board_angle_rad, example_camera, simulate_corners
 
 SIZE = (640, 480)
 BOARD = pattern("checkerboard:8x6:30mm")
@@ -59,7 +60,7 @@ def test_pixels_that_the_estimate_does_not_see_count_as_wrong() -> None:
 
 @pytest.mark.parametrize("model", [SLANTED, *Scaramuzza.examples()])
 def test_the_symmetric_form_is_the_same_camera_turned_about_its_axis(model: Scaramuzza) -> None:
-    turned = symmetric_form(model)
+    turned = model.calibrated_form()
     named = turned.named_parameters()
     assert named["e"] == pytest.approx(named["d"], abs=1e-15)
     rng = np.random.default_rng(0)
@@ -71,12 +72,12 @@ def test_the_symmetric_form_is_the_same_camera_turned_about_its_axis(model: Scar
     angles = np.arctan2(new[both, 1], new[both, 0]) - np.arctan2(old[both, 1], old[both, 0])
     off = np.abs(np.exp(1j * angles) - np.exp(1j * angles[0]))
     assert off.max() < 1e-9
-    assert symmetric_form(turned).parameters.tolist() == pytest.approx(turned.parameters.tolist(), rel=1e-12)
+    assert turned.calibrated_form().parameters.tolist() == pytest.approx(turned.parameters.tolist(), rel=1e-12)
 
 
 def test_errors_of_parameters_follow_chi_square() -> None:
     """Draws from a known covariance along the estimated directions: the mean is q, and the limit is passed once in 1000."""
-    truth = symmetric_form(SLANTED)
+    truth = SLANTED.calibrated_form()
     basis = truth.calibration_basis().numpy()
     q = basis.shape[1]
     rng = np.random.default_rng(3)
@@ -201,8 +202,6 @@ def test_what_a_model_cannot_hold_is_refused() -> None:
         example_camera("scaramuzza", 190.0, SIZE, -1)
     with pytest.raises(InputError, match="40x40"):
         example_camera("scaramuzza", 190.0, (20, 20), 0)
-    with pytest.raises(InputError, match="At least 1 view"):
-        next(render_board_photos(FISHEYE, BOARD, 0, 0, 1.0))
 
 
 def test_simulated_corners_have_the_noise_asked_for() -> None:
@@ -216,14 +215,15 @@ def test_simulated_corners_have_the_noise_asked_for() -> None:
 
 
 def test_photos_are_named_in_order_and_differ_by_seed() -> None:
-    def draw(seed: int) -> list[tuple[str, np.ndarray, Pose]]:
-        return list(render_board_photos(FISHEYE, BOARD, 2, seed, math.radians(60.0)))
+    def draw(seed: int) -> RenderedTargets:
+        return render_targets(BOARD, FISHEYE, RenderOptions(views=2, seed=seed), max_angle_deg=60.0)
 
     first, again, other = draw(0), draw(0), draw(1)
-    assert [name for name, _, _ in first] == ["view00.png", "view01.png"]
-    assert all((a[1] == b[1]).all() for a, b in zip(first, again, strict=True))
-    assert any((a[1] != b[1]).any() for a, b in zip(first, other, strict=True))
-    assert first[0][1].shape == (480, 640) and not torch.equal(first[0][2].translation, other[0][2].translation)
+    assert list(first.photos) == ["view00.png", "view01.png"]
+    assert all((first.photos[name] == again.photos[name]).all() for name in first.photos)
+    assert any((first.photos[name] != other.photos[name]).any() for name in first.photos)
+    assert first.photos["view00.png"].shape == (480, 640)
+    assert not torch.equal(first.cam_from_board.translation, other.cam_from_board.translation)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtr
 
-from calib_patterns.saddle_window_kernel import FIRST_FREE_ROW, GREY, PARAMETERS, ROW_LENGTH, U, V, window
+from calib_patterns.kernels.saddle_window import FIRST_FREE_ROW, GREY, PARAMETERS, ROW_LENGTH, U, V, window
 
 JACOBIAN, LEFT, BUFFER_ROWS = FIRST_FREE_ROW, FIRST_FREE_ROW + PARAMETERS, FIRST_FREE_ROW + PARAMETERS + 1
 """More rows of the buffer: derivatives of the model, and what it leaves (observed minus model)."""

@@ -1,0 +1,1 @@
+"""The compiled loops of detection; each has a plain reference in its test."""

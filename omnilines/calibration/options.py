@@ -1,0 +1,72 @@
+"""What can be asked of a calibration, of one camera or of a rig."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+from camera_models import InputError, model_class
+from omnilines.least_squares import Loss
+
+AUTO = "auto"
+"""In the place of a model's name: fit all and take the one that predicts held-out views best."""
+REFINABLE = ("aspect", "flatness")
+"""What can be estimated of a board (`board_shape`)."""
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """What can be asked of a calibration. Raises InputError where it cannot work, before any photo is looked at."""
+
+    model: str = "scaramuzza"
+    """Name of a camera model, or "auto": fit all and take the one that predicts held-out views best."""
+    degree: int | None = None
+    """Of the polynomial of a scaramuzza camera; without it that is chosen by held-out views."""
+    coefficients: int | None = None
+    """Of the distortion of a pinhole camera: 0, 5 or 8; without it 5, of which those that the views do not support are held."""
+    loss: str = "cauchy"
+    """Plain least squares of every corner ("none"), or the loss by which those that do not fit are found ("huber", "cauchy")."""
+    mirror: bool = False
+    """Whether the camera looks into a mirror (a0 < 0)."""
+    refine_board: tuple[str, ...] = ()
+    """What is estimated of the board: "aspect", "flatness" or both."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot work."""
+        if self.model != AUTO:
+            model_class(self.model)
+        elif self.of_model:
+            raise InputError(
+                f"`model` auto tries every number of coefficients itself, found `{next(iter(self.of_model))}` beside it; "
+                "leave that out or name a model."
+            )
+        Loss(self.loss)
+        require_refinable(self.refine_board)
+        if self.degree is not None and self.degree < 2:
+            raise InputError(f"`degree` was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
+
+    @property
+    def of_model(self) -> dict[str, int]:
+        """The options that go to the model."""
+        given = {"degree": self.degree, "coefficients": self.coefficients}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+class CalibrationFields(TypedDict, total=False):
+    """Fields of `CalibrationOptions` that a call may give by name."""
+
+    model: str
+    degree: int | None
+    coefficients: int | None
+    loss: str
+    mirror: bool
+    refine_board: tuple[str, ...]
+
+
+def require_refinable(names: Sequence[str]) -> None:
+    """Raises InputError where something else than REFINABLE is to be estimated of a board."""
+    unknown = [name for name in names if name not in REFINABLE]
+    if unknown:
+        raise InputError(
+            f"What can be refined of a board is {' and '.join(REFINABLE)}, found '{unknown[0]}'; give one or both as "
+            "`refine_board`, as in aspect,flatness."
+        )

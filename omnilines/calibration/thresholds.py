@@ -1,0 +1,162 @@
+"""The thresholds that decide a calibration: frozen groups, one for each concern, each number with its unit and its meaning."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class ViewThresholds(NamedTuple):
+    """Which views can be used, and which are named."""
+
+    least_views: int = 3
+    """Views that a calibration needs."""
+    least_corners: int = 6
+    """Corners that a view must have: fewer do not determine its radial start."""
+    many_rejected_share: float = 0.1
+    """A view with more than this share of its corners rejected is named by itself."""
+    leverage_share: float = 0.5
+    """A view that decides more than this share of the parameters is named."""
+
+
+class ScreeningThresholds(NamedTuple):
+    """Gross errors, found before any camera is known."""
+
+    far_factor: float = 6.0
+    """Corners farther from the polynomial of their view than this many times its median distance are gross errors."""
+    near_px: float = 2.0
+    """Corners nearer to the polynomial are never gross errors."""
+    disorder_share: float = 0.05
+    """A view whose median distance from its polynomial is more than this share of its own extent is not a board in order."""
+
+
+class StartThresholds(NamedTuple):
+    """Where a calibration starts, and when another start is tried."""
+
+    good_start_share: float = 0.005
+    """A closed-form start with a typical residual below this share of the image's longer side needs no alternatives."""
+    half_angles_deg: tuple[float, ...] = (25.0, 45.0, 70.0, 90.0, 110.0)
+    """Equidistant lenses tried beside the closed-form start, by the angle at the farthest corner."""
+    odd_view_factor: float = 5.0
+    """Views whose typical residual is this many times that of the others do not take part in the closed form."""
+    good_fit_share: float = 0.001
+    """A robust fit with a scale below this share of the image's longer side needs no other start."""
+    most_starts: int = 4
+    """Starts from which a robust fit is tried."""
+
+
+class RobustThresholds(NamedTuple):
+    """The robust fit, and the corners that it rejects."""
+
+    loss_scale: float = 2.0
+    """Scale of the loss, in robust standard deviations of the residuals."""
+    reject_sigma: float = 4.5
+    """Corners farther than this many robust standard deviations (of the norm) are rejected."""
+    many_unknowns_share: float = 0.25
+    """Unknowns over residuals from which the robust scale is taken without as many of the smallest residuals."""
+
+
+class HeldOutThresholds(NamedTuple):
+    """How models, degrees and distortion terms are compared by views that a fit has not seen."""
+
+    least_views: int = 5
+    """Fewer views do not tell degrees or models apart."""
+    no_worse_factor: float = 1.005
+    """A held-out error (RMS) that is greater by less than this factor is no reason for another parameter."""
+    risen_factor: float = 1.1
+    """A held-out error greater than the least by this factor will not fall again with fewer coefficients."""
+    beyond_factor: float = 1.1
+    """The curve of a model must grow up to this many times the radius of the outermost corner."""
+
+    @property
+    def few_parameters_share(self) -> float:
+        """Parameters for each corner below which terms that a lens does without do no harm: q of them raise the held-out error
+        (RMS) of n corners by a share of about q / 2n."""
+        return 2 * (self.no_worse_factor - 1)
+
+
+class DegeneracyThresholds(NamedTuple):
+    """Sets of views that leave a camera open, or part of the image."""
+
+    parallel_deg: float = 3.0
+    """Boards whose normals all agree within this angle count as parallel: their tilt is then mostly noise."""
+    nearly_parallel_deg: float = 15.0
+    """Where the camera is left open, boards within this angle are named as the cause."""
+    one_axis_deg: float = 3.0
+    """Boards whose normals all lie within this angle of a plane count as tilted about one axis."""
+    open_share: float = 0.1
+    """A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
+    rim_share: float = 0.05
+    """Share of rejected corners among the outer ones from which the model may be at fault."""
+    rim_factor: float = 4.0
+    """The model is at fault where that is so many times the share among the inner corners."""
+
+
+class NoiseThresholds(NamedTuple):
+    """What is taken of the noise of corners, and when it is doubted."""
+
+    corner_floor_px: float = 0.01
+    """Corners found in photos are never taken to be better than this when uncertainty is stated. On rendered boards without noise
+    the detector is still off by some 0.004 px, neighbours alike, which residuals do not show: over 28 rendered sets the squared
+    errors of the parameters were 1.5 times what residuals of 0.006 px promise."""
+    radial_shift_px: float = 0.002
+    """Standard deviation of a radial shift that all corners of a camera have in common (`rig/systematic.py`)."""
+    significance: float = 0.01
+    """The noise is not as stated where residuals as large as those found have a smaller chance than this."""
+    well_below_share: float = 0.5
+    """Residuals below this share of what is stated are named: the statement is then no better than a bound."""
+    large_freedom: int = 30
+    """Degrees of freedom from which Student's t is the normal distribution to 4 percent: fewer are named."""
+    tied_variances: float = 9.0
+    """Minima whose sums of squares differ by less than this many variances (three standard deviations) fit equally well."""
+
+
+class DuplicateThresholds(NamedTuple):
+    """Photos that show the same twice."""
+
+    noise_factor: float = 3.0
+    """Distance of common corners in standard deviations of one corner; the difference of two has 1.4 times its noise, the rest is
+    for a noise that is only estimated."""
+    least_tolerance_px: float = 0.1
+    """That distance, however small the noise: files of corners are rounded, and a copy in another image format moves them."""
+    least_common: int = 6
+    """Fewer common corners do not tell."""
+
+
+class RigThresholds(NamedTuple):
+    """How cameras are put together to a rig, and when one is named."""
+
+    outside_share: float = 0.1
+    """Share of corners outside the field of view of a given calibration from which it is not that of this camera."""
+    agreeing_squares: float = 0.3
+    """Mean distance, in squares of the board as they are seen, up to which a view agrees with a predicted pose: a wrong numbering
+    is off by a whole square or more."""
+    as_numbered_bonus: float = 0.05
+    """Bonus of a view that agrees as it is numbered."""
+    proposers: int = 12
+    """Views with the most corners, each of which proposes a pose for a camera or a board that is added."""
+    agreeing_share: float = 1 / 3
+    """Share of the views that must agree on where a camera stands."""
+    as_numbered_views: int = 3
+    """Views that must agree as they are numbered for no other numbering to be looked for."""
+    as_numbered_share: float = 0.7
+    """Share of the views that must do so."""
+    tied_share: float = 0.9
+    """Another pose that is agreed on as well as this, relative to the best, leaves the numbering open."""
+    as_good_as_alone_factor: float = 1.05
+    """Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
+    worse_than_alone_factor: float = 1.08
+    """A camera whose corners fit the rig worse than this many times as well as alone is named."""
+
+
+@dataclass(frozen=True)
+class CalibrationThresholds:
+    """All thresholds of a calibration."""
+
+    views: ViewThresholds = ViewThresholds()
+    screening: ScreeningThresholds = ScreeningThresholds()
+    start: StartThresholds = StartThresholds()
+    robust: RobustThresholds = RobustThresholds()
+    held_out: HeldOutThresholds = HeldOutThresholds()
+    degeneracy: DegeneracyThresholds = DegeneracyThresholds()
+    noise: NoiseThresholds = NoiseThresholds()
+    duplicates: DuplicateThresholds = DuplicateThresholds()
+    rig: RigThresholds = RigThresholds()

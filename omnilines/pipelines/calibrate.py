@@ -1,0 +1,227 @@
+"""Corners of a target -> a calibrated camera; in photos the camera leads to corners that were missed, and is calibrated anew."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+from jaxtyping import Float
+
+from camera_models import Calibration, CameraModel, InputError, save
+from omnilines.calibration.duplicates import duplicate_views
+from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
+from omnilines.calibration.record import calibration_record
+from omnilines.calibration.select import Selection, select_model
+from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
+from omnilines.files.folders import output_folder
+from omnilines.least_squares import Progress
+from omnilines.pipelines.detect import PhotoCorners, search_again
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Corners, ViewResult
+
+GUIDE = "scaramuzza"
+"""The model that leads to more corners where the user has not chosen one: it fits lenses of every width, and mirrors."""
+SEARCHES = 3
+"""Times at most that a camera is sent out for more corners."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """A calibrated camera, how certain it is, and what it was made from."""
+
+    fit: CameraCalibration
+    """All figures of the fit."""
+    found: PhotoCorners
+    """The corners that it was fitted to, and their photos."""
+    calibration: Calibration
+    """The camera with its uncertainty, views and provenance: what `calibration.yaml` holds."""
+    selection: Selection | None = None
+    """How the camera models compare, where the model was chosen."""
+
+    @property
+    def camera(self) -> CameraModel:
+        """The camera."""
+        return self.fit.model
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """One standard deviation of each parameter."""
+        return self.fit.sigma
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "p p"]:
+        """Of the parameters in the order of `camera.PARAMETER_NAMES`."""
+        return self.fit.covariance
+
+    @property
+    def views(self) -> tuple[ViewResult, ...]:
+        """What became of each view; those of photos without corners are last."""
+        return self.fit.views
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of the calibration, one sentence each."""
+        return self.fit.notes
+
+    @property
+    def rms_px_per_axis(self) -> float:
+        """Root mean square of the residuals' components (px)."""
+        return self.fit.rms_px_per_axis
+
+    @property
+    def rms_px_per_point(self) -> float:
+        """Root mean square of the residuals' lengths (px)."""
+        return self.fit.rms_px_per_point
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write `calibration.yaml` and `corners.csv` into a folder, which is made if absent; returns the files."""
+        path = output_folder(folder) / "calibration.yaml"
+        save(path, self.calibration)
+        return (path, *self.found.save(folder))
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page that shows all of it, with the photos where they are files, and return its path."""
+        from omnilines.pages.calibration import write_calibration_page
+
+        return write_calibration_page(self, path)
+
+
+def calibrate(
+    corners: PhotoCorners | Corners | Mapping[str, tuple[Any, Any]],
+    image_size: tuple[int, int] | None = None,
+    options: CalibrationOptions = CalibrationOptions(),
+    *,
+    progress: ProgressCallback = silent,
+    **fields: Unpack[CalibrationFields],
+) -> CalibrationResult:
+    """Calibrate one camera without any guess of focal length or centre.
+
+    `corners` are what `detect` found: then the camera leads to corners and photos that were missed, and is calibrated anew, until
+    nothing is gained. Or they are a table, as `read_corners` returns it, or by view two arrays, points of the board (n, 3) in
+    metres and pixels (n, 2); then `image_size` (width, height) is needed. Fields of the options may be given by name:
+    `model="auto"` fits all camera models and takes the one that predicts held-out views best.
+
+    Raises InputError for options out of range, corners outside the image and too few views, and GeometryError where the data
+    cannot determine the camera.
+
+        >>> result = ol.calibrate(ol.detect("board/", "checkerboard:8x6:30mm"), model="opencv-fisheye")
+        >>> result.camera.NAME, result.rms_px_per_axis < 0.1, len(result.views)
+        ('opencv-fisheye', True, 8)
+        >>> result.sigma["fx"] < 0.1, result.covariance.shape
+        (True, (8, 8))
+        >>> [path.name for path in result.save("result")]
+        ['calibration.yaml', 'corners.csv']
+    """
+    options = replace(options, **fields)
+    if not isinstance(corners, PhotoCorners):
+        if image_size is None:
+            raise InputError(
+                "`image_size` was expected beside a table of corners, which does not hold the size of the photos, found none; "
+                "give (width, height)."
+            )
+        corners = PhotoCorners.of_table(corners if isinstance(corners, Corners) else corners_of_views(corners), image_size)
+    found, result = _guided(corners, options, progress) if corners.photos else (corners, None)
+    notes = (*_gains(corners, found), *found.notes)
+    selection = None
+    if options.model == AUTO:
+        selection, options, result = _selected(found, options, progress)
+    if result is None:
+        result = _fitted(found, options, progress)
+    result = with_remarks(result, _remarks(found, result))
+    result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
+    return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection)
+
+
+def corners_of_views(views: Mapping[str, tuple[Any, Any]]) -> Corners:
+    """A table of corners from arrays by view: points of the board (n, 3) in metres, or (n, 2) in its plane, and pixels (n, 2).
+
+    Raises InputError where an array has another shape.
+    """
+    board_m, pixels = [], []
+    for name, (board, seen) in views.items():
+        own, uv = np.asarray(board, dtype=np.float64), np.asarray(seen, dtype=np.float64)
+        if own.shape not in ((len(uv), 2), (len(uv), 3)) or uv.shape != (len(uv), 2):
+            raise InputError(
+                f"View {name} was expected as board points (n, 3) and pixels (n, 2), found {own.shape} and {uv.shape}; correct "
+                "it."
+            )
+        board_m.append(np.pad(own, ((0, 0), (0, 3 - own.shape[1]))))
+        pixels.append(uv)
+    if not views:
+        raise InputError("Corners of three views or more were expected, found none; give the corners.")
+    names = tuple(views)
+    view = np.repeat(np.arange(len(names)), [len(uv) for uv in pixels])
+    return Corners(view, names, names, np.concatenate(board_m), np.concatenate(pixels))
+
+
+def _guided(
+    first: PhotoCorners, options: CalibrationOptions, progress: ProgressCallback
+) -> tuple[PhotoCorners, CameraCalibration | None]:
+    """The corners of photos with those that the camera leads to, and the calibration of them where it has been made already."""
+    found, result = first, None
+    guide = replace(options, model=GUIDE) if options.model == AUTO else options
+    for done in range(SEARCHES):
+        result = _fitted(found, guide, progress)
+        poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
+        # A photo that shows nothing to the first camera shows nothing to the next one.
+        again = search_again(found, result.model, poses, lost_too=done == 0, progress=progress)
+        if np.array_equal(again.corners.pixels, found.corners.pixels):
+            break
+        found, result = again, None
+    return found, None if options.model == AUTO else result
+
+
+def _fitted(found: PhotoCorners, options: CalibrationOptions, progress: ProgressCallback) -> CameraCalibration:
+    def tell(step: Progress) -> None:
+        progress("refining the camera", step.iteration, 0)
+
+    return calibrate_camera(
+        found.corners,
+        found.image_size,
+        options.model,
+        loss=options.loss,
+        mirror=options.mirror,
+        options=options.of_model,
+        refine_board=options.refine_board,
+        callback=tell,
+    )
+
+
+def _selected(
+    found: PhotoCorners, options: CalibrationOptions, progress: ProgressCallback
+) -> tuple[Selection, CalibrationOptions, CameraCalibration | None]:
+    """The model that was chosen, the options with it, and its calibration unless a board is to be refined with it."""
+
+    def trying(label: str, done: int, total: int) -> None:
+        progress(f"fitting {label}", done, total)
+
+    selection = select_model(found.corners, found.image_size, callback=trying, loss=options.loss, mirror=options.mirror)
+    chosen = selection.chosen.candidate
+    options = replace(options, model=chosen.model, **chosen.options)
+    return selection, options, None if options.refine_board else selection.result
+
+
+def _gains(first: PhotoCorners, last: PhotoCorners) -> tuple[str, ...]:
+    """One sentence on what the camera led to, none where that is nothing."""
+    corners = len(last.corners) - len(first.corners)
+    photos = len(set(last.corners.images) - set(first.corners.images))
+    if corners <= 0:
+        return ()
+    among = f", those of {_count(photos, 'photo')} in which no board had been found among them" if photos else ""
+    return (f"The camera led to {_count(corners, 'corner')} that had been missed{among}.",)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _remarks(found: PhotoCorners, result: CameraCalibration) -> dict[str, tuple[str, ...]]:
+    """What the photos and the table of corners say of single views: blur, and views that show the same as another."""
+    names: Sequence[str] = found.corners.view_names
+    remarks: dict[str, list[str]] = {name: [remark] for name, remark in zip(names, found.remarks, strict=False) if remark}
+    for first, later in duplicate_views(found.corners, result.rms_px_per_axis):
+        remarks.setdefault(names[later], []).append(
+            f"it shows the board where {names[first]} does, to within the noise: a duplicate counts twice and adds little"
+        )
+    return {name: tuple(texts) for name, texts in remarks.items()}

@@ -1,0 +1,122 @@
+"""A calibration made fit for another file format, or another camera model, with the error of every camera that was fitted."""
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from camera_models import Calibration, Conversion, InputError
+from camera_models.formats import format_for_writing, format_named, format_of_file
+from camera_models.formats.contract import CalibrationFormat
+from camera_models.formats.disk import write_atomically
+from camera_models.formats.transfer import Transfer, transfer
+from omnilines.provenance import provenance
+
+COLUMNS = (
+    "camera", "from_model", "to_model", "from_deg", "to_deg", "pixels", "rms_px", "max_px", "rms_deg", "max_deg",
+)  # fmt: skip
+"""Of the table of errors that is written beside."""
+FIGURES = ("rms_px", "max_px", "rms_deg", "max_deg", "fov_deg")
+"""Of a conversion as a whole."""
+IN_MEMORY = "in memory"
+
+
+@dataclass(frozen=True, eq=False)
+class ConversionResult:
+    """A calibration as a format holds it, and how it differs from what was given. Nothing is written before `save`."""
+
+    original: Calibration
+    fit: Transfer
+    calibration: Calibration
+    """What the file will hold, with its provenance."""
+    reader: CalibrationFormat | None
+    """Of the file that was read, if it was one."""
+    writer: CalibrationFormat
+    out: Path
+    notes: tuple[str, ...]
+    """What is lost, and where the format's own tool ends, one sentence each."""
+
+    @property
+    def errors(self) -> Mapping[str, Conversion]:
+        """How far a fitted camera is from the original, by name; the other cameras are held exactly."""
+        return self.fit.conversions
+
+    @property
+    def dropped(self) -> tuple[str, ...]:
+        """What the file has no place for."""
+        return self.fit.dropped
+
+    def save(self) -> tuple[Path, ...]:
+        """Write the file or folder that the conversion is for, and `<out>_conversion.csv` where a camera was fitted; returns the
+        files."""
+        files = self.writer.write(self.out, self.calibration)
+        if self.errors:
+            beside = self.out.with_name(f"{self.out.stem}_conversion.csv")
+            write_atomically(beside, self._table())
+            files.append(beside)
+        return tuple(files)
+
+    def _table(self) -> str:
+        """Errors ring by ring from the centre outwards, one row each."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for name, error in self.errors.items():
+            for ring in error.rings:
+                writer.writerow([name, self.original[name].NAME, error.model.NAME, *(getattr(ring, key) for key in COLUMNS[3:])])
+        return text.getvalue()
+
+
+def convert(
+    source: str | Path | Calibration,
+    out: str | Path,
+    *,
+    from_format: str | None = None,
+    to_format: str | None = None,
+    model: str | None = None,
+    fov_deg: float | int | None = None,
+    image_size: tuple[int, int] | None = None,
+) -> ConversionResult:
+    """A calibration, or the one in a file or folder, as `out` can hold it. Nothing is written yet.
+
+    Formats are told by the contents of `source` and the name of `out` unless named. A camera that the format of `out` cannot
+    hold, or that is to become of another `model`, is fitted within `fov_deg`. `image_size` where the file does not hold it.
+    Raises InputError where there is no such format or model, or none that holds the field of view of a camera.
+
+        >>> conversion = ol.convert("calibration.yaml", "cameras.txt", model="opencv-fisheye", fov_deg=150)
+        >>> list(conversion.calibration), conversion.errors
+        (['cam0'], {})
+        >>> [path.name for path in conversion.save()]
+        ['cameras.txt']
+    """
+    path = Path(out)
+    reader: CalibrationFormat | None = None
+    said: tuple[str, ...] = ()
+    if isinstance(source, Calibration):
+        calibration = source
+    else:
+        reader, calibration, said = _read(Path(source), path, from_format, image_size)
+    writer = format_for_writing(path) if to_format is None else format_named(to_format)
+    fit = transfer(calibration, writer, path, model, fov_deg)
+    final = fit.calibration
+    if "provenance" in writer.keeps(path, final):
+        made_of = {"file": IN_MEMORY} if reader is None else {"file": source, "format": reader.NAME}
+        figures = {name: {key: getattr(error, key) for key in FIGURES} for name, error in fit.conversions.items()}
+        beside = {"conversion": figures, "source": final.provenance}
+        final = replace(final, provenance=provenance(made_of) | {key: value for key, value in beside.items() if value})
+    notes = [f"{source}: {note}" for note in said] + [f"{path}: {note}" for note in fit.notes]
+    if fov_deg is not None and not fit.conversions:
+        notes.append("`fov_deg` has no effect: every camera is held exactly.")
+    return ConversionResult(calibration, fit, final, reader, writer, path, tuple(notes))
+
+
+def _read(
+    source: Path, out: Path, from_format: str | None, image_size: tuple[int, int] | None
+) -> tuple[CalibrationFormat, Calibration, tuple[str, ...]]:
+    """The format of a file, the calibration in it and what was noted of it."""
+    reader = format_of_file(source) if from_format is None else format_named(from_format)
+    if out.exists() and out.resolve() == source.resolve():
+        raise InputError(f"Another file than the input was expected to write to, found {out} twice; give another name.")
+    content = reader.read(source, image_size)
+    return reader, content.calibration, tuple(content.notes)

@@ -1,0 +1,69 @@
+"""Options of the structure of a scene: where lines end, which are parallel, and which way is up."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class ClippingOptions(NamedTuple):
+    """Where a line begins and ends, by the arcs that show it."""
+
+    min_photos_everywhere: int = 2
+    """Photos that have to show every place of a stretch."""
+    agree_sigmas: float = 2.0
+    """Ends that are nearer to each other, in standard deviations, agree."""
+    drawn_in_sigmas: float = 2.0
+    """A line ends so many standard deviations of its end before it: so much is supported."""
+    gap_sigmas: float = 3.0
+    """Gaps shorter than this many standard deviations of an end are none."""
+
+
+class FamilyOptions(NamedTuple):
+    """Which lines are parallel, and which families of them at right angles."""
+
+    tolerance_rad: float = math.radians(0.3)
+    """Standard deviation, in each direction, of the model that lines of one family are parallel, and two at right angles."""
+    min_members: int = 4
+    """Lines of the smallest family."""
+    false_families: float = 1e-3
+    """Families that are expected where all directions are random, at most."""
+    separation_rad: float = math.radians(2)
+    """Least angle between two families, so that lines just outside of one do not become another beside it."""
+    member_share: float = 0.999
+    """Share of the true members that the gate of a family takes in."""
+    right_angle_sigmas: float = 3.0
+    """A right angle is one from which an angle differs by at most as many standard deviations."""
+    max_sigma_rad: float = math.radians(3)
+    """A line with a less certain direction would fit to several families: it is left alone."""
+
+    @property
+    def gate(self) -> float:
+        """Chi-square up to which a line is a member: the quantile of `member_share` with 2 degrees of freedom."""
+        return float(-2 * math.log1p(-self.member_share))
+
+
+class UprightOptions(NamedTuple):
+    """Which family of parallel lines is vertical."""
+
+    upright_rad: float = math.radians(30.0)
+    """Half of the photos are held so upright, or better, against the vertical family."""
+    as_near: float = 2.0
+    """Families are as good as the nearest one to the photos' up whose angle is at most so many times its own and a bit more."""
+    as_near_rad: float = math.radians(5.0)
+    """What that angle may be more than so many times the nearest one's."""
+    clearly_more: float = 2.0
+    """Of several as good, the vertical one has so many times the lines of any other."""
+    horizontal_rad: float = math.radians(3.0)
+    """A family is horizontal whose angle to the vertical differs by no more from a right one."""
+
+
+@dataclass(frozen=True)
+class StructureOptions:
+    """All options of the structure of a scene."""
+
+    clipping: ClippingOptions = ClippingOptions()
+    """Where a line begins and ends."""
+    families: FamilyOptions = FamilyOptions()
+    """Which lines are parallel."""
+    upright: UprightOptions = UprightOptions()
+    """Which way is up."""
