@@ -41,7 +41,8 @@ def _check_numbers(name: str, model: CameraModel) -> None:
     width, height = model.image_size
     if not 1 <= min(width, height) <= max(width, height) <= LARGEST_SIDE_PX:
         raise InputError(
-            f"The image of camera {name} was expected to have sides of 1 to {LARGEST_SIDE_PX} px, found {width} x {height}; correct it."
+            f"The image of camera {name} was expected to have sides of 1 to {LARGEST_SIDE_PX} px, found {width} x {height}; "
+            "correct it."
         )
     values = model.named_parameters()
     for key, value in values.items():
@@ -87,6 +88,6 @@ def _check_sight(name: str, model: CameraModel) -> None:
     if share < _LEAST_SEEN:
         values = " ".join(f"{key}={value:g}" for key, value in model.named_parameters().items())
         raise InputError(
-            f"Camera {name} ({model.NAME}) was expected to see what is in its image, found that it sees {100 * share:.0f} percent of "
-            f"it with {values}; calibrate it again."
+            f"Camera {name} ({model.NAME}) was expected to see what is in its image, found that it sees {100 * share:.0f} "
+            f"percent of it with {values}; calibrate it again."
         )

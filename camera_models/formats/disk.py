@@ -11,13 +11,13 @@ import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from camera_models.errors import InputError
 
-try:
+fcntl: Any = None
+with contextlib.suppress(ImportError):  # on Windows, where a file that is open cannot be removed by another process
     import fcntl
-except ImportError:  # Windows, where a file that is open cannot be removed by another process
-    fcntl = None  # type: ignore[assignment]
 
 MOST_BYTES = 1 << 34
 """Of a file that is read as a whole."""
@@ -76,7 +76,7 @@ def _tell(when: str, target: Path) -> None:
 
 
 def _temporary(target: Path) -> tuple[int, str]:
-    """A temporary file beside the target, which is locked as long as it is open: what is not locked was left by a process that is gone."""
+    """A temporary file beside the target, locked as long as it is open: one that is not was left by a process that is gone."""
     while True:
         # Of a long name the beginning, since a name holds 255 bytes.
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:50]}.", suffix=".part")

@@ -42,7 +42,8 @@ def check_matrix(matrix: list[float], where: str) -> None:
     """Raises InputError where nine numbers are not those of K = [fx s cx; 0 fy cy; 0 0 1]."""
     if [matrix[3], *matrix[6:]] != [0.0, 0.0, 0.0, 1.0]:
         raise InputError(
-            f"The camera matrix of {where} must be fx s cx; 0 fy cy; 0 0 1, found {listed(f'{item:g}' for item in matrix)}; correct it."
+            f"The camera matrix of {where} must be fx s cx; 0 fy cy; 0 0 1, found {listed(f'{item:g}' for item in matrix)}; "
+            "correct it."
         )
 
 

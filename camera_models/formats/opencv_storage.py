@@ -38,7 +38,7 @@ def read_storage(path: Path) -> dict[str, Any]:
 
 
 def _depth(text: str) -> int:
-    """An upper bound of the nesting, as XML or as YAML and JSON; OpenCV's parsers recurse for each level until the process ends."""
+    """An upper bound of the nesting, as XML or as YAML and JSON; OpenCV's parsers recurse, and the process ends."""
     if text.lstrip().startswith("<"):
         steps = [-1 if tag.startswith("</") else 1 for tag in _TAG.findall(text)]
         blocks = 0

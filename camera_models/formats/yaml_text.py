@@ -99,8 +99,8 @@ def _check_nesting(text: str, path: str | Path) -> None:
     libyaml's composer recurses for each level, and ends the process where the stack does; lists of aliases of lists of aliases
     take a minute to walk through for a few kilobytes.
     """
-    sizes: dict[str, int] = {}
-    open_nodes: list[list[Any]] = [["", 0]]
+    sizes: dict[str | None, int] = {}
+    open_nodes: list[list[Any]] = [[None, 0]]
     repeated = 0
     for event in yaml.parse(text, Loader=_SafeLoader):
         if isinstance(event, yaml.AliasEvent):
@@ -109,7 +109,7 @@ def _check_nesting(text: str, path: str | Path) -> None:
             repeated += sizes.get(event.anchor, 1)
             open_nodes[-1][1] += sizes.get(event.anchor, 1)
         elif isinstance(event, yaml.CollectionStartEvent):
-            open_nodes.append([event.anchor or "", 1])
+            open_nodes.append([event.anchor, 1])
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, size = open_nodes.pop()
             sizes |= {anchor: size} if anchor else {}

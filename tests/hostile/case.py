@@ -54,10 +54,7 @@ def play(case: Case, folder: Path) -> None:
     assert status in case.status, f"exit status {status}: {out[-500:]} {err[-1500:]}"
     assert not re.search(r"\b(nan|inf)\b", out, re.I), out[-800:]
     for text in (out, err):
-        assert not any(ord(letter) < 32 and letter not in "\n\t\r" for letter in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)), (
-            text
-        )
-    assert "\x1b]" not in out + err and "\x1b[31m" not in out + err, "an escape of a name was printed"
+        assert not any(ord(letter) < 32 and letter not in "\n\t" for letter in text), f"a control character was printed: {text!r}"
     assert "Warning:" not in err, err
     said = [line for line in err.splitlines() if line.startswith("omnilines: ")]
     if status == 2:

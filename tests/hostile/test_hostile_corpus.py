@@ -4,10 +4,10 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hostile import corpus_formats
+from hostile import corpus_formats, corpus_options, corpus_photos, corpus_tables
 from hostile.case import Case, play
 
-PARTS = {"formats": corpus_formats}
+PARTS = {"formats": corpus_formats, "tables": corpus_tables, "photos": corpus_photos, "options": corpus_options}
 CASES = [(f"{part}/{case.name}", case) for part, module in PARTS.items() for case in module.cases()]
 
 
