@@ -132,7 +132,7 @@ def segments_of_arrays(
     photo, line = np.asarray(image), np.asarray(track)
     if not len(photo) == len(line) == len(endpoints_px):
         raise InputError(
-            f"As many ends, `image` and `track` were expected, found {len(endpoints_px)}, {len(photo)} and {len(line)}; give as many."
+            f"As many ends, `image` and `track` were expected, found {len(endpoints_px)}, {len(photo)} and {len(line)}; correct."
         )
     return Segments(
         photo,
