@@ -95,8 +95,9 @@ def estimate_poses(
 
     Raises InputError where the source does not fit the photos, and GeometryError where the photos give no poses.
 
-        posed = estimate_poses(arcs, camera, "sfm")
-        posed.poses.cam_from_world, posed.left_out
+        >>> posed = ol.estimate_poses("room/", ol.load("room/calibration.yaml"), "room/poses.csv")
+        >>> len(posed.poses), posed.left_out, posed.unit.words
+        (6, {}, 'metres')
     """
     source, cameras = str(source), calibration_of(camera)
     arcs = photos if isinstance(photos, PhotoArcs) else None

@@ -66,10 +66,13 @@ def reconstruct(
 
     Raises InputError on bad options or tables, and GeometryError naming the stage where no line is left.
 
-        scene = reconstruct(arcs, read_poses("poses.csv"), camera, SceneOptions(refine=("lines", "poses")))
-        scene.lines.ends_m, scene.lines.covariance
-        scene.save("scene/")
-        scene.report("scene/report.html")
+        >>> camera = ol.load("room/calibration.yaml")["cam0"]
+        >>> arcs, poses = ol.extract("room/", camera), ol.read_poses("room/poses.csv")
+        >>> scene = ol.reconstruct(arcs, poses, camera, ol.SceneOptions(refine=("lines", "poses")))
+        >>> scene.lines.ends_m.shape[1:], scene.lines.covariance.shape[1:], scene.poses.covariance.shape
+        ((2, 3), (4, 4), (6, 6, 6))
+        >>> len(scene.save("rebuilt/")), scene.report("rebuilt/report.html").name
+        (7, 'report.html')
     """
     if isinstance(arcs, Segments):
         return adjust(arcs, poses, camera, options, inputs=inputs, progress=progress)
