@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib_patterns.options import DetectionOptions
     from camera_models.errors import GeometryError, InputError, OmnilinesError
     from camera_models.formats.native import Calibration, load, save
     from camera_models.pose import Pose
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.reconstruct import reconstruct
     from omnilines.pipelines.rectify import RectifiedViews, rectify
     from omnilines.pipelines.scene import Scene
+    from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
     from omnilines.progress import Cancelled, ProgressCallback
     from omnilines.records import Corners, ImagePoses, Lines, Segments
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
 _HOMES = {
     # Photos of a target -> cameras.
     "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
+    "calib_patterns.options": ("DetectionOptions",),
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
     "omnilines.pipelines.calibrate": ("calibrate", "CalibrationResult"),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
@@ -63,6 +66,7 @@ _HOMES = {
     "omnilines.extraction": ("ExtractionOptions",),
     "omnilines.pipelines.poses": ("estimate_poses",),
     "omnilines.posing.photo_poses": ("PhotoPoses",),
+    "omnilines.posing.options": ("PosingOptions",),
     "omnilines.pipelines.reconstruct": ("reconstruct",),
     "omnilines.pipelines.scene": ("Scene",),
     "omnilines.pipelines.options": ("SceneOptions",),
@@ -91,6 +95,7 @@ __all__ = [
     "Cancelled",
     "ConversionResult",
     "Corners",
+    "DetectionOptions",
     "ExtractionOptions",
     "GeometryError",
     "ImagePoses",
@@ -102,6 +107,7 @@ __all__ = [
     "PhotoCorners",
     "PhotoPoses",
     "Pose",
+    "PosingOptions",
     "ProgressCallback",
     "RectifiedViews",
     "RigCorners",

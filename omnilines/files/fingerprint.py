@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from camera_models import InputError
+from camera_models.formats.disk import read_bytes
 
 SOURCES = Path(__file__).parents[2]
 """The folder that the packages lie in."""
@@ -25,11 +25,7 @@ def fingerprint(files: Sequence[Path], options: str, revision: str) -> str:
 
 def content_hash(path: Path) -> str:
     """Of the content of a file (SHA-256). Raises InputError where it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path} was expected to be readable, found that it is not ({error.strerror}).") from error
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 @cache

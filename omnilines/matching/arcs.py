@@ -89,7 +89,7 @@ class ViewedArcs:
             torch.arange(len(self)),
             len(self),
             torch.as_tensor(self.by_pixel),
-            torch.as_tensor(self.covariance_px2),
+            covariance_px2=torch.as_tensor(self.covariance_px2),
         )
 
     def tracks(self, rows: Int[np.ndarray, " m"], track: Int[np.ndarray, " m"], tracks: int) -> PlaneObservations:

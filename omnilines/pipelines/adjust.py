@@ -109,7 +109,9 @@ def triangulate(
     arcs = arcs_from_segments(segments, table, calibration_of(camera)).arcs
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     seen_from = table.cam_from_world[arcs.image]
-    planes = PlaneObservations.from_arcs(arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, covariance)
+    planes = PlaneObservations.from_arcs(
+        arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, covariance_px2=covariance
+    )
     return triangulate_on(usable_device(device), method, planes, **options)
 
 

@@ -124,7 +124,7 @@ def _beyond_chance(
     own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
     lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
     arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
-    chance = chance_of_lines(arcs, lines, stretches.positions_m, own, cameras, options.matching)
+    chance = chance_of_lines(arcs, lines, stretches.positions_m, own, cameras, options=options.matching)
     return stretches.rows(np.flatnonzero(chance <= options.kept_lines.max_chance))
 
 

@@ -221,7 +221,12 @@ def _measured(
     arcs = arcs_from_segments(segments, poses, cameras).arcs
     seen_from = poses.cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(
-        arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, arcs.covariance_px2 if arcs.sigma_known else None
+        arcs.bearings,
+        seen_from,
+        arcs.track,
+        arcs.tracks,
+        arcs.by_pixel,
+        covariance_px2=arcs.covariance_px2 if arcs.sigma_known else None,
     )
     methods: list[tuple[str, str, dict[str, Any]]] = [(method, method, {}) for method, _ in TRIANGULATIONS]
     methods += [(f"dual, {weights} weights", "dual", method_options("dual", weights=weights)) for weights in WEIGHTS[1:]]

@@ -1,0 +1,93 @@
+"""What the options of a stage decide: each at half and at double its value, on rendered photos with truth and on real ones.
+
+    python tests/bench/bench_sensitivity.py [extraction] [--only edges.] [--small]
+
+Extraction: arcs of one photo of York Urban, one of castle30 and one of a rendered room, of which recall is the share of the
+edges' length that arcs lie on, and precision the share of the arcs that lie on an edge (`omnilines.evaluation.arcs`). The
+table is that of docs/options.md: figures at half and at double, the options that change most first.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from courtyard import read_courtyard
+
+from camera_models import CameraModel, Pinhole, load
+from omnilines.evaluation.arcs import arc_scores
+from omnilines.extraction import extract_arcs
+from omnilines.extraction.options import ExtractionOptions
+from omnilines.files import read_photo
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.records import Segments
+from omnilines.studies.sensitivity import Outcome, sweep, table
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+Stage = tuple[Any, Callable[[Any], Outcome]]
+
+
+def extraction(small: bool) -> Stage:
+    """Options and what is made with them of a room and, where they are, of real photos."""
+    room = render_scene("room", "opencv-fisheye", RenderOptions(190.0, 1, (320, 240) if small else (1280, 960), seed=1))
+    photos = {"room": (room.photos[room.poses.images[0]], room.camera)}
+    if DATA.is_dir() and not small:
+        photos |= real_photos()
+
+    def run(options: ExtractionOptions) -> Outcome:
+        figures: dict[str, float] = {}
+        result = b""
+        for label, (image, camera) in photos.items():
+            found = extract_arcs(image, camera, options=options)
+            figures[f"{label}: arcs"] = len(found)
+            result += found.endpoints_px.tobytes() + found.covariance_px2.tobytes()
+            if label == "room":
+                figures |= room_figures(room, found.endpoints_px)
+        return Outcome(figures, result)
+
+    return ExtractionOptions(), run
+
+
+def room_figures(room: RenderedScene, ends_px: np.ndarray) -> dict[str, float]:
+    """Recall and precision of the arcs of the only photo of a room, percent."""
+    count = len(ends_px)
+    found = Segments(np.zeros(count, dtype=np.int64), room.poses.images, np.full(count, -1), (), ends_px)
+    scores = arc_scores(room.camera, room.poses, room.edges, room.stretches, found)
+    return {"room: recall, %": 100 * scores.covered_share, "room: precision, %": 100 * scores.on_line_share}
+
+
+def real_photos() -> dict[str, tuple[np.ndarray, CameraModel]]:
+    """A photo of York Urban and one of the courtyard, at half its size."""
+    york, castle = DATA / "lines" / "york", DATA / "lines" / "castle30"
+    _, whole = read_courtyard(castle)
+    fx, fy, cx, cy = (whole.named_parameters()[name] for name in ("fx", "fy", "cx", "cy"))
+    size = (whole.image_size[0] // 2, whole.image_size[1] // 2)
+    half = Pinhole.from_mapping({"fx": fx / 2, "fy": fy / 2, "cx": (cx + 0.5) / 2 - 0.5, "cy": (cy + 0.5) / 2 - 0.5}, size)
+    first = [min((folder / "images").iterdir()) for folder in (york, castle)]
+    return {
+        "york": (read_photo(first[0]), load(york / "calibration.yaml")["cam0"]),
+        "castle": (cv2.resize(read_photo(first[1]), size, interpolation=cv2.INTER_AREA), half),
+    }
+
+
+STAGES: dict[str, Callable[[bool], Stage]] = {"extraction": extraction}
+FEW = {"extraction": "extraction.pieces."}
+"""Options that are swept where little is asked for."""
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("stage", choices=list(STAGES), nargs="?", default="extraction")
+    parser.add_argument("--only", default="", help="options whose names begin so")
+    parser.add_argument("--small", action="store_true", help="small photos, and few options of every stage")
+    asked = parser.parse_args()
+    for stage in STAGES if asked.small else [asked.stage]:
+        options, run = STAGES[stage](asked.small)
+        print(f"\n{stage}\n", flush=True)
+        only = FEW[stage] if asked.small else f"{stage}.{asked.only}"
+        print(table(sweep(options, run, only=only, prefix=f"{stage}.")), flush=True)
