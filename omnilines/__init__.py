@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.reconstruct import reconstruct
     from omnilines.pipelines.rectify import RectifiedViews, rectify
     from omnilines.pipelines.scene import Scene
+    from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
     from omnilines.progress import Cancelled, ProgressCallback
     from omnilines.records import Corners, ImagePoses, Lines, Segments
@@ -65,6 +66,7 @@ _HOMES = {
     "omnilines.extraction": ("ExtractionOptions",),
     "omnilines.pipelines.poses": ("estimate_poses",),
     "omnilines.posing.photo_poses": ("PhotoPoses",),
+    "omnilines.posing.options": ("PosingOptions",),
     "omnilines.pipelines.reconstruct": ("reconstruct",),
     "omnilines.pipelines.scene": ("Scene",),
     "omnilines.pipelines.options": ("SceneOptions",),
@@ -105,6 +107,7 @@ __all__ = [
     "PhotoCorners",
     "PhotoPoses",
     "Pose",
+    "PosingOptions",
     "ProgressCallback",
     "RectifiedViews",
     "RigCorners",

@@ -27,7 +27,7 @@ from omnilines.options import with_settings
 VERBS = "detect detect_rig calibrate calibrate_rig convert".split()
 RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions DetectionOptions".split()
 SCENE_VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
-SCENE_RESULTS = "PhotoArcs PhotoPoses Scene RectifiedViews ExtractionOptions MatchingOptions SceneOptions".split()
+SCENE_RESULTS = "PhotoArcs PhotoPoses Scene RectifiedViews ExtractionOptions PosingOptions MatchingOptions SceneOptions".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
     *("load", "save", "read_corners", "read_rig_corners", "read_poses", "read_segments", "read_lines"),
