@@ -13,8 +13,9 @@ from camera_models.errors import InputError
 
 if TYPE_CHECKING:
     from calib_patterns._pattern import Detection, Pattern, parse_length
+    from calib_patterns.options import DetectionOptions
 
-__all__ = ["PATTERNS", "Detection", "Pattern", "parse_length", "pattern", "pattern_class"]
+__all__ = ["PATTERNS", "Detection", "DetectionOptions", "Pattern", "parse_length", "pattern", "pattern_class"]
 
 PATTERNS: tuple[tuple[str, str], ...] = (
     ("checkerboard", "calib_patterns.checkerboard:Checkerboard"),
@@ -25,6 +26,7 @@ PATTERNS: tuple[tuple[str, str], ...] = (
 
 _LAZY = {
     "Detection": "calib_patterns._pattern",
+    "DetectionOptions": "calib_patterns.options",
     "Pattern": "calib_patterns._pattern",
     "parse_length": "calib_patterns._pattern",
 }

@@ -6,15 +6,19 @@ by the right-hand rule z points into the board, away from who looks at its front
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from calib_patterns.options import DetectionOptions, FitOptions
 from camera_models.errors import InputError
+
+if TYPE_CHECKING:
+    from calib_patterns.corner_kind import CornerKind
 
 METRES_PER_UNIT = {"mm": -3, "cm": -2, "m": 0}
 """Decimal exponent of each unit of length that a specification may use."""
@@ -42,6 +46,19 @@ class Detection:
     def empty() -> "Detection":
         """No corner."""
         return Detection(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
+
+
+Project = Callable[[Float[np.ndarray, "n k 3"]], tuple[Float[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]]
+"""Where a camera has points of the board (metres) in its photo, and which of them it sees."""
+
+
+@dataclass(frozen=True)
+class PlainGrid:
+    """Corners without marks, counted along the columns first: id = row * columns + column."""
+
+    columns: int
+    rows: int
+    pitch_m: float
 
 
 class Pattern(ABC):
@@ -94,12 +111,41 @@ class Pattern(ABC):
         """What is printed black, as disjoint rectangles (x0, y0, x1, y1) on the board, x0 < x1 and y0 < y1, metres."""
 
     @abstractmethod
-    def detect(self, image: np.ndarray, *, mirrored: bool = False) -> tuple[Detection, str | None]:
+    def corner_kind(self, options: FitOptions) -> "CornerKind":
+        """What the print looks like around the corners, rows by id."""
+
+    @abstractmethod
+    def detect(
+        self, image: np.ndarray, *, mirrored: bool = False, options: DetectionOptions = DetectionOptions()
+    ) -> tuple[Detection, str | None]:
         """The corners seen in a photo, and otherwise one sentence saying why there are none.
 
         `image`: (h, w) grey or (h, w, 3) BGR, uint8 or uint16; InputError for anything else. `mirrored` states that the photo
         was taken through an odd number of mirrors, so that the target's handedness is reversed in it.
         """
+
+    @property
+    def plain_grid(self) -> PlainGrid | None:
+        """The grid of a target whose corners carry no names: the ids of a part of it are right up to a shift, and it may begin
+        with either colour. None where marks name every corner."""
+        return None
+
+    def resized(self, columns: int, rows: int) -> "Pattern":
+        """The same print with another number of corners, of targets with a `plain_grid`."""
+        raise NotImplementedError(f"{self.specification} has no plain grid")
+
+    @property
+    def looks_same_turned(self) -> bool:
+        """Whether the print looks the same after half a turn."""
+        return False
+
+    def may_be_in(self, grey: np.ndarray, options: DetectionOptions) -> bool:
+        """Whether `detect` is worth its time, which is longest where there is no target; a quick look."""
+        return True
+
+    def marks_agree(self, grey: np.ndarray, project: Project, options: DetectionOptions) -> bool:
+        """Whether a photo shows the marks of the target where a camera has them; also where it has none to show."""
+        return True
 
     def ids_are_known(self, ids: Int[np.ndarray, " n"]) -> bool:
         """Whether every id names a corner of this pattern."""

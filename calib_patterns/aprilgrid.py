@@ -17,7 +17,7 @@ from jaxtyping import Float
 from calib_patterns._cells import CellGrid, bit_rectangles
 from calib_patterns._pattern import format_length_mm, parse_length
 from calib_patterns.corner_kind import CornerKind
-from calib_patterns.saddle import WINDOW_SQUARES
+from calib_patterns.options import FitOptions
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
@@ -25,8 +25,6 @@ from camera_models.errors import InputError
 BORDER_BITS = 2
 FAMILIES = {"36h11": (6, 587), "36h10": (6, 2320), "25h9": (5, 35), "16h5": (4, 30)}
 """Bits along a side and number of tags of each family that OpenCV has."""
-_REACH = 0.62
-"""How far a fit looks, as a share of the gap or of the border, whichever is the narrower: short of the next edge and its blur."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +129,11 @@ class AprilGrid(TagBoard):
         black.append(np.concatenate([low, low + gap], 1))
         return CellGrid.of_rectangles(np.concatenate(black))
 
-    @cached_property
-    def corner_kind(self) -> CornerKind:
+    def corner_kind(self, options: FitOptions) -> CornerKind:
         corners = self.points_m[:, :2]
         right, top = (np.mgrid[: 2 * self.ny, : 2 * self.nx].reshape(2, -1) % 2)[::-1]
         border = BORDER_BITS / (FAMILIES[self.tag_family][0] + 2 * BORDER_BITS)
-        square = _REACH / WINDOW_SQUARES * min(self.gap, border) * self.tag_m
+        square = options.window_gap_share / options.window_squares * min(self.gap, border) * self.tag_m
         # Bottom left: the tag lies towards +x and -y, its square opposite, so the quadrant (+, +) is white.
         sign = np.where(right == top, 1.0, -1.0)
         return CornerKind(corners, sign, np.full((len(corners), 2, 2), np.inf), square, 0.5 * self._pitch_m)

@@ -12,32 +12,30 @@ from jaxtyping import Float, Int
 
 from calib_patterns._pattern import Pattern
 from calib_patterns.local_map import KnownCorners
-from calib_patterns.saddle_points import POINT_SIGMA_PX, Lattice, quarter_turn
+from calib_patterns.options import AppearanceOptions, DetectionOptions
+from calib_patterns.saddle_points import Lattice, quarter_turn
 
 SAMPLES = 8
 """Along each side of a cell."""
-FOOTPRINT = 0.2
-"""Width of the boxes that expected grey levels are means of, in widths of the largest cell: about the blur that leaves tags
-unread."""
 LEAST_CELLS = 4
-LEAST_CORRELATION = 0.3
-CLEAR_LEAD, CLEAR_LEAD_PER_CELL = 4.0, 0.4
-"""By how much the log likelihood of the best numbering has to exceed that of the next. On boards with the tags of another
-dictionary the best of several hundred numberings led by at most 4.3 over 8 to 33 squares of a ChArUco board and 17 over 35 cells
-of an AprilGrid, on their own boards by 0.8 to 6 per cell."""
+"""Fewer look like too many parts of a board."""
 
 
 def matched(
-    search: np.ndarray, piece: Lattice, board: Pattern, x_m: Float[np.ndarray, " nx"], y_m: Float[np.ndarray, " ny"]
+    search: np.ndarray,
+    piece: Lattice,
+    board: Pattern,
+    lines_m: tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]],
+    options: DetectionOptions,
 ) -> KnownCorners | None:
     """The corners of the piece as places of the board, None where no numbering stands out.
 
-    `search`: the photo in 8 bits in which the piece was found, not mirrored; `x_m`, `y_m`: the lines that the board's corners lie
-    on, and the ends of the outermost cells, ascending.
+    `search`: the photo in 8 bits in which the piece was found, not mirrored; `lines_m`: the x and the y of the lines that the
+    board's corners lie on, and of the ends of the outermost cells, ascending.
     """
     if not len(piece.places):
         return None
-    low = piece.places.min(0)
+    (x_m, y_m), low = lines_m, piece.places.min(0)
     wide, tall = np.ptp(piece.places, axis=0) + 1
     grid = np.full((tall, wide, 2), np.nan)
     grid[piece.places[:, 1] - low[1], piece.places[:, 0] - low[0]] = piece.pixels
@@ -46,7 +44,8 @@ def matched(
         return None
     row, column = np.nonzero(whole)
     seen = _seen(search, grid, row, column)
-    best = _best_numbering(seen, np.stack([column, row], -1), _expected(board, x_m, y_m))
+    expected = _expected(board, x_m, y_m, options.appearance.blur_cells)
+    best = _best_numbering(seen, np.stack([column, row], -1), expected, options.appearance)
     if best is None:
         return None
     turn, shift = best
@@ -54,7 +53,7 @@ def matched(
     lines = np.rint((piece.places - low - 0.5) @ turn.T + shift + 0.5).astype(np.int64)
     on_board = ((lines >= 0) & (lines < (len(x_m), len(y_m)))).all(1)
     corners_m = np.stack([x_m[lines[on_board, 0]], y_m[lines[on_board, 1]]], -1)
-    return KnownCorners(corners_m, piece.pixels[on_board], np.full(len(corners_m), POINT_SIGMA_PX))
+    return KnownCorners(corners_m, piece.pixels[on_board], np.full(len(corners_m), options.saddles.sigma_px))
 
 
 def _seen(
@@ -71,17 +70,20 @@ def _seen(
 
 
 def _expected(
-    board: Pattern, x_m: Float[np.ndarray, " nx"], y_m: Float[np.ndarray, " ny"]
+    board: Pattern, x_m: Float[np.ndarray, " nx"], y_m: Float[np.ndarray, " ny"], blur_cells: float
 ) -> Float[np.ndarray, "rows columns s s"]:
     """Reflectance inside each cell of the board, [y, x]."""
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     x, y = (lines[:-1, None] + np.diff(lines)[:, None] * share for lines in (x_m, y_m))
     points = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), -1)
-    return board.reflectance(points, np.full(points.shape, FOOTPRINT * float(np.diff(x_m).max())))
+    return board.reflectance(points, np.full(points.shape, blur_cells * float(np.diff(x_m).max())))
 
 
 def _best_numbering(
-    seen: Float[np.ndarray, "k s s"], places: Int[np.ndarray, "k 2"], expected: Float[np.ndarray, "rows columns s s"]
+    seen: Float[np.ndarray, "k s s"],
+    places: Int[np.ndarray, "k 2"],
+    expected: Float[np.ndarray, "rows columns s s"],
+    options: AppearanceOptions,
 ) -> tuple[Int[np.ndarray, "2 2"], Int[np.ndarray, "2"]] | None:
     """Turn and shift that take columns and rows of seen cells to those of the board, where they stand out."""
     ny, nx = expected.shape[:2]
@@ -111,6 +113,6 @@ def _best_numbering(
     next_best = scores[order[1]] if len(order) > 1 else 0.0
     # Logarithm of the ratio of likelihoods; what neither explains is no white noise, so it counts for an eighth of the samples.
     lead = seen.size / 16 * np.log((1.0 - next_best**2) / max(1.0 - best**2, 1e-9))
-    if best < LEAST_CORRELATION or lead < CLEAR_LEAD + CLEAR_LEAD_PER_CELL * len(seen):
+    if best < options.min_correlation or lead < options.clear_lead + options.clear_lead_per_cell * len(seen):
         return None
     return ways[order[0]]

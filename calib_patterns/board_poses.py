@@ -13,8 +13,6 @@ from camera_models._model import CameraModel
 from camera_models.errors import GeometryError
 from camera_models.pose import Pose
 
-RIM_SHARE = 0.4
-"""Share of the boards that are swung outwards as far as they can be seen."""
 _CANDIDATES = 24
 _BISECTIONS = 24
 _MAX_ROUNDS = 30
@@ -150,18 +148,19 @@ def random_board_poses(
     *,
     max_tilt_rad: float = math.radians(45.0),
     min_spacing_px: float = 12.0,
+    rim_share: float = 0.4,
     seed: int = 0,
 ) -> Pose:
     """A batch of `count` cam_from_board whose targets are seen whole, from the front.
 
     Every corner is at most `max_angle_rad` off the axis, inside the photo, and at least `min_spacing_px` from the next one. The
     boards are tilted by up to `max_tilt_rad` against the ray to their middle and turned about it at random; their middles are
-    spread over angle and azimuth, and RIM_SHARE of them reach as far out as they can: to `max_angle_rad` with their farthest
+    spread over angle and azimuth, and `rim_share` of them reach as far out as they can: to `max_angle_rad` with their farthest
     corner, or to the photo's border where that comes first. Deterministic in `seed`.
     Raises GeometryError when the camera cannot see the target so.
     """
     sampler = _Sampler(pattern, model, max_angle_rad, max_tilt_rad, min_spacing_px, seed)
-    rim = math.ceil(RIM_SHARE * count)
+    rim = math.ceil(rim_share * count)
     start = sampler.rng.uniform(0, 2 * np.pi)
     golden_angle = math.pi * (3.0 - math.sqrt(5.0))
     # Equal rings of the way out for the boards that are not at the rim.

@@ -16,14 +16,13 @@ from jaxtyping import Float
 from calib_patterns._cells import CellGrid, bit_rectangles
 from calib_patterns._pattern import format_length_mm, parse_length
 from calib_patterns.corner_kind import CornerKind, squares_kind
+from calib_patterns.options import DetectionOptions, FitOptions
 from calib_patterns.partial import grown, own
 from calib_patterns.saddle_points import Lattice
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
 
-_PLAIN_SHARE = 0.6
-"""Part of the white around a tag that fits use: the rest is touched by the blur of the tag."""
 TAGS_OF_DICTIONARY = {
     **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "DICT_ARUCO_ORIGINAL": 1024,
@@ -126,22 +125,23 @@ class ChArUco(TagBoard):
             black.append(bit_rectangles(self.family.bits(tag), float(left), float(top), self.marker_m))
         return CellGrid.of_rectangles(np.concatenate(black))
 
-    @property
-    def _strip(self) -> float:
+    def _strip(self, options: FitOptions) -> float:
         """How far from their sides fits look into white squares, in squares."""
-        return _PLAIN_SHARE * 0.5 * (1.0 - self.marker_m / self.square_m)
+        return options.tag_margin_share * 0.5 * (1.0 - self.marker_m / self.square_m)
 
-    @cached_property
-    def corner_kind(self) -> CornerKind:
+    def corner_kind(self, options: FitOptions) -> CornerKind:
         corners = self.points_m[:, :2]
         column, row = np.rint(corners / self.square_m).astype(np.int64).T
-        return squares_kind(corners, np.where((column + row) % 2 == 1, 1.0, -1.0), self.square_m, self._strip)
+        return squares_kind(corners, np.where((column + row) % 2 == 1, 1.0, -1.0), self.square_m, self._strip(options))
 
-    def _with_more_corners(self, grey: np.ndarray, piece: Lattice, factors: Float[np.ndarray, "2"]) -> Lattice:
+    def _with_more_corners(
+        self, grey: np.ndarray, piece: Lattice, factors: Float[np.ndarray, "2"], options: DetectionOptions
+    ) -> Lattice:
         if len(piece.places) > self.nx * self.ny:
             return piece
         # The corners of all squares are alike: no id is needed to find those around a piece. What is invented at the end of the
         # board does not matter, since they are found once more with their ids.
-        found, places = grown(grey, piece, factors, self.nx - 1, self.ny - 1, strip=self._strip, strict=False)
-        kept = own(places, self.nx - 1, self.ny - 1)
+        strip = self._strip(options.fit)
+        found, places = grown(grey, piece, factors, self.nx - 1, self.ny - 1, options, strip=strip, strict=False)
+        kept = own(places, self.nx - 1, self.ny - 1, options.pieces)
         return Lattice((found.pixels[kept] + 0.5) / factors - 0.5, places[kept], piece.bright)

@@ -2,13 +2,17 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from calib_patterns._pattern import Detection, Pattern, check_image, format_length_mm, parse_length
-from calib_patterns.detection import detect_checkerboard
+from calib_patterns._pattern import Detection, Pattern, PlainGrid, check_image, format_length_mm, parse_length
+from calib_patterns.corner_kind import CornerKind
+from calib_patterns.detection import detect_checkerboard, stretched
+from calib_patterns.options import DetectionOptions, FitOptions
+from calib_patterns.partial import BLOCK_CORNERS
+from calib_patterns.saddle_points import lattices, saddle_points
 from camera_models.errors import InputError
 
 
@@ -96,7 +100,32 @@ class Checkerboard(Pattern):
         waves = _mean_square_wave(0.5 * (inner_low + inner_high), inner)
         return 1.0 - share.prod(-1) * 0.5 * (1.0 + waves.prod(-1))
 
-    def detect(self, image: np.ndarray, *, mirrored: bool = False) -> tuple[Detection, str | None]:
+    @property
+    def plain_grid(self) -> PlainGrid:
+        return PlainGrid(self.nx, self.ny, self.square_m)
+
+    def resized(self, columns: int, rows: int) -> "Checkerboard":
+        return replace(self, nx=columns, ny=rows)
+
+    @property
+    def looks_same_turned(self) -> bool:
+        return (self.nx + self.ny) % 2 == 0
+
+    def corner_kind(self, options: FitOptions) -> CornerKind:
+        corners = self.points_m[:, :2]
+        row, column = np.divmod(np.arange(len(corners)), self.nx)
+        # The first square is black, and so is the one beyond its first corner.
+        white = (row + column) % 2 == 1
+        plain = np.full((len(corners), 2, 2), np.inf)
+        return CornerKind(corners, np.where(white, 1.0, -1.0), plain, self.square_m, self.square_m)
+
+    def may_be_in(self, grey: np.ndarray, options: DetectionOptions) -> bool:
+        """A few squares are seen."""
+        return bool(lattices(saddle_points(stretched(grey), options.saddles), BLOCK_CORNERS, 1, options.saddles))
+
+    def detect(
+        self, image: np.ndarray, *, mirrored: bool = False, options: DetectionOptions = DetectionOptions()
+    ) -> tuple[Detection, str | None]:
         """The whole board or nothing, but for corners that are covered or washed out, which are left out.
 
         Numbering: as seen from the front, x to y turns like u to v (the other way when `mirrored`). Of the numberings this
@@ -104,4 +133,4 @@ class Checkerboard(Pattern):
         For nx + ny odd this is unique; otherwise a plain board looks the same after half a turn, and either is right.
         """
         check_image(image)
-        return detect_checkerboard(image, self.nx, self.ny, mirrored)
+        return detect_checkerboard(image, self.nx, self.ny, options, mirrored=mirrored)

@@ -6,17 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns.local_map import LocalMap
-from calib_patterns.saddle import MAX_SIGMA_PX, SETTLED_PX, WINDOW_SQUARES, SaddleFit, fit_corners
-
-MAX_STEP = 0.4
-"""How far from its prediction a corner may be, in squares."""
-MIN_CLEARNESS = 3.5
-"""Contrast of a corner over what its fit leaves."""
-MIN_CONTRAST = 0.2
-"""Contrast of a corner, as a share of the median."""
-MAX_BLUR, LIKE_BLUR, MAX_LIKE_BLUR, MUCH_BLUR = 0.24, 1.3, 0.3, 3.0
-"""Standard deviation of the profile across an edge: in squares; over the usual one and in squares where that is as wide; and how
-many times the usual one it is nowhere."""
+from calib_patterns.options import DetectionOptions, FitOptions
+from calib_patterns.saddle import SETTLED_PX, SaddleFit, fit_corners
 
 
 @dataclass(frozen=True)
@@ -37,21 +28,23 @@ class CornerKind:
         """Some of the corners."""
         return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
 
-    def fit(self, grey: np.ndarray, places: LocalMap, start_blur_px: float, settled_px: float = SETTLED_PX) -> SaddleFit:
+    def fit(
+        self, grey: np.ndarray, places: LocalMap, start_blur_px: float, options: FitOptions, settled_px: float = SETTLED_PX
+    ) -> SaddleFit:
         """The saddles near the predicted places."""
         share = self.square_m / self.spacing_m
         first, second = places.first * share, places.second * share**2
         return fit_corners(
-            grey, places.pixels, first, second, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
+            grey, places.pixels, first, second, options, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
         )
 
     def narrowed(self) -> "CornerKind":
         """With windows of half the width."""
         return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain)
 
-    def along_edges(self) -> "CornerKind":
+    def along_edges(self, options: FitOptions) -> "CornerKind":
         """With the pixels within half a window of either edge only, without the insides of the squares."""
-        return replace(self, plain=np.minimum(self.plain, 0.5 * WINDOW_SQUARES))
+        return replace(self, plain=np.minimum(self.plain, 0.5 * options.window_squares))
 
     def square_px(self, places: LocalMap) -> Float[np.ndarray, " n"]:
         """Width of the squares in the photo, where they are the most foreshortened."""
@@ -66,17 +59,20 @@ def squares_kind(
     return CornerKind(corners_m, sign, np.where(white, strip, np.inf), square_m, square_m)
 
 
-def accepted(kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float, blur_px: float) -> Bool[np.ndarray, " n"]:
+def accepted(
+    kind: CornerKind, fit: SaddleFit, places: LocalMap, contrast: float, blur_px: float, options: DetectionOptions
+) -> Bool[np.ndarray, " n"]:
     """Which fits are corners: of the printed sign and about the usual `contrast`, clear of what the fit leaves, near their
     prediction, and no more blurred than their squares are wide or, where the usual `blur_px` (infinite while nothing is known) is
     about that, than the others.
     """
+    limits = options.corners
     strength = kind.sign * fit.contrast
     square_px = kind.square_px(places)
-    clear = (strength > MIN_CLEARNESS * fit.residual) & (strength > MIN_CONTRAST * contrast)
-    near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(MAX_STEP * square_px, 2.0)
-    alike = np.minimum(LIKE_BLUR * blur_px, MAX_LIKE_BLUR * square_px)
-    widest = np.minimum(np.maximum(MAX_BLUR * square_px, 1.4), max(MUCH_BLUR * blur_px, 1.4))
+    clear = (strength > limits.min_clearness * fit.residual) & (strength > limits.min_contrast_share * contrast)
+    near = np.linalg.norm(fit.pixels - places.pixels, axis=1) < np.maximum(limits.max_step_squares * square_px, 2.0)
+    alike = np.minimum(limits.usual_blur_factor * blur_px, limits.max_usual_blur_squares * square_px)
+    widest = np.minimum(np.maximum(limits.max_blur_squares * square_px, 1.4), max(limits.max_blur_factor * blur_px, 1.4))
     sharp = fit.blur_px.max(1) < np.maximum(widest, alike)
-    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < MAX_SIGMA_PX)
+    good: Bool[np.ndarray, " n"] = fit.converged & clear & near & sharp & (fit.sigma_px < options.fit.max_sigma_px)
     return good

@@ -12,20 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from calib_patterns._pattern import Detection
-from calib_patterns.grid_checks import MIN_GOOD_SHARE, checks, flaw_of, good_corners, turns_of, typical_blur_px, typical_sigma_px
-from calib_patterns.local_map import LEAST_SIGMA_PX, KnownCorners, local_map
+from calib_patterns.grid_checks import checks, flaw_of, good_corners, turns_of, typical_blur_px, typical_sigma_px
+from calib_patterns.local_map import KnownCorners, local_map
+from calib_patterns.options import DetectionOptions, SearchOptions
 from calib_patterns.partial import visible_part
-from calib_patterns.saddle import FINDER_SIGMA_PX, SaddleFit, fit_corners, fit_saddles, median, misfit
+from calib_patterns.saddle import SaddleFit, fit_corners, fit_saddles, median, misfit
 
-SEARCH_SIDE_PX = 1400
-"""Longest side of a photo that is searched at full scale; larger photos are searched reduced, then refined in full."""
-MAX_SEARCH_PIXELS = 6e6
-"""Enlargements beyond this are left out."""
 LEAST_SIDE_PX = 20
 """No target is seen in a smaller photo, and OpenCV's detectors fail on some of them."""
-NOISY_GREY = 3.0
-"""Standard deviation of noise, in grey levels of a photo stretched to 255, from which on the classic detector takes seconds if it
-finds nothing: it stretches contrast by itself."""
 _THINNED = 32
 _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 """Median absolute second difference of white noise of unit standard deviation."""
@@ -34,11 +28,12 @@ _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 Grey = np.ndarray
 
 
-def _classic(image: Grey, nx: int, ny: int) -> np.ndarray | None:
-    """Quadrilaterals of an adaptive threshold, linked into a grid; smoothed where noise would make thousands of them."""
+def _classic(image: Grey, nx: int, ny: int, noisy_grey: float) -> np.ndarray | None:
+    """Quadrilaterals of an adaptive threshold, linked into a grid; smoothed where noise would make thousands of them, since the
+    detector stretches contrast by itself."""
     lines = stretched(image[::_THINNED]).astype(np.int16)
     bends = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
-    if 2 * np.count_nonzero(bends > NOISY_GREY * _BEND_OF_NOISE) > bends.size:
+    if 2 * np.count_nonzero(bends > noisy_grey * _BEND_OF_NOISE) > bends.size:
         image = cv2.GaussianBlur(image, (0, 0), 1.0)
     found, corners = cv2.findChessboardCorners(image, (nx, ny), None, _CLASSIC)
     return corners if found else None
@@ -79,7 +74,7 @@ def _rescaled(image: Grey, scale: float) -> Grey:
 
 
 def searched(
-    grey: Grey, scale: float = 1.0, *, equalise: bool = False, as_it_is: bool = False
+    grey: Grey, options: SearchOptions, scale: float = 1.0, *, equalise: bool = False, as_it_is: bool = False
 ) -> tuple[Grey, Float[np.ndarray, "2"]]:
     """The photo in 8 bits at `scale` times that of the search, and the factors (u, v) that take its pixels back to full scale.
 
@@ -87,29 +82,32 @@ def searched(
     numbers: scaling is about (-0.5, -0.5), by factors that rounding sets off from `scale`.
     """
     levels = grey if as_it_is and grey.dtype == np.uint8 else stretched(grey)
-    image = _rescaled(levels, scale * min(1.0, SEARCH_SIDE_PX / max(grey.shape)))
+    image = _rescaled(levels, scale * min(1.0, options.side_px / max(grey.shape)))
     if equalise:
         image = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image)
     return image, np.array(grey.shape[::-1]) / np.array(image.shape[::-1])
 
 
-def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float) -> SaddleFit:
+def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float, options: DetectionOptions) -> SaddleFit:
     """Two fits: the second has its windows and curvatures from the grid that the first, hasty one refines."""
-    coarse = fit_saddles(grey, grid, FINDER_SIGMA_PX / scale, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
-    fit = fit_saddles(grey, coarse.pixels, typical_sigma_px(coarse), start_blur_px=typical_blur_px(coarse))
-    good = good_corners(fit)
-    return fit if good.all() or good.mean() < MIN_GOOD_SHARE else _fitted_from_others(grey, fit, good)
+    finder_px = options.grid.finder_sigma_px
+    coarse = fit_saddles(grey, grid, finder_px / scale, options, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
+    sigma_px, blur_px = typical_sigma_px(coarse, finder_px), typical_blur_px(coarse)
+    fit = fit_saddles(grey, coarse.pixels, sigma_px, options, start_blur_px=blur_px)
+    good = good_corners(fit, options.fit.max_sigma_px)
+    few = good.mean() < options.grid.min_good_share
+    return fit if good.all() or few else _fitted_from_others(grey, fit, good, options)
 
 
-def _fitted_from_others(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> SaddleFit:
+def _fitted_from_others(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], options: DetectionOptions) -> SaddleFit:
     """The corners that are not good fitted once more, from where the good ones say: the finder was too far off there."""
     row, column = np.nonzero(good)
-    known = KnownCorners(
-        np.stack([column, row], -1).astype(np.float64), fit.pixels[good], np.maximum(fit.sigma_px[good], LEAST_SIGMA_PX)
-    )
+    sigma_px = np.maximum(fit.sigma_px[good], options.map.min_sigma_px)
+    known = KnownCorners(np.stack([column, row], -1).astype(np.float64), fit.pixels[good], sigma_px)
     row, column = np.nonzero(~good)
-    places = local_map(known, np.stack([column, row], -1).astype(np.float64), 1.0)
-    again = fit_corners(grey, places.pixels, places.first, places.second, start_blur_px=typical_blur_px(fit))
+    places = local_map(known, np.stack([column, row], -1).astype(np.float64), 1.0, options.map)
+    blur_px = typical_blur_px(fit)
+    again = fit_corners(grey, places.pixels, places.first, places.second, options.fit, start_blur_px=blur_px)
     for field in fields(SaddleFit):
         getattr(fit, field.name)[~good] = getattr(again, field.name)
     return fit
@@ -145,7 +143,7 @@ def _board_order(fit: SaddleFit, mirrored: bool) -> np.ndarray:
 VISIBLE_PART = "at least 3 x 3 corners with their squares have to be seen, some 8 px apart"
 
 
-def why_not(grey: Grey, name: str, needs: str = VISIBLE_PART) -> str:
+def why_not(grey: Grey, name: str, options: SearchOptions, needs: str = VISIBLE_PART) -> str:
     """One sentence: the likeliest reason why a target was not found; `needs` ends it where the photo itself is good."""
     if min(grey.shape) < LEAST_SIDE_PX:
         size = f"{grey.shape[1]}x{grey.shape[0]} px"
@@ -158,7 +156,7 @@ def why_not(grey: Grey, name: str, needs: str = VISIBLE_PART) -> str:
         return f"The photo is overexposed: 99 percent of it is above {100 * low:.0f} percent of full scale."
     if high - low < 0.08:
         return f"The photo has too little contrast to show a {name}: it spans {100 * (high - low):.0f} percent of full scale."
-    reduced = _rescaled(stretched(grey), min(1.0, SEARCH_SIDE_PX / max(grey.shape))).astype(np.float32)
+    reduced = _rescaled(stretched(grey), min(1.0, options.side_px / max(grey.shape))).astype(np.float32)
     steepest = float(np.percentile(np.abs(np.diff(reduced, axis=1)), 99.9))
     if steepest < 12:
         return (
@@ -177,37 +175,44 @@ def _detection(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], order: np.ndarra
     return Detection(ids, fit.pixels.reshape(-1, 2)[picked], fit.sigma_px.reshape(-1)[picked], blur_px)
 
 
-def detect_checkerboard(image: np.ndarray, nx: int, ny: int, mirrored: bool) -> tuple[Detection, str | None]:
+def detect_checkerboard(
+    image: np.ndarray, nx: int, ny: int, options: DetectionOptions, *, mirrored: bool
+) -> tuple[Detection, str | None]:
     """The visible corners of an nx x ny board as `Checkerboard.detect` states, or none and why."""
     grey = grey_of(image)
     name = f"checkerboard of {nx}x{ny} inner corners"
     if min(grey.shape) < LEAST_SIDE_PX:
-        return Detection.empty(), why_not(grey, name)
-    found, misfit = _whole_board(grey, nx, ny, mirrored)
+        return Detection.empty(), why_not(grey, name, options.search)
+    found, misfit = _whole_board(grey, nx, ny, options, mirrored=mirrored)
     flaw = None
     for growth in _GROWTHS:
         # A board that is not the one asked for is not searched on: something of it will always fit.
-        if found is None and flaw is None and growth.scale**2 * min(grey.size, SEARCH_SIDE_PX**2) <= MAX_SEARCH_PIXELS:
-            search, factors = searched(grey, growth.scale, equalise=growth.equalise)
-            found, flaw = visible_part(grey, search, factors, nx, ny, mirrored)
+        pixels = growth.scale**2 * min(grey.size, options.search.side_px**2)
+        if found is None and flaw is None and pixels <= options.search.max_pixels:
+            search, factors = searched(grey, options.search, growth.scale, equalise=growth.equalise)
+            found, flaw = visible_part(grey, search, factors, nx, ny, options, mirrored=mirrored)
     flaw = flaw or misfit
     if found is not None:
         return found, None
-    return Detection.empty(), why_not(grey, name) if flaw is None else f"A grid like a {name} was found, but {flaw}."
+    if flaw is None:
+        return Detection.empty(), why_not(grey, name, options.search)
+    return Detection.empty(), f"A grid like a {name} was found, but {flaw}."
 
 
-def _whole_board(grey: Grey, nx: int, ny: int, mirrored: bool) -> tuple[Detection | None, str | None]:
+def _whole_board(
+    grey: Grey, nx: int, ny: int, options: DetectionOptions, *, mirrored: bool
+) -> tuple[Detection | None, str | None]:
     """The board that the classic detector finds, or what keeps its grid from being one; neither where a corner is wrong."""
     # The detector stretches contrast by itself.
-    search, factors = searched(grey, as_it_is=True)
-    corners = _classic(search, nx, ny)
+    search, factors = searched(grey, options.search, as_it_is=True)
+    corners = _classic(search, nx, ny, options.search.noisy_grey)
     if corners is None:
         return None, None
     grid = (corners.reshape(ny, nx, 2).astype(np.float64) + 0.5) * factors - 0.5
-    fit = _refined(grey, grid, 1.0 / float(factors.max()))
-    if misfit(fit.pixels, typical_sigma_px(fit)).max() > 1.0:
+    fit = _refined(grey, grid, 1.0 / float(factors.max()), options)
+    if misfit(fit.pixels, typical_sigma_px(fit, options.grid.finder_sigma_px), options.grid).max() > 1.0:
         # One corner is none: the others do better without it, and it may be found where they say.
         return None, None
-    good = good_corners(fit)
-    flaw = flaw_of(grey, fit, good)
+    good = good_corners(fit, options.fit.max_sigma_px)
+    flaw = flaw_of(grey, fit, good, options)
     return (_detection(fit, good, _board_order(fit, mirrored)), None) if flaw is None else (None, flaw)

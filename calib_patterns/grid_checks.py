@@ -7,13 +7,10 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from calib_patterns.saddle import FINDER_SIGMA_PX, MAX_SIGMA_PX, SaddleFit, fit_corners, grid_derivatives, median
+from calib_patterns.options import DetectionOptions
+from calib_patterns.saddle import SaddleFit, fit_corners, grid_derivatives, median
 
 GOES_ON = "its squares go on beyond it; give the number of inner corners that the board has"
-MIN_GOOD_SHARE = 0.8
-"""Share of the corners that must be fitted well for a grid to count."""
-GOES_ON_SHARE = 0.6
-"""A board goes on beyond a side when more than this share of what would be the next row are corners."""
 
 
 def turns_of(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "4 my mx"]:
@@ -47,9 +44,9 @@ def typical_blur_px(fit: SaddleFit) -> float:
     return min(max(median(np.maximum(fit.blur_px[..., 0], fit.blur_px[..., 1])), 0.5), 4.0)
 
 
-def typical_sigma_px(fit: SaddleFit) -> float:
-    """Of the corners that were fitted at all."""
-    return median(fit.sigma_px[fit.converged]) if fit.converged.any() else FINDER_SIGMA_PX
+def typical_sigma_px(fit: SaddleFit, finder_sigma_px: float) -> float:
+    """Of the corners that were fitted at all, that of the finder where none was."""
+    return median(fit.sigma_px[fit.converged]) if fit.converged.any() else finder_sigma_px
 
 
 @lru_cache(maxsize=64)
@@ -64,11 +61,11 @@ def _strengths(contrast: Float[np.ndarray, "ny nx"]) -> Float[np.ndarray, "ny nx
     return np.asarray(alternating * np.sign(median(alternating)))
 
 
-def good_corners(fit: SaddleFit) -> Bool[np.ndarray, "ny nx"]:
+def good_corners(fit: SaddleFit, max_sigma_px: float) -> Bool[np.ndarray, "ny nx"]:
     """Corners where a saddle of the board's own contrast and sign stands clear of what the fit leaves."""
     strength = _strengths(fit.contrast)
     clear = (strength > 2.5 * fit.residual) & (strength > 0.15 * median(strength))
-    return fit.converged & clear & (fit.sigma_px < MAX_SIGMA_PX)
+    return fit.converged & clear & (fit.sigma_px < max_sigma_px)
 
 
 def _extended(grid: Float[np.ndarray, "ny nx 2"]) -> Float[np.ndarray, "my mx 2"]:
@@ -98,51 +95,51 @@ class _Ring:
 
 
 @lru_cache(maxsize=64)
-def _ring(ny: int, nx: int) -> _Ring:
+def _ring(ny: int, nx: int, goes_on_share: float) -> _Ring:
     x, y = np.arange(1, nx + 1), np.arange(1, ny + 1)
     rows = np.concatenate([np.zeros_like(x), np.full_like(x, ny + 1), y, y])
     columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, nx + 1)])
     lengths = np.array([nx, nx, ny, ny])
-    count = np.repeat(lengths - np.floor(GOES_ON_SHARE * lengths + 1e-9).astype(int), lengths)
+    count = np.repeat(lengths - np.floor(goes_on_share * lengths + 1e-9).astype(int), lengths)
     few = np.concatenate([x, x, y, y]) * count % np.repeat(lengths, lengths) < count
     return _Ring(rows, columns, np.repeat(np.arange(4), lengths), lengths, few)
 
 
-def _goes_on(grey: np.ndarray, fit: SaddleFit) -> bool:
+def _goes_on(grey: np.ndarray, fit: SaddleFit, options: DetectionOptions) -> bool:
     """Whether the board has another row or column of inner corners beyond one of the sides of the grid.
 
     Of each side few corners are looked at first, the others only where one of them is a corner.
     """
     ny, nx = fit.contrast.shape
-    ring, start = _ring(ny, nx), _extended(fit.pixels)
-    first, second = grid_derivatives(start, typical_sigma_px(fit))
+    ring, start = _ring(ny, nx, options.grid.goes_on_share), _extended(fit.pixels)
+    first, second = grid_derivatives(start, typical_sigma_px(fit, options.grid.finder_sigma_px), options.grid)
     usual, blur_px = median(checks(ny, nx) * fit.contrast), typical_blur_px(fit)
 
     def corners(looked_at: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " m"]:
         """Which of some places of the ring are inner corners of the board."""
         at = ring.rows[looked_at], ring.columns[looked_at]
         # What is no saddle never settles; what is one does so within a few steps from here.
-        outer = fit_corners(grey, start[at], first[at], second[at], start_blur_px=blur_px, max_steps=8, hasty=True)
+        outer = fit_corners(grey, start[at], first[at], second[at], options.fit, start_blur_px=blur_px, max_steps=8, hasty=True)
         square_px = np.sqrt((first[at] ** 2).sum(-2).min(-1))
         near = np.hypot(*(outer.pixels - start[at]).T) < 0.3 * square_px
         strength = checks(ny + 2, nx + 2)[at] * outer.contrast * np.sign(usual)
         clear = (strength > 2.5 * outer.residual) & (strength > 0.15 * abs(usual))
-        return outer.converged & clear & (outer.sigma_px < MAX_SIGMA_PX) & near
+        return outer.converged & clear & (outer.sigma_px < options.fit.max_sigma_px) & near
 
     good = np.zeros(len(ring.side), dtype=bool)
     good[ring.few] = corners(ring.few)
     others = ~ring.few & np.isin(ring.side, ring.side[good])
     if others.any():
         good[others] = corners(others)
-    return bool((np.bincount(ring.side[good], minlength=4) > GOES_ON_SHARE * ring.lengths).any())
+    return bool((np.bincount(ring.side[good], minlength=4) > options.grid.goes_on_share * ring.lengths).any())
 
 
-def flaw_of(grey: np.ndarray, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"]) -> str | None:
+def flaw_of(grey: np.ndarray, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], options: DetectionOptions) -> str | None:
     """What keeps the fitted grid from being the board, None when nothing does."""
-    if good.mean() < MIN_GOOD_SHARE:
+    if good.mean() < options.grid.min_good_share:
         return "its corners do not alternate like a checkerboard's"
     if not (unfolded(fit.pixels) and _smooth(fit.pixels)):
         return "its rows and columns are folded or uneven"
-    if _goes_on(grey, fit):
+    if _goes_on(grey, fit, options):
         return GOES_ON
     return None

@@ -5,51 +5,33 @@
    of the known corners near it is smooth, and its local map (local_map.py) corrects the prediction and says how certain it is:
    a first camera is a little off where no corner has been yet.
 3. The corner is fitted in the photo (saddle.py). It counts when it is a saddle of the printed sign and of the board's own
-   contrast, clear of what the fit leaves (corner_growth.py), within NEAR_SIGMA standard deviations of its prediction, and when
-   the corners around it, found before or with it, say so too.
+   contrast, clear of what the fit leaves (corner_kind.py), within some standard deviations of its prediction, and when the
+   corners around it, found before or with it, say so too.
 
 This is repeated until nothing is gained. So a corner that is covered, or a background that resembles one, is not returned.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection, Pattern, check_image
-from calib_patterns.corner_growth import MIN_CORNERS, MIN_NARROW_PX
-from calib_patterns.corner_kind import CornerKind, accepted
+from calib_patterns.corner_growth import MIN_CORNERS, inside_photo, places_at
+from calib_patterns.corner_kind import accepted
 from calib_patterns.detection import grey_of
 from calib_patterns.local_map import KnownCorners, LocalMap, local_map
+from calib_patterns.options import DetectionOptions
+from calib_patterns.partial import BLOCK_CORNERS
 from calib_patterns.saddle import SaddleFit
-from calib_patterns.tag_board import TagBoard
 from camera_models._model import CameraModel
 from camera_models.pose import Pose
 from camera_models.pose_fit import FREEDOM, refit_pose, robust_scale_px
 
-NEAR_SIGMA, NEAR_PX = 4.0, 0.15
-"""A corner lies within NEAR_SIGMA standard deviations plus NEAR_PX of its prediction."""
-FAR_SQUARES = 0.25
-"""And never farther from it than this share of a square (or a pixel, where squares are small)."""
-USUAL_SCALE_PX, USUAL_FREEDOM = 0.1, 6
-"""What a camera usually leaves of corners, and how many residuals must say something else to count as much."""
-MOST_SIGMA = 3.0
-"""A corner whose own standard deviation is more than so many times the usual one is given no more room for it."""
-CERTAIN_SQUARES, CERTAIN_PX = 0.2, 0.5
-"""Corners are looked for where the standard deviation of their prediction is below the sum of both."""
-MOST_MISFIT_SPACINGS, MOST_MISFIT_PX = 0.05, 0.5
-"""A camera that leaves more than the larger of both of the known corners (robust standard deviation) contradicts them."""
-START_SIGMA_PX = 1.5
-"""How certain the predictions of a pose are that no corner supports."""
-LEAST_UNSUPPORTED = 9
-"""Corners that such a pose must lead to: 3 x 3."""
-READS, TAG_SAMPLES, TAG_INSIDE = 0.5, 9, 0.56
-"""Correlation of a tag in the photo with the printed one, samples along its side, and the share of it within all borders."""
 NEWS_PX = 0.2
 """A corner is fitted again when its prediction has moved by more than this."""
-BORDER_PX = 1.0
 _ROUNDS = 8
 _STEP = 0.02
 """Step of the numerical derivatives along the board, in spacings: they are exact to some 1e-6 px."""
@@ -67,25 +49,20 @@ class GuidedCorners:
     """Whether camera and pose agree with the corners known before or, without any, with the photo; where not, none is gained."""
 
 
-def corner_kind(pattern: Pattern) -> CornerKind:
-    """What the print of any pattern looks like around its corners."""
-    if isinstance(pattern, TagBoard):
-        return pattern.corner_kind
-    corners = pattern.points_m[:, :2]
-    spacing = float(np.linalg.norm(corners[1:] - corners[0], axis=1).min())
-    white = pattern.reflectance(corners + 0.25 * spacing, np.zeros_like(corners)) > 0.5
-    return CornerKind(corners, np.where(white, 1.0, -1.0), np.full((len(corners), 2, 2), np.inf), spacing, spacing)
-
-
 def seen_ids(pattern: Pattern, model: CameraModel, cam_from_board: Pose) -> Int[np.ndarray, " k"]:
     """Corners that the camera sees inside its image from a pose, unless something covers them."""
     with torch.no_grad():
         pixels, valid = model.project(cam_from_board.transform(torch.as_tensor(pattern.points_m)))
-    return np.flatnonzero(valid.numpy() & _inside(pixels.numpy(), model.image_size))
+    return np.flatnonzero(valid.numpy() & inside_photo(pixels.numpy(), model.image_size[::-1]))
 
 
 def guided_search(
-    image: np.ndarray, pattern: Pattern, model: CameraModel, cam_from_board: Pose, found: Detection
+    image: np.ndarray,
+    pattern: Pattern,
+    model: CameraModel,
+    cam_from_board: Pose,
+    found: Detection,
+    options: DetectionOptions = DetectionOptions(),
 ) -> GuidedCorners:
     """The corners of a board in a photo: those found before and those that the camera leads to.
 
@@ -94,7 +71,7 @@ def guided_search(
     0.25 squares. Raises InputError for an image that is none.
     """
     check_image(image)
-    search = _Search(grey_of(image), pattern, model, cam_from_board, found)
+    search = _Search(grey_of(image), pattern, model, cam_from_board, found, options)
     if search.supported and not search.consistent():
         return GuidedCorners(found, cam_from_board, 0, False)
     for _ in range(_ROUNDS):
@@ -106,7 +83,7 @@ def guided_search(
     for halvings in (1, 2):
         search.look(halvings)
         search.doubt()
-    if not (search.supported or search.holds_alone(pattern)):
+    if not (search.supported or search.holds_alone()):
         return GuidedCorners(found, cam_from_board, 0, False)
     return GuidedCorners(search.detection(), search.pose, int((search.good & ~search.given).sum()), True)
 
@@ -114,12 +91,21 @@ def guided_search(
 class _Search:
     """The corners known so far, rows by id."""
 
-    def __init__(self, grey: np.ndarray, pattern: Pattern, model: CameraModel, pose: Pose, found: Detection) -> None:
-        self.grey, self.model, self.pose = grey, model, pose
-        self.kind, self.points_m = corner_kind(pattern), pattern.points_m
+    def __init__(
+        self,
+        grey: np.ndarray,
+        pattern: Pattern,
+        model: CameraModel,
+        pose: Pose,
+        found: Detection,
+        options: DetectionOptions,
+    ) -> None:
+        self.grey, self.pattern, self.model, self.pose = grey, pattern, model, pose
+        self.options, self.limits = options, options.guided
+        self.kind, self.points_m = pattern.corner_kind(options.fit), pattern.points_m
         count = len(self.points_m)
         self.pixels, self.sigma_px, self.blur_px = np.zeros((count, 2)), np.ones(count), np.ones((count, 2))
-        self.contrast, self.residual_px, self.scale_px = np.zeros(count), np.zeros((count, 2)), START_SIGMA_PX
+        self.contrast, self.residual_px, self.scale_px = np.zeros(count), np.zeros((count, 2)), self.limits.start_sigma_px
         self.tried_px = np.full((count, 2), -1e6)
         self.given = np.zeros(count, dtype=bool)
         self.supported = len(found) >= MIN_CORNERS
@@ -129,17 +115,17 @@ class _Search:
         self.good, self.trusted = self.given.copy(), self.given.copy()
         if self.supported:
             self._refit()
-            self._measure(found, plain=not isinstance(pattern, TagBoard))
+            self._measure(found)
             self.doubt()
 
-    def _measure(self, found: Detection, *, plain: bool) -> None:
+    def _measure(self, found: Detection) -> None:
         """Contrast and blur of the corners found; a plain board may begin with either colour."""
         places, _ = self._seen(found.ids)
         kind = self.kind.at(found.ids)
-        fit = kind.fit(self.grey, replace(places, pixels=found.pixels), 1.0)
+        fit = kind.fit(self.grey, replace(places, pixels=found.pixels), 1.0, self.options.fit)
         self.contrast[found.ids] = fit.contrast
         self.blur_px[found.ids] = fit.blur_px if found.blur_px is None else found.blur_px
-        if plain and np.median(kind.sign * fit.contrast) < 0:
+        if self.pattern.plain_grid is not None and np.median(kind.sign * fit.contrast) < 0:
             self.kind = replace(self.kind, sign=-self.kind.sign)
 
     def _refit(self) -> None:
@@ -149,19 +135,20 @@ class _Search:
             return
         self.pose, self.residual_px[ids] = refit_pose(self.model, self.pose, self.points_m[ids], self.pixels[ids])
         freedom, scale_px = 2 * ids.size - FREEDOM, robust_scale_px(self.residual_px[ids])
-        mean = (USUAL_FREEDOM * USUAL_SCALE_PX**2 + freedom * scale_px**2) / (USUAL_FREEDOM + freedom)
+        usual = self.limits.usual_freedom
+        mean = (usual * self.limits.usual_scale_px**2 + freedom * scale_px**2) / (usual + freedom)
         self.scale_px = float(np.sqrt(mean))
 
     def consistent(self) -> bool:
         """Whether the camera agrees with the corners that are known."""
         places, seen = self._seen(np.flatnonzero(self.good))
         spacing_px = float(np.median(places.spacing_px[seen])) if seen.any() else 0.0
-        return self.scale_px <= max(MOST_MISFIT_PX, MOST_MISFIT_SPACINGS * spacing_px)
+        return self.scale_px <= max(self.limits.max_misfit_px, self.limits.max_misfit_spacings * spacing_px)
 
-    def holds_alone(self, pattern: Pattern) -> bool:
-        """Whether a pose that no corner supported has led to so many that it must be right, and the tags say so too."""
-        enough = int(self.good.sum()) >= LEAST_UNSUPPORTED and self.consistent()
-        return enough and (not isinstance(pattern, TagBoard) or _tags_agree(self.grey, pattern, self.model, self.pose))
+    def holds_alone(self) -> bool:
+        """Whether a pose that no corner supported has led to so many that it must be right, and the marks say so too."""
+        enough = int(self.good.sum()) >= BLOCK_CORNERS and self.consistent()
+        return enough and self.pattern.marks_agree(self.grey, partial(_projected, self.model, self.pose), self.options)
 
     def _seen(self, ids: Int[np.ndarray, " k"]) -> tuple[LocalMap, Bool[np.ndarray, " k"]]:
         """The map at some corners as the camera alone has it, and which corners it sees with their surroundings."""
@@ -182,7 +169,7 @@ class _Search:
             return places, seen
         sigma_px = np.hypot(self.sigma_px[rows], self.scale_px)
         left = KnownCorners(self.kind.corners_m[rows], self.residual_px[rows], sigma_px)
-        correction = local_map(left, self.kind.corners_m[ids], self.kind.spacing_m, leave_out=leave_out)
+        correction = local_map(left, self.kind.corners_m[ids], self.kind.spacing_m, self.options.map, leave_out=leave_out)
         return replace(places, pixels=places.pixels + correction.pixels, sigma_px=correction.sigma_px), seen
 
     def _too_far(
@@ -190,9 +177,10 @@ class _Search:
     ) -> Float[np.ndarray, " k"]:
         """Distance of corners from their predictions over what it may be."""
         usual = float(np.median(self.sigma_px[self.good])) if self.good.any() else np.inf
-        spread = np.sqrt(places.sigma_px**2 + np.minimum(sigma_px, MOST_SIGMA * usual) ** 2 + self.scale_px**2)
-        farthest = np.maximum(FAR_SQUARES * self.kind.at(ids).square_px(places), 1.0)
-        return np.linalg.norm(pixels - places.pixels, axis=1) / np.minimum(NEAR_PX + NEAR_SIGMA * spread, farthest)
+        spread = np.sqrt(places.sigma_px**2 + np.minimum(sigma_px, self.limits.max_sigma_factor * usual) ** 2 + self.scale_px**2)
+        farthest = np.maximum(self.limits.far_squares * self.kind.at(ids).square_px(places), 1.0)
+        near = self.limits.near_px + self.limits.near_sigmas * spread
+        return np.linalg.norm(pixels - places.pixels, axis=1) / np.minimum(near, farthest)
 
     def look(self, halvings: int) -> None:
         """Fit the corners that were not given at their predictions, again where these have moved, and keep those that are
@@ -203,13 +191,13 @@ class _Search:
         places, seen = self._predicted(missing)
         square_px = self.kind.at(missing).square_px(places)
         if halvings:
-            worth_it = square_px >= 0.5 * MIN_NARROW_PX * 2**halvings
+            worth_it = square_px >= 0.5 * self.options.growth.min_narrow_px * 2**halvings
         else:
             worth_it = np.linalg.norm(places.pixels - self.tried_px[missing], axis=1) > NEWS_PX
-        certain = places.sigma_px < CERTAIN_SQUARES * square_px + CERTAIN_PX
-        ahead = seen & worth_it & certain & _inside(places.pixels, self.model.image_size)
+        certain = places.sigma_px < self.limits.certain_squares * square_px + self.limits.certain_px
+        ahead = seen & worth_it & certain & inside_photo(places.pixels, self.grey.shape)
         if ahead.any():
-            self._fit(missing[ahead], _at(places, ahead), halvings)
+            self._fit(missing[ahead], places_at(places, ahead), halvings)
 
     def _fit(self, ids: Int[np.ndarray, " k"], places: LocalMap, halvings: int) -> None:
         """Fit corners at their predictions; keep those that are accepted, forget the others."""
@@ -218,9 +206,10 @@ class _Search:
             kind = kind.narrowed()
         known = self.blur_px[self.good].max(-1)
         blur_px = float(np.clip(np.median(known), 0.5, 4.0)) if known.size else 1.0
-        fit = kind.fit(self.grey, places, blur_px)
+        fit = kind.fit(self.grey, places, blur_px, self.options.fit)
         usual_px = blur_px if known.size else np.inf
-        taken = accepted(kind, fit, places, self._usual_contrast(fit), usual_px) & _inside(fit.pixels, self.model.image_size)
+        taken = accepted(kind, fit, places, self._usual_contrast(fit), usual_px, self.options)
+        taken &= inside_photo(fit.pixels, self.grey.shape)
         taken &= self._too_far(ids, places, fit.pixels, fit.sigma_px) < 1.0
         self.tried_px[ids], self.good[ids], self.trusted[ids] = places.pixels, taken, taken
         rows = ids[taken]
@@ -261,29 +250,3 @@ def _projected(
     with torch.no_grad():
         pixels, valid = model.project(cam_from_board.transform(torch.as_tensor(points_m.reshape(-1, 3))))
     return pixels.numpy().reshape(*points_m.shape[:2], 2), valid.numpy().reshape(points_m.shape[:2])
-
-
-def _inside(pixels: Float[np.ndarray, "n 2"], image_size: tuple[int, int]) -> Bool[np.ndarray, " n"]:
-    return np.all((pixels >= BORDER_PX) & (pixels <= np.array(image_size) - 1.0 - BORDER_PX), axis=1)
-
-
-def _at(places: LocalMap, chosen: Bool[np.ndarray, " n"]) -> LocalMap:
-    return LocalMap(places.pixels[chosen], places.first[chosen], places.second[chosen], places.sigma_px[chosen])
-
-
-def _tags_agree(grey: np.ndarray, board: TagBoard, model: CameraModel, pose: Pose) -> bool:
-    """Whether a quarter of the tags in the image look as printed: their corners alone are the same a few squares on."""
-    low, right, _, down = np.moveaxis(board.tag_corners_m, 1, 0)
-    share = 0.5 + TAG_INSIDE * ((np.arange(TAG_SAMPLES) + 0.5) / TAG_SAMPLES - 0.5)
-    s, t = (axis.reshape(1, -1, 1) for axis in np.meshgrid(share, share))
-    points = low[:, None] + s * (right - low)[:, None] + t * (down - low)[:, None]
-    pixels, valid = _projected(model, pose, np.concatenate([points, np.zeros_like(points[..., :1])], -1))
-    inside = valid.all(1) & _inside(pixels.reshape(-1, 2), model.image_size).reshape(valid.shape).all(1)
-    if not inside.any():
-        return False
-    places = pixels[inside].astype(np.float32)
-    seen = cv2.remap(grey.astype(np.float32), places[..., 0], places[..., 1], cv2.INTER_LINEAR).astype(np.float64)
-    printed = board.reflectance(points[inside], np.zeros_like(points[inside]))
-    seen, printed = seen - seen.mean(1, keepdims=True), printed - printed.mean(1, keepdims=True)
-    norm = np.sqrt((seen**2).sum(1) * (printed**2).sum(1))
-    return bool(np.percentile((seen * printed).sum(1) / np.maximum(norm, 1e-12), 75) > READS)

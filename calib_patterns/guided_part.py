@@ -11,55 +11,62 @@ import torch
 from jaxtyping import Int
 
 from calib_patterns._pattern import Detection, Pattern
-from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import GuidedCorners, guided_search
+from calib_patterns.options import DetectionOptions
 from camera_models._model import CameraModel
 from camera_models.pose import Pose
 
 
 def guided_search_of_part(
-    image: np.ndarray, pattern: Pattern, model: CameraModel, cam_from_board: Pose, found: Detection
+    image: np.ndarray,
+    pattern: Pattern,
+    model: CameraModel,
+    cam_from_board: Pose,
+    found: Detection,
+    options: DetectionOptions = DetectionOptions(),
 ) -> GuidedCorners:
     """`guided_search`, with ids that are free to shift where a plain board was found in part.
 
     Arguments and errors are those of `guided_search`. The corners found come back as they were, but for their ids; the pose is
     that of the new ids.
     """
-    if not isinstance(pattern, Checkerboard) or not len(found):
-        return guided_search(image, pattern, model, cam_from_board, found)
-    places = np.stack([found.ids % pattern.nx, found.ids // pattern.nx], -1)
+    grid = pattern.plain_grid
+    if grid is None or not len(found):
+        return guided_search(image, pattern, model, cam_from_board, found, options)
+    places = np.stack([found.ids % grid.columns, found.ids // grid.columns], -1)
     low, high = places.min(0), places.max(0)
-    board = np.array([pattern.nx, pattern.ny])
+    board = np.array([grid.columns, grid.rows])
     # By so much the board can be shifted towards smaller columns and rows, and towards larger ones, and still hold the part.
     before, after = board - 1 - high, low
     if not (before.any() or after.any()):
-        return guided_search(image, pattern, model, cam_from_board, found)
+        return guided_search(image, pattern, model, cam_from_board, found, options)
     room = board + before + after
-    around = Checkerboard(int(room[0]), int(room[1]), pattern.square_m)
-    shifted = replace(found, ids=_ids(places + before, around.nx))
-    search = guided_search(image, around, model, cam_from_board @ _moved(-before, pattern), shifted)
+    columns, rows = (int(count) for count in room)
+    shifted = replace(found, ids=_ids(places + before, columns))
+    start = cam_from_board @ _moved(-before, grid.pitch_m)
+    search = guided_search(image, pattern.resized(columns, rows), model, start, shifted, options)
     if not search.fits:
         return GuidedCorners(found, cam_from_board, 0, False)
-    all_places = np.stack([search.detection.ids % around.nx, search.detection.ids // around.nx], -1)
+    all_places = np.stack([search.detection.ids % columns, search.detection.ids // columns], -1)
     first = _best_window(all_places, board, room, before)
     kept = ((all_places >= first) & (all_places < first + board)).all(1)
     whole = search.detection
     detection = Detection(
-        _ids(all_places[kept] - first, pattern.nx),
+        _ids(all_places[kept] - first, grid.columns),
         whole.pixels[kept],
         whole.sigma_px[kept],
         None if whole.blur_px is None else whole.blur_px[kept],
     )
-    return GuidedCorners(detection, search.cam_from_board @ _moved(first, pattern), len(detection) - len(found), True)
+    return GuidedCorners(detection, search.cam_from_board @ _moved(first, grid.pitch_m), len(detection) - len(found), True)
 
 
 def _ids(places: Int[np.ndarray, "k 2"], columns: int) -> Int[np.ndarray, " k"]:
     return places[:, 1] * columns + places[:, 0]
 
 
-def _moved(places: Int[np.ndarray, "2"], pattern: Checkerboard) -> Pose:
+def _moved(places: Int[np.ndarray, "2"], pitch_m: float) -> Pose:
     """The pose of a board whose first corner is so many columns and rows on."""
-    return Pose.of(torch.eye(3, dtype=torch.float64), pattern.square_m * np.append(places, 0).astype(np.float64))
+    return Pose.of(torch.eye(3, dtype=torch.float64), pitch_m * np.append(places, 0).astype(np.float64))
 
 
 def _best_window(

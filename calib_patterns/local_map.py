@@ -9,20 +9,16 @@ the prediction states its own standard deviation, which grows as it leaves the k
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from calib_patterns.options import MapOptions
+
 NEIGHBOURS = 24
 """Known corners that a prediction rests on."""
-PRIOR_BY_ORDER = (20.0, 10.0, 0.1, 0.03, 0.01)
-"""Standard deviation of the coefficients of each order, in units of the spacing as seen in the photo."""
-LEAST_SIGMA_PX = 0.03
-"""Of a fitted corner that others are predicted from: prints and lenses are no smoother."""
-REMAINDER = 2e-4
-"""The same for the fifth order, which is left out: what a known corner n spacings away may be off, over n^5."""
-_POWERS = np.array([(i - j, j) for i in range(len(PRIOR_BY_ORDER)) for j in range(i + 1)])
 
 
 @dataclass(frozen=True)
@@ -60,40 +56,55 @@ class KnownCorners:
         )
 
 
-def local_map(known: KnownCorners, places_m: Float[np.ndarray, "n 2"], spacing_m: float, *, leave_out: bool = False) -> LocalMap:
+@lru_cache(maxsize=8)
+def _powers(orders: int) -> Int[np.ndarray, "k 2"]:
+    """Powers of x and y of all terms below an order."""
+    return np.array([(i - j, j) for i in range(orders) for j in range(i + 1)])
+
+
+def local_map(
+    known: KnownCorners,
+    places_m: Float[np.ndarray, "n 2"],
+    spacing_m: float,
+    options: MapOptions,
+    *,
+    leave_out: bool = False,
+) -> LocalMap:
     """The map at `places_m` (n x 2, board) from the nearest of at least three known corners.
 
     `leave_out` leaves out what is known of a place itself, so that the prediction tests it.
     """
+    powers = _powers(len(options.priors))
     distance, index = _nearest(known, places_m)
     weight = (distance > 1e-9 if leave_out else np.ones(distance.shape, dtype=bool)).astype(np.float64)
     offset = (known.board_m[index] - places_m[:, None]) / spacing_m
     pixels = known.pixels[index]
     middle = np.sum(weight[..., None] * pixels, 1) / weight.sum(1)[:, None]
     scale = _spacing_in_photo(offset, pixels - middle[:, None], weight)
-    spread = known.sigma_px[index] ** 2 + (REMAINDER * scale[:, None] * (distance / spacing_m) ** 5) ** 2
-    prior = np.array(PRIOR_BY_ORDER)[_POWERS.sum(1)] * scale[:, None]
+    beyond = options.remainder * scale[:, None] * (distance / spacing_m) ** len(options.priors)
+    spread = known.sigma_px[index] ** 2 + beyond**2
+    prior = np.array(options.priors)[powers.sum(1)] * scale[:, None]
     # Scaled by the prior, so that the normal matrix is well conditioned: identity plus what the corners tell.
-    scaled = _monomials(offset) * prior[..., None]
+    scaled = _monomials(offset, powers) * prior[..., None]
     weighted = scaled * (weight / spread)[:, None]
-    right = np.zeros((len(prior), len(_POWERS), 3))
+    right = np.zeros((len(prior), len(powers), 3))
     right[:, 0, 2] = 1.0
     right[..., :2] = weighted @ (pixels - middle[:, None])
-    solution = np.linalg.solve(weighted @ scaled.transpose(0, 2, 1) + np.eye(len(_POWERS)), right)
+    solution = np.linalg.solve(weighted @ scaled.transpose(0, 2, 1) + np.eye(len(powers)), right)
     coefficients, variance = prior[..., None] * solution[..., :2], solution[:, 0, 2]
-    order = {(int(i), int(j)): k for k, (i, j) in enumerate(_POWERS)}
+    order = {(int(i), int(j)): k for k, (i, j) in enumerate(powers)}
     first = np.stack([coefficients[:, order[1, 0]], coefficients[:, order[0, 1]]], -1)
     second = 2.0 * np.stack([coefficients[:, order[2, 0]], coefficients[:, order[0, 2]]], -1)
     return LocalMap(middle + coefficients[:, 0], first, second, prior[:, 0] * np.sqrt(variance))
 
 
-def _monomials(offset: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n orders k"]:
+def _monomials(offset: Float[np.ndarray, "n k 2"], powers: Int[np.ndarray, "terms 2"]) -> Float[np.ndarray, "n terms k"]:
     """The products of powers that the map is made of: by multiplication, since raising to a power is ten times as slow."""
     x, y = offset[..., 0], offset[..., 1]
-    powers = [(np.ones_like(x), np.ones_like(y))]
-    for _ in PRIOR_BY_ORDER[1:]:
-        powers.append((powers[-1][0] * x, powers[-1][1] * y))
-    return np.stack([powers[i][0] * powers[j][1] for i, j in _POWERS], 1)
+    power = [(np.ones_like(x), np.ones_like(y))]
+    for _ in range(int(powers.max())):
+        power.append((power[-1][0] * x, power[-1][1] * y))
+    return np.stack([power[i][0] * power[j][1] for i, j in powers], 1)
 
 
 def _nearest(known: KnownCorners, places_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n k"], Int[np.ndarray, "n k"]]:
@@ -111,11 +122,9 @@ def _spacing_in_photo(
     return np.sqrt(np.sum(shares * pixels**2, (1, 2)) / np.maximum(np.sum(shares * on_board**2, (1, 2)), 1e-12)) + 1e-6
 
 
-def disagreement(
-    known: KnownCorners, spacing_m: float, *, tolerance_px: float = 0.5, tolerance_spacings: float = 0.04
-) -> Float[np.ndarray, " m"]:
-    """How far each of at least four known corners is from where the others say, over what that may be: the tolerance and three of
-    the prediction's standard deviations."""
-    predicted = local_map(known, known.board_m, spacing_m, leave_out=True)
+def disagreement(known: KnownCorners, spacing_m: float, options: MapOptions) -> Float[np.ndarray, " m"]:
+    """How far each of at least four known corners is from where the others say, over what that may be: the misfit allowed and
+    three of the prediction's standard deviations."""
+    predicted = local_map(known, known.board_m, spacing_m, options, leave_out=True)
     off = np.linalg.norm(predicted.pixels - known.pixels, axis=1)
-    return np.asarray(off / (tolerance_px + tolerance_spacings * predicted.spacing_px + 3.0 * predicted.sigma_px))
+    return np.asarray(off / (options.misfit_px + options.misfit_spacings * predicted.spacing_px + 3.0 * predicted.sigma_px))

@@ -14,13 +14,11 @@ from calib_patterns.corner_growth import grow_corners
 from calib_patterns.corner_kind import squares_kind
 from calib_patterns.grid_checks import GOES_ON
 from calib_patterns.local_map import KnownCorners
-from calib_patterns.saddle_points import POINT_SIGMA_PX, Lattice, lattices, quarter_turn, saddle_points
+from calib_patterns.options import DetectionOptions, PieceOptions
+from calib_patterns.saddle_points import Lattice, lattices, quarter_turn, saddle_points
 
-LEAST_CORNERS = 9
-MOST_PIECES = 3
-"""Pieces of checkerboard in a photo that are tried, the largest first."""
-SPARSE = 0.25
-"""A border row of a piece with fewer corners than this share of its fullest is not the board's when the piece is too large."""
+BLOCK_CORNERS = 9
+"""3 x 3 corners: fewer are not told from texture."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,14 @@ class _Numbering:
 
 
 def visible_part(
-    grey: np.ndarray, search: np.ndarray, factors: Float[np.ndarray, "2"], nx: int, ny: int, mirrored: bool
+    grey: np.ndarray,
+    search: np.ndarray,
+    factors: Float[np.ndarray, "2"],
+    nx: int,
+    ny: int,
+    options: DetectionOptions,
+    *,
+    mirrored: bool,
 ) -> tuple[Detection | None, str | None]:
     """The corners that are seen of a board of nx x ny, at least 3 x 3 of them with their squares.
 
@@ -42,16 +47,17 @@ def visible_part(
     checkerboard that is no part of such a board, what keeps it from being one.
     """
     flaw = None
-    for piece in lattices(saddle_points(search), LEAST_CORNERS, MOST_PIECES):
-        kept = own(piece.places, nx, ny)
+    points = saddle_points(search, options.saddles)
+    for piece in lattices(points, BLOCK_CORNERS, options.pieces.max_pieces, options.saddles):
+        kept = own(piece.places, nx, ny, options.pieces)
         piece = Lattice(piece.pixels[kept], piece.places[kept], piece.bright)
         if not _has_block(piece.places):
             continue
         if len(piece.places) > (nx + 2) * (ny + 2):
             flaw = flaw or GOES_ON
             continue
-        found, places = grown(grey, piece, factors, nx, ny)
-        kept = own(places, nx, ny)
+        found, places = grown(grey, piece, factors, nx, ny, options)
+        kept = own(places, nx, ny, options.pieces)
         if not _has_block(places[kept]):
             continue
         if not _fits(places[kept], nx, ny):
@@ -78,7 +84,7 @@ def _fits(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> bool:
 
 def _has_block(places: Int[np.ndarray, "m 2"]) -> bool:
     """Whether there are 3 x 3 neighbouring corners."""
-    if len(places) < LEAST_CORNERS:
+    if len(places) < BLOCK_CORNERS:
         return False
     low = places.min(0)
     grid = np.zeros(np.maximum(_extent(places), 3), dtype=bool)
@@ -86,7 +92,7 @@ def _has_block(places: Int[np.ndarray, "m 2"]) -> bool:
     return bool(np.lib.stride_tricks.sliding_window_view(grid, (3, 3)).all((2, 3)).any())
 
 
-def own(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> Bool[np.ndarray, " m"]:
+def own(places: Int[np.ndarray, "m 2"], nx: int, ny: int, options: PieceOptions) -> Bool[np.ndarray, " m"]:
     """Which corners are left without sparse rows and columns at the border, taken off while they are too many for the board."""
     kept = np.ones(len(places), dtype=bool)
     while kept.any() and not _fits(places[kept], nx, ny):
@@ -96,7 +102,7 @@ def own(places: Int[np.ndarray, "m 2"], nx: int, ny: int) -> Bool[np.ndarray, " 
             low = int(along[kept].min())
             counts = np.bincount(along[kept] - low)
             for end, count in ((low, counts[0]), (low + len(counts) - 1, counts[-1])):
-                if count < SPARSE * counts.max():
+                if count < options.sparse_share * counts.max():
                     kept &= along != end
         if int(kept.sum()) == before:
             break
@@ -109,6 +115,7 @@ def grown(
     factors: Float[np.ndarray, "2"],
     nx: int,
     ny: int,
+    options: DetectionOptions,
     *,
     strip: float = 1.0,
     strict: bool = True,
@@ -126,8 +133,9 @@ def grown(
     places = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
     kind = squares_kind(places.astype(np.float64), _signs(places, piece.bright), 1.0, strip)
     pixels = (piece.pixels + 0.5) * factors - 0.5
-    seeds = KnownCorners(piece.places.astype(np.float64), pixels, np.full(len(pixels), POINT_SIGMA_PX * float(factors.max())))
-    found = grow_corners(grey, kind, seeds, strict=strict)
+    sigma_px = np.full(len(pixels), options.saddles.sigma_px * float(factors.max()))
+    seeds = KnownCorners(piece.places.astype(np.float64), pixels, sigma_px)
+    found = grow_corners(grey, kind, seeds, options, strict=strict)
     return found, places[found.ids]
 
 

@@ -26,16 +26,9 @@ from jaxtyping import Bool, Float
 
 from calib_patterns.kernels.saddle_fit import fit_all
 from calib_patterns.kernels.saddle_window import LEAST_SQUARE_PX, MAX_HALF_WINDOW_PX, PARAMETERS, starts
+from calib_patterns.options import DetectionOptions, FitOptions, GridOptions
 
 MIN_HALF_WINDOW_PX = 3
-WINDOW_SQUARES = 0.42
-"""The window reaches this far into the adjoining squares, short of the next edges and their blur."""
-MODEL_SIGMA_PX = 0.01
-"""What the saddle leaves unmodelled (pixel integration, third-order distortion), added in quadrature to the noise's share."""
-MAX_BLUR_SQUARES = 0.32
-"""Wider profiles across an edge are not fitted (standard deviation)."""
-MAX_SIGMA_PX = 0.5
-"""Corners that are known less well may be off by more than a pixel, and are none."""
 MAX_STEPS = 20
 SETTLED_PX, SETTLED_GRID_PX = 1e-3, 5e-3
 """A fit ends with the step that is shorter than this: each is about a tenth of the one before. What is no saddle seldom settles
@@ -45,14 +38,6 @@ SETTLED_SIGMA = 0.1
 of its standard deviation."""
 HASTY_PX, MIN_THINNED_PX = 0.05, 7
 """The same for a hasty fit, and the half window from which on it uses every other pixel each way."""
-
-PRIOR_BY_ORDER = (np.inf, np.inf, 0.1, 0.02, 0.003, 0.0005, 0.0001)
-"""Standard deviation of the coefficients of a row of corners, in squares, by order: lenses bend rows smoothly."""
-REMAINDER = 1e-5
-"""The same for the order that is left out: what a corner n squares away may be off, over n^7."""
-MISFIT_PX, MISFIT_SQUARES = 1.0, 0.04
-FINDER_SIGMA_PX = 0.3
-"""Standard deviation of corners as finders give them."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +70,17 @@ def median(values: Float[np.ndarray, "*any"]) -> float:
 
 @lru_cache(maxsize=256)
 def _stencils(
-    count: int, octaves: int, *, leave_out: bool = False
+    count: int, octaves: int, options: GridOptions, *, leave_out: bool = False
 ) -> tuple[Float[np.ndarray, "orders n n"], Float[np.ndarray, " n"]]:
     """Matrices that take values at 0 .. n-1, known to 2^octaves squares, to the coefficients of each order of the polynomial
     around each place that is the most probable, and the standard deviation (squares) of its value; with `leave_out` without the
     value known at that place."""
-    orders = np.arange(min(len(PRIOR_BY_ORDER), count))
+    orders = np.arange(min(len(options.row_priors), count))
     offset = np.arange(count) - np.arange(count, dtype=np.float64)[:, None]
     basis = offset[..., None] ** orders
-    weight = 1.0 / (4.0**octaves + (REMAINDER * np.abs(offset) ** len(PRIOR_BY_ORDER)) ** 2)
+    weight = 1.0 / (4.0**octaves + (options.row_remainder * np.abs(offset) ** len(options.row_priors)) ** 2)
     weighted = basis * (weight * (offset != 0) if leave_out else weight)[..., None]
-    prior = np.diag(1.0 / np.square(PRIOR_BY_ORDER[: len(orders)]))
+    prior = np.diag(1.0 / np.square(options.row_priors[: len(orders)]))
     covariance = np.linalg.inv(weighted.transpose(0, 2, 1) @ basis + prior)
     return np.ascontiguousarray((covariance @ weighted.transpose(0, 2, 1)).transpose(1, 0, 2)), np.sqrt(covariance[:, 0, 0])
 
@@ -108,25 +93,25 @@ def _sizes_px(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> tuple[tupl
     return (width, columns), (height, rows)
 
 
-def misfit(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float) -> Float[np.ndarray, "ny nx"]:
+def misfit(grid: Float[np.ndarray, "ny nx 2"], sigma_px: float, options: GridOptions) -> Float[np.ndarray, "ny nx"]:
     """How far each corner of a grid known to `sigma_px` is from where the others of its row and of its column say, whichever is
-    the nearer, over what that may be: MISFIT_PX, MISFIT_SQUARES and three standard deviations."""
+    the nearer, over what that may be: `misfit_px`, `misfit_squares` and three standard deviations."""
     over = []
     for rows, (size, octaves) in zip((grid, grid.transpose(1, 0, 2)), _sizes_px(grid, sigma_px), strict=True):
-        (value, *_), sigma = _stencils(rows.shape[1], octaves, leave_out=True)
+        (value, *_), sigma = _stencils(rows.shape[1], octaves, options, leave_out=True)
         off = value @ rows - rows
-        over.append(np.hypot(off[..., 0], off[..., 1]) / (MISFIT_PX + (MISFIT_SQUARES + 3.0 * sigma) * size))
+        over.append(np.hypot(off[..., 0], off[..., 1]) / (options.misfit_px + (options.misfit_squares + 3.0 * sigma) * size))
     return np.minimum(over[0], over[1].T)
 
 
 def grid_derivatives(
-    grid: Float[np.ndarray, "ny nx 2"], sigma_px: float
+    grid: Float[np.ndarray, "ny nx 2"], sigma_px: float, options: GridOptions
 ) -> tuple[Float[np.ndarray, "ny nx 2 2"], Float[np.ndarray, "ny nx 2 2"]]:
     """First (.., (u, v), (x, y)) and second ([..., k] along x, then y) derivatives of pixels by board squares at each corner, of
     a grid of at least 3 x 3 corners known to `sigma_px`."""
     (_, columns), (_, rows) = _sizes_px(grid, sigma_px)
-    across, _ = _stencils(grid.shape[1], columns)
-    down, _ = _stencils(grid.shape[0], rows)
+    across, _ = _stencils(grid.shape[1], columns, options)
+    down, _ = _stencils(grid.shape[0], rows, options)
     # Orders 1 and 2, along the rows and along the columns.
     along_x = across[1:3, None] @ grid
     along_y = (down[1:3] @ grid.reshape(len(grid), -1)).reshape(2, *grid.shape)
@@ -135,19 +120,26 @@ def grid_derivatives(
 
 
 def fit_saddles(
-    image: np.ndarray, grid: Float[np.ndarray, "ny nx 2"], sigma_px: float, start_blur_px: float = 1.0, *, hasty: bool = False
+    image: np.ndarray,
+    grid: Float[np.ndarray, "ny nx 2"],
+    sigma_px: float,
+    options: DetectionOptions,
+    *,
+    start_blur_px: float = 1.0,
+    hasty: bool = False,
 ) -> SaddleFit:
     """Refine a grid of checkerboard corners known to `sigma_px`, at worst to within about twice `start_blur_px` + 1 px.
 
     `image`: (h, w) grey, any depth. Corners whose window holds too few pixels or whose fit ran away come back unmoved with
     `converged` false and infinite `sigma_px`.
     """
-    first, second = grid_derivatives(grid, sigma_px)
+    first, second = grid_derivatives(grid, sigma_px, options.grid)
     fit = fit_corners(
         image,
         grid.reshape(-1, 2),
         first.reshape(-1, 2, 2),
         second.reshape(-1, 2, 2),
+        options.fit,
         start_blur_px=start_blur_px,
         settled_px=SETTLED_GRID_PX,
         hasty=hasty,
@@ -160,6 +152,7 @@ def fit_corners(
     corners: Float[np.ndarray, "n 2"],
     first: Float[np.ndarray, "n 2 2"],
     second: Float[np.ndarray, "n 2 2"],
+    options: FitOptions,
     *,
     plain: Float[np.ndarray, "n 2 2"] | None = None,
     start_blur_px: float = 1.0,
@@ -175,8 +168,8 @@ def fit_corners(
     """
     parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, start_blur_px)
     enough_px = HASTY_PX if hasty else settled_px
-    widest_blur_px = max(MAX_BLUR_SQUARES * median(narrowest), 1.5)
-    half = min(max(math.ceil(WINDOW_SQUARES * widest), MIN_HALF_WINDOW_PX), MAX_HALF_WINDOW_PX)
+    widest_blur_px = max(options.max_blur_squares * median(narrowest), 1.5)
+    half = min(max(math.ceil(options.window_squares * widest), MIN_HALF_WINDOW_PX), MAX_HALF_WINDOW_PX)
     counts, cost, spread, last_px = fit_all(
         np.ascontiguousarray(image),
         parameters,
@@ -185,7 +178,7 @@ def fit_corners(
         np.full((len(corners), 2, 2), np.inf) if plain is None else plain,
         half,
         2 if hasty and half >= MIN_THINNED_PX else 1,
-        WINDOW_SQUARES,
+        options.window_squares,
         widest_blur_px,
         max_steps,
         enough_px,
@@ -193,7 +186,7 @@ def fit_corners(
 
     freedom = counts - PARAMETERS
     variance = cost / np.maximum(freedom, 1)
-    sigma = np.sqrt(variance * spread + MODEL_SIGMA_PX**2)
+    sigma = np.sqrt(variance * spread + options.model_sigma_px**2)
     moved = np.hypot(*(parameters[:, :2] - corners).T)
     settled = last_px < np.maximum(enough_px, SETTLED_SIGMA * sigma)
     blur_px = np.exp(parameters[:, 4:6])

@@ -19,34 +19,20 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from calib_patterns.kernels.saddle_points import crossings, nearest_along, responses
+from calib_patterns.options import SaddleOptions
 
-SCALES_PX = (1.2, 2.0, 3.5)
-"""Standard deviations of the smoothing, about a tenth to a quarter of the squares that each finds best."""
 MOST_POINTS, MOST_PEAKS = 6000, 18000
 """Saddle points that are kept, and maxima of the response that are looked at, at each scale, the strongest of both."""
-WEAKEST = 0.02
-"""Of the response of a strong corner: weaker saddle points are texture."""
-POINT_SIGMA_PX = 0.7
-"""Standard deviation of a saddle point, not fitted yet."""
-LEAST_RESPONSE = 1.6
-"""Of a corner whose colours are four grey levels of 255 apart."""
-SAME_PLACE_PX = 2.5
 BORDER_PX = 3
-CONE = float(np.cos(np.radians(20.0)))
-"""A neighbour lies along an edge within this angle."""
-OPPOSITE = -0.6
-"""Cosine between the Hessians of neighbours, at most."""
 NEAREST = 40
 """Points around each that are tried as neighbours."""
-RING = 2.5
-"""Radius of the circle that edges are looked for on, in standard deviations of the smoothing."""
 _FIELDS = ("pixels", "hessian", "edges", "response")
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
 @dataclass(frozen=True)
 class SaddlePoints:
-    """Candidates for corners, to about POINT_SIGMA_PX."""
+    """Candidates for corners, to about `SaddleOptions.sigma_px`."""
 
     pixels: Float[np.ndarray, "n 2"]
     hessian: Float[np.ndarray, "n 3"]
@@ -76,22 +62,23 @@ def quarter_turn(times: int) -> Int[np.ndarray, "2 2"]:
     return np.asarray(np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), times))
 
 
-def saddle_points(grey: np.ndarray, scales_px: tuple[float, ...] = SCALES_PX) -> SaddlePoints:
-    """The strongest saddle points of an 8-bit photo (h, w) at some scales, one for each place."""
-    found = [_at_scale(grey.astype(np.float32), sigma) for sigma in scales_px]
+def saddle_points(grey: np.ndarray, options: SaddleOptions) -> SaddlePoints:
+    """The strongest saddle points of an 8-bit photo (h, w) at all scales, one for each place."""
+    found = [_at_scale(grey.astype(np.float32), sigma, options) for sigma in options.scales_px]
     points = SaddlePoints(*(np.concatenate([getattr(part, name) for part in found]) for name in _FIELDS))
     order = np.argsort(-points.response)[:MOST_PEAKS]
     if not order.size:
         return points
     # Of the same corner at several scales the strongest response is kept.
-    pairs = cKDTree(points.pixels[order]).query_pairs(SAME_PLACE_PX, output_type="ndarray")
+    pairs = cKDTree(points.pixels[order]).query_pairs(options.same_place_px, output_type="ndarray")
     weaker = np.zeros(len(order), dtype=bool)
     weaker[pairs.max(1)] = True
     order = order[~weaker][:MOST_POINTS]
-    return points.at(order[points.response[order] > WEAKEST * np.percentile(points.response[order], 99)])
+    strong = np.percentile(points.response[order], 99)
+    return points.at(order[points.response[order] > options.min_response_share * strong])
 
 
-def _at_scale(grey: np.ndarray, sigma: float) -> SaddlePoints:
+def _at_scale(grey: np.ndarray, sigma: float, options: SaddleOptions) -> SaddlePoints:
     """The maxima of -sigma^4 det H that four quadrants of alternating brightness surround, with the directions in which a circle
     crosses its mean level.
 
@@ -99,13 +86,13 @@ def _at_scale(grey: np.ndarray, sigma: float) -> SaddlePoints:
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), sigma)
     response = responses(smooth, sigma**4)
-    found = crossings(smooth, response, _peaks(response), RING * sigma)
+    found = crossings(smooth, response, _peaks(response, options.min_response), options.ring_sigmas * sigma)
     return SaddlePoints(found[:, :2], found[:, 2:5], found[:, 5:13].reshape(-1, 4, 2), found[:, 13])
 
 
-def _peaks(response: Float32[np.ndarray, "h w"]) -> Int[np.ndarray, "k 2"]:
+def _peaks(response: Float32[np.ndarray, "h w"], least: float) -> Int[np.ndarray, "k 2"]:
     """Rows and columns of the strongest maxima, each of 5 x 5 pixels, not at the border."""
-    at = np.flatnonzero((response == cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response >= LEAST_RESPONSE))
+    at = np.flatnonzero((response == cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response >= least))
     if len(at) > MOST_PEAKS:
         at = at[np.argpartition(-response.ravel()[at], MOST_PEAKS)[:MOST_PEAKS]]
     places = np.stack(np.divmod(at, response.shape[1]), -1)
@@ -130,11 +117,13 @@ class _Links:
         return _Links(np.where(kept, self.point, -1), self.onward)
 
 
-def _linked(points: SaddlePoints) -> _Links:
+def _linked(points: SaddlePoints, options: SaddleOptions) -> _Links:
     """Points that are each other's nearest of opposite Hessian along an edge."""
     count = len(points.pixels)
     _, index = cKDTree(points.pixels).query(points.pixels, k=min(NEAREST + 1, count))
-    nearest = nearest_along(points.pixels, points.hessian, points.edges, np.asarray(index)[:, 1:], OPPOSITE, CONE)
+    cone = float(np.cos(np.radians(options.cone_deg)))
+    tried = np.asarray(index)[:, 1:]
+    nearest = nearest_along(points.pixels, points.hessian, points.edges, tried, options.max_hessian_cosine, cone)
     back = nearest[nearest] == np.arange(count)[:, None, None]
     mutual = back.any(-1) & (nearest >= 0)
     return _Links(np.where(mutual, nearest, -1), (back.argmax(-1) + 2) % 4)
@@ -157,12 +146,12 @@ def _squares_only(links: _Links) -> _Links:
     return links.only(closed & both & (links.point >= 0))
 
 
-def lattices(points: SaddlePoints, least_corners: int, most: int) -> list[Lattice]:
+def lattices(points: SaddlePoints, least_corners: int, most: int, options: SaddleOptions) -> list[Lattice]:
     """The `most` largest pieces of checkerboard of at least `least_corners` corners, the largest first."""
     count = len(points.pixels)
     if count < least_corners:
         return []
-    links = _squares_only(_linked(points))
+    links = _squares_only(_linked(points, options))
     row, direction = np.nonzero(links.point >= 0)
     graph = coo_matrix((np.ones(len(row)), (row, links.point[row, direction])), shape=(count, count))
     _, piece = connected_components(graph, directed=False)

@@ -13,37 +13,34 @@ Robust Regression and Outlier Detection, 1987), which hold as long as more than 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-MIN_PHOTOS = 6
-"""Fewer photos are not compared with each other."""
-MIN_CORNERS = 6
-"""A photo with fewer corners is not judged."""
-CUTOFF = 3.5
-"""Standard deviations of the sharp photos beyond which a photo is blurred."""
+from calib_patterns.options import DetectionOptions, SharpnessOptions
+
 TRIM, TRIMMED = 2.5, 1.048
 """Values beyond so many standard deviations of the first estimate are left out of the second; standard deviation of normal values
 over that of those which this keeps."""
-MIN_RATIO = 1.2
-"""However alike the sharp photos are, a blur by less than this factor is not named."""
-MIN_EXCESS_PX = 0.5
-"""Standard deviation of the least blur that is named, in quadrature over that of the sharp photos: motion by 1.7 px."""
 
 
-def blur_remarks(view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"], views: int) -> tuple[str | None, ...]:
+def blur_remarks(
+    view: Int[np.ndarray, " n"],
+    blur_px: Float[np.ndarray, "n 2"],
+    views: int,
+    options: DetectionOptions = DetectionOptions(),
+) -> tuple[str | None, ...]:
     """For each of `views` photos of one camera one sentence (without its stop) if it is blurred, otherwise None.
 
     `view` is the photo of each corner, `blur_px` the standard deviation (> 0) of the profile across both its edges
     (`Detection.blur_px`). A photo is `motion-blurred` where one of the board's edge directions is blurred clearly more than in
-    the other photos and than the other direction, `blurred` where both are alike. Sets of fewer than MIN_PHOTOS photos, and
-    photos of fewer than MIN_CORNERS corners, get no remark.
+    the other photos and than the other direction, `blurred` where both are alike. Sets of fewer than
+    `SharpnessOptions.min_photos` photos, and photos of fewer than `min_corners` corners, get no remark.
     """
-    median = _medians(view, blur_px, views)
+    median = _medians(view, blur_px, views, options.min_corners)
     judged = np.flatnonzero(np.isfinite(median[:, 0]))
     remarks: list[str | None] = [None] * views
-    if len(judged) < MIN_PHOTOS:
+    if len(judged) < options.sharpness.min_photos:
         return tuple(remarks)
     more, less = median[judged].max(1), median[judged].min(1)
-    usual, blurred = _blurred(more)
-    moved = _moved(median[judged])
+    usual, blurred = _blurred(more, options.sharpness)
+    moved = _moved(median[judged], options.sharpness)
     for k in np.flatnonzero(blurred):
         remarks[judged[k]] = (
             f"motion-blurred: its edges are blurred by {more[k]:.1f} px (standard deviation) in one direction and {less[k]:.1f} "
@@ -55,29 +52,31 @@ def blur_remarks(view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"],
     return tuple(remarks)
 
 
-def _medians(view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"], views: int) -> Float[np.ndarray, "views 2"]:
+def _medians(
+    view: Int[np.ndarray, " n"], blur_px: Float[np.ndarray, "n 2"], views: int, min_corners: int
+) -> Float[np.ndarray, "views 2"]:
     """Median blur of both edge directions of each photo, NaN for a photo of few corners."""
     order = np.argsort(view, kind="stable")
     groups = np.split(blur_px[order], np.searchsorted(view[order], np.arange(1, views)))
-    return np.array([np.median(g, axis=0) if len(g) >= MIN_CORNERS else np.full(2, np.nan) for g in groups])
+    return np.array([np.median(g, axis=0) if len(g) >= min_corners else np.full(2, np.nan) for g in groups])
 
 
-def _blurred(more_px: Float[np.ndarray, " n"]) -> tuple[float, Bool[np.ndarray, " n"]]:
+def _blurred(more_px: Float[np.ndarray, " n"], options: SharpnessOptions) -> tuple[float, Bool[np.ndarray, " n"]]:
     """The usual blur (px) of the more blurred direction, and which photos are clearly above it."""
     log = np.log(more_px)
-    centre, limit = _usual(log)
+    centre, limit = _usual(log, options)
     usual = float(np.exp(centre))
-    return usual, (log > centre + limit) & (more_px**2 > usual**2 + MIN_EXCESS_PX**2)
+    return usual, (log > centre + limit) & (more_px**2 > usual**2 + options.min_excess_px**2)
 
 
-def _moved(blur_px: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+def _moved(blur_px: Float[np.ndarray, "n 2"], options: SharpnessOptions) -> Bool[np.ndarray, " n"]:
     """Photos whose two directions differ clearly more than they usually do."""
     log = np.log(blur_px[:, 0] / blur_px[:, 1])
-    centre, limit = _usual(log)
+    centre, limit = _usual(log, options)
     return np.abs(log - centre) > limit
 
 
-def _usual(log: Float[np.ndarray, " n"]) -> tuple[float, float]:
+def _usual(log: Float[np.ndarray, " n"], options: SharpnessOptions) -> tuple[float, float]:
     """Mean of the usual values, and how far from it a value is no longer usual.
 
     Start from the shortest interval that holds more than half of the values, with Rousseeuw and Leroy's correction for small
@@ -89,4 +88,5 @@ def _usual(log: Float[np.ndarray, " n"]) -> tuple[float, float]:
     start = ordered[first] + 0.5 * length[first]
     scale = 1.4826 * (1 + 5 / (len(log) - 1)) * 0.5 * length[first]
     usual = log[np.abs(log - start) <= TRIM * scale]
-    return float(usual.mean()), max(float(np.log(MIN_RATIO)), CUTOFF * TRIMMED * float(usual.std(ddof=1)))
+    limit = options.cutoff_sigmas * TRIMMED * float(usual.std(ddof=1))
+    return float(usual.mean()), max(float(np.log(options.min_ratio)), limit)

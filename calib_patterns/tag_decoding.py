@@ -11,10 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-MAX_BORDER_ERRORS = 0.2
-"""Share of the border's cells that may read white."""
-MIN_CONTRAST_GREY = 20.0
-"""Between the white bits and the border, of 255."""
+from calib_patterns.options import TagOptions
+
 _SAMPLES = np.array([-0.2, 0.0, 0.2])
 """Places inside a cell, from its middle, in cells."""
 
@@ -77,7 +75,7 @@ def _pieces(pixels: np.ndarray) -> list[np.ndarray]:
 
 
 def decode(
-    image: np.ndarray, quads: Float[np.ndarray, "n 4 2"], codes: Codes
+    image: np.ndarray, quads: Float[np.ndarray, "n 4 2"], codes: Codes, options: TagOptions
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"], Float[np.ndarray, "m 4 2"]]:
     """Which candidates are tags: (rows of `quads`, tags, corners clockwise from the tag's own top left).
 
@@ -102,7 +100,7 @@ def decode(
     wrong = a.sum(1)[:, None] + b.sum(1) - 2.0 * a @ b.T
     best = wrong.argmin(1)
     is_tag = wrong.min(1) <= codes.max_wrong_bits + 0.5
-    is_tag &= (border_errors <= MAX_BORDER_ERRORS) & (white_level - black_level >= MIN_CONTRAST_GREY)
+    is_tag &= (border_errors <= options.max_border_errors) & (white_level - black_level >= options.min_contrast_grey)
     rows = np.flatnonzero(is_tag)
     turn, tag = np.divmod(best[rows], len(codes.black))
     # A tag turned by 90 degrees against the clock has its own top left at the bottom left: the last corner.

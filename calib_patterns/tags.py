@@ -17,13 +17,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from calib_patterns.detection import MAX_SEARCH_PIXELS, SEARCH_SIDE_PX
 from calib_patterns.local_map import KnownCorners
+from calib_patterns.options import DetectionOptions
 from calib_patterns.tag_decoding import Codes, decode
 
-MAX_MISFIT = 0.35
-"""How far a tag may be from where a neighbour's affine map expects it, as a share of their distance: lenses bend that much
-over three tags at the rim, while a false or misread tag is off by its distance or more."""
 _NEIGHBOURS = 24
 """Nearest tags that each is compared with: eight, found by each of three searches."""
 
@@ -68,17 +65,13 @@ class _Search:
 
 _SEARCHES = (_Search(1.0, 1), _Search(2.0, 2), _Search(0.5, 1))
 """`widen` for tags that touch other black."""
-LEAST_EVIDENCE_BITS = 12.0
-"""What tags that agree have to exceed chance by. A single tag of 16 bits reaches 9 on a board of 30 tags, one of 25 bits 13."""
-_CORRECTED_SHARE = 0.6
-"""Of the wrong bits that a dictionary could put right: clutter reads as a tag less often."""
 
 
 @lru_cache(maxsize=8)
-def codes_of(family: TagFamily, count: int) -> Codes:
-    """Of the first `count` tags."""
+def codes_of(family: TagFamily, count: int, corrected_share: float) -> Codes:
+    """Of the first `count` tags, with a share of the wrong bits that the dictionary could put right."""
     black = np.stack([family.bits(tag) for tag in range(count)])
-    return Codes(black, family.border_bits, int(_CORRECTED_SHARE * family.opencv.maxCorrectionBits))
+    return Codes(black, family.border_bits, int(corrected_share * family.opencv.maxCorrectionBits))
 
 
 def _detector(family: TagFamily) -> "cv2.aruco.ArucoDetector":
@@ -94,13 +87,14 @@ def _detector(family: TagFamily) -> "cv2.aruco.ArucoDetector":
     return cv2.aruco.ArucoDetector(family.opencv, parameters)
 
 
-def _searched(image: np.ndarray, family: TagFamily, count: int) -> Iterator[Tags]:
+def _searched(image: np.ndarray, family: TagFamily, count: int, options: DetectionOptions) -> Iterator[Tags]:
     """What each search finds of the first `count` tags, in pixels of the photo (8 bits)."""
     detector = _detector(family)
-    base = min(1.0, SEARCH_SIDE_PX / max(image.shape))
+    codes = codes_of(family, count, options.tags.corrected_share)
+    base = min(1.0, options.search.side_px / max(image.shape))
     for search in _SEARCHES:
         scale = base * search.scale
-        if scale > 1 and scale**2 * image.size > MAX_SEARCH_PIXELS:
+        if scale > 1 and scale**2 * image.size > options.search.max_pixels:
             continue
         interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         scaled = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=interpolation)
@@ -109,9 +103,9 @@ def _searched(image: np.ndarray, family: TagFamily, count: int) -> Iterator[Tags
         parted = cv2.dilate(scaled, np.ones((2 * widen + 1,) * 2, dtype=np.uint8)) if widen else scaled
         read, _, rejected = detector.detectMarkers(parted)
         quads = _clockwise(np.array([*read, *rejected], dtype=np.float64).reshape(-1, 4, 2))
-        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), codes_of(family, count))
+        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), codes, options.tags)
         # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5).
-        yield Tags(ids, (pixels + 0.5) * factors - 0.5, np.full(len(ids), max(1.0 / scale, 0.7)))
+        yield Tags(ids, (pixels + 0.5) * factors - 0.5, np.full(len(ids), max(1.0 / scale, options.saddles.sigma_px)))
 
 
 def _clockwise(quads: Float[np.ndarray, "n 4 2"]) -> Float[np.ndarray, "m 4 2"]:
@@ -131,7 +125,7 @@ def _unshrunk(pixels: Float[np.ndarray, "n 4 2"], widen: int) -> Float[np.ndarra
     return middle + (pixels - middle) * (1.0 + 2.0 * widen / np.maximum(side, 1.0))[:, None, None]
 
 
-def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
+def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"], options: DetectionOptions) -> Tags:
     """The tags of a board in a photo of 8 bits, each at most once, none that disagrees with the others, and so many that chance
     does not explain them: two of the tags of 16 bits, one of most others. None where most tags disagree, as they do on a board
     of another number of squares.
@@ -140,31 +134,32 @@ def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "
     and then no more.
     """
     found = kept = none = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
-    for tags in _searched(image, family, len(board_m)):
+    for tags in _searched(image, family, len(board_m), options):
         before = len(kept.ids)
         found = Tags(*(np.concatenate(columns) for columns in _columns(found, tags)))
-        kept = _agreeing(found, board_m)
+        kept = _agreeing(found, board_m, options.tags.max_misfit)
         if len(kept.ids) == len(board_m) or len(kept.ids) == before > 0:
             break
     most = 2 * len(kept.ids) >= len(np.unique(found.ids))
-    return kept if most and _evidence_bits(kept, family, len(board_m)) > LEAST_EVIDENCE_BITS else none
+    bits = _evidence_bits(kept, family, codes_of(family, len(board_m), options.tags.corrected_share))
+    return kept if most and bits > options.tags.min_evidence_bits else none
 
 
-def _evidence_bits(tags: Tags, family: TagFamily, count: int) -> float:
+def _evidence_bits(tags: Tags, family: TagFamily, codes: Codes) -> float:
     """By how many bits tags that agree exceed what random bits read as: the id and the turn of the first are free, of the others
     given by their places."""
     if not len(tags.ids):
         return 0.0
     bits = family.opencv.markerSize**2
-    alike = sum(math.comb(bits, wrong) for wrong in range(codes_of(family, count).max_wrong_bits + 1))
-    return len(tags.ids) * (bits - math.log2(alike)) - math.log2(4 * count)
+    alike = sum(math.comb(bits, wrong) for wrong in range(codes.max_wrong_bits + 1))
+    return len(tags.ids) * (bits - math.log2(alike)) - math.log2(4 * len(codes.black))
 
 
 def _columns(a: Tags, b: Tags) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     return (a.ids, b.ids), (a.pixels, b.pixels), (a.sigma_px, b.sigma_px)
 
 
-def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
+def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"], max_misfit: float) -> Tags:
     """The largest set of tags that agree with each other; of several of one id the first found."""
     if not len(tags.ids):
         return tags
@@ -184,7 +179,7 @@ def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"]) -> Tags:
     off = np.linalg.norm(centre_px[pairs[0]] + np.einsum("nij,nj->ni", both, steps_m) - centre_px[pairs[1]], axis=1)
     same = tags.ids[pairs[0]] == tags.ids[pairs[1]]
     size_px = np.sqrt(np.abs(np.linalg.det(_sides(tags.pixels))))[pairs[0]]
-    linked = np.where(same, distance_px < 0.3 * size_px, off < MAX_MISFIT * distance_px)
+    linked = np.where(same, distance_px < 0.3 * size_px, off < max_misfit * distance_px)
     linked &= right_handed[pairs[0]] & right_handed[pairs[1]]
     # Only true links: SciPy takes a stored False for an edge as well.
     pairs = pairs[:, linked]

@@ -16,32 +16,19 @@ from jaxtyping import Float
 
 from calib_patterns._pattern import Detection, Pattern, check_image
 from calib_patterns.corner_growth import grow_corners
-from calib_patterns.detection import SEARCH_SIDE_PX, grey_of, stretched
-from calib_patterns.guided import corner_kind
+from calib_patterns.detection import grey_of, stretched
 from calib_patterns.local_map import KnownCorners
-from calib_patterns.saddle_points import lattices, saddle_points
-from calib_patterns.tag_board import TagBoard
+from calib_patterns.options import DetectionOptions, ViewOptions
+from calib_patterns.partial import BLOCK_CORNERS
+from calib_patterns.saddle_points import saddle_points
 from camera_models._model import CameraModel
 from camera_models.unified import Unified
 
-HALF_ANGLE_RAD = math.radians(75.0)
-"""From the middle of a view to its sides."""
-SIDE_PX = (480, 800)
-"""Views have the photo's resolution, within these limits."""
-MOST_PLACES = 2
-GATHER_RAD, APART_RAD = math.radians(28.0), math.radians(36.0)
-"""Saddle points so near to one are one place with it; other places are so far away at least."""
-LEAST_POINTS = 9
-"""Saddle points that a place must have, and linked ones that a plain board shows: 3 x 3."""
-LEAST_CORNERS = 6
-"""Of a detection: fewer are of no use to a calibration."""
 MOST_POINTS = 800
 """The strongest saddle points are looked at."""
 GRID_PX = 4
 UNSEEN = -1e5
 """Pixel coordinates of what the camera does not see: far outside any photo."""
-SEED_SIGMA_PX = 0.7
-"""Of corners carried back from a view."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +63,7 @@ class TangentView:
         return cv2.remap(grey, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=beyond)
 
 
-def tangent_view(model: CameraModel, axis: Float[np.ndarray, "3"]) -> TangentView:
+def tangent_view(model: CameraModel, axis: Float[np.ndarray, "3"], options: ViewOptions) -> TangentView:
     """The view along a unit bearing that the camera sees, its u along the photo's."""
     pixel, _ = model.project(axis[None])
     around, _ = model.unproject(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
@@ -87,42 +74,51 @@ def tangent_view(model: CameraModel, axis: Float[np.ndarray, "3"]) -> TangentVie
     # Pixels per radian where the photo has most of them.
     resolution = 1.0 / np.linalg.svd(np.stack([by_u, by_v]), compute_uv=False)[-1]
     # Stereographic: r = focal tan(theta / 2), focal / 2 pixels per radian in the middle.
-    reach = math.tan(0.5 * HALF_ANGLE_RAD)
-    side = int(np.clip(4.0 * resolution * reach, *SIDE_PX))
+    reach = math.tan(0.5 * math.radians(options.half_angle_deg))
+    side = int(np.clip(4.0 * resolution * reach, *options.side_px))
     focal, middle = 0.5 * side / reach, 0.5 * (side - 1)
     camera = Unified([focal, focal, middle, middle, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (side, side))
     return TangentView(camera, np.stack([x, y, axis], 1), bool(by_v @ y < 0))
 
 
-def places_of_interest(grey: np.ndarray, model: CameraModel) -> list[Float[np.ndarray, "3"]]:
-    """Unit bearings around which a photo has the most and strongest saddle points, at most MOST_PLACES."""
+def places_of_interest(grey: np.ndarray, model: CameraModel, options: DetectionOptions) -> list[Float[np.ndarray, "3"]]:
+    """Unit bearings around which a photo has the most and strongest saddle points, at most `ViewOptions.max_places`."""
     small = stretched(grey)
-    reduction = max(1.0, max(grey.shape) / SEARCH_SIDE_PX)
+    reduction = max(1.0, max(grey.shape) / options.search.side_px)
     if reduction > 1.0:
         small = cv2.resize(small, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
-    points = saddle_points(small)
+    points = saddle_points(small, options.saddles)
     strongest = np.argsort(-points.response)[:MOST_POINTS]
     factors = np.array(grey.shape[::-1]) / np.array(small.shape[::-1])
     with torch.no_grad():
         bearings, valid = model.unproject((points.pixels[strongest] + 0.5) * factors - 0.5)
     bearings, response = bearings[valid], points.response[strongest][valid]
     # Corners of a board are among the strongest; the many weak points are texture and noise.
-    weight = np.minimum(response / max(response[:LEAST_POINTS].min(initial=np.inf), 1e-12), 1.0)
+    weight = np.minimum(response / max(response[:BLOCK_CORNERS].min(initial=np.inf), 1e-12), 1.0)
+    views = options.views
+    gather, apart = math.cos(math.radians(views.gather_deg)), math.cos(math.radians(views.apart_deg))
     places = []
-    for _ in range(MOST_PLACES):
-        if len(bearings) < LEAST_POINTS:
+    for _ in range(views.max_places):
+        if len(bearings) < BLOCK_CORNERS:
             break
-        near = bearings @ bearings.T > math.cos(GATHER_RAD)
+        near = bearings @ bearings.T > gather
         chosen = near[int((near @ weight).argmax())]
         middle = weight[chosen] @ bearings[chosen]
         middle = middle / np.linalg.norm(middle)
         places.append(middle)
-        left = bearings @ middle < math.cos(APART_RAD)
+        left = bearings @ middle < apart
         bearings, weight = bearings[left], weight[left]
     return places
 
 
-def detect_in_views(image: np.ndarray, pattern: Pattern, model: CameraModel, *, mirrored: bool = False) -> Detection:
+def detect_in_views(
+    image: np.ndarray,
+    pattern: Pattern,
+    model: CameraModel,
+    *,
+    mirrored: bool = False,
+    options: DetectionOptions = DetectionOptions(),
+) -> Detection:
     """The corners of a target in a photo of a known camera, found in straightened views; empty where there are none.
 
     `image` and `mirrored` as in `Pattern.detect`; the photo is of `model.image_size`. Of several views the one with the most
@@ -130,30 +126,27 @@ def detect_in_views(image: np.ndarray, pattern: Pattern, model: CameraModel, *, 
     """
     check_image(image)
     grey, best = grey_of(image), Detection.empty()
-    for view in (tangent_view(model, axis) for axis in places_of_interest(grey, model)):
+    for view in (tangent_view(model, axis, options.views) for axis in places_of_interest(grey, model, options)):
         shown = view.resampled(grey, model)
-        if not _may_show(pattern, shown):
+        if not pattern.may_be_in(shown, options):
             continue
-        found, _ = pattern.detect(shown, mirrored=mirrored != view.reversed)
+        found, _ = pattern.detect(shown, mirrored=mirrored != view.reversed, options=options)
         if len(found) > len(best):
-            there = _fitted_in_photo(grey, pattern, found.ids, view.in_photo(found.pixels, model))
+            there = _fitted_in_photo(grey, pattern, found.ids, view.in_photo(found.pixels, model), options)
             best = there if len(there) > len(best) else best
         if len(best) == len(pattern.points_m):
             break
-    return best if len(best) >= LEAST_CORNERS else Detection.empty()
+    return best if len(best) >= options.min_corners else Detection.empty()
 
 
-def _may_show(pattern: Pattern, view: np.ndarray) -> bool:
-    """Whether the ordinary detection is worth its time, which is longest where there is no board: a plain board shows squares."""
-    return isinstance(pattern, TagBoard) or bool(lattices(saddle_points(stretched(view)), LEAST_POINTS, 1))
-
-
-def _fitted_in_photo(grey: np.ndarray, pattern: Pattern, ids: np.ndarray, pixels: Float[np.ndarray, "n 2"]) -> Detection:
+def _fitted_in_photo(
+    grey: np.ndarray, pattern: Pattern, ids: np.ndarray, pixels: Float[np.ndarray, "n 2"], options: DetectionOptions
+) -> Detection:
     """The corners near the given places, and those around them, as the photo itself shows them."""
-    kind = corner_kind(pattern)
-    seeds = KnownCorners(kind.corners_m[ids], pixels, np.full(len(ids), SEED_SIGMA_PX))
-    found = grow_corners(grey, kind, seeds)
-    if len(found) or isinstance(pattern, TagBoard):
+    kind = pattern.corner_kind(options.fit)
+    seeds = KnownCorners(kind.corners_m[ids], pixels, np.full(len(ids), options.saddles.sigma_px))
+    found = grow_corners(grey, kind, seeds, options)
+    if len(found) or pattern.plain_grid is None:
         return found
     # A plain board may begin with either colour.
-    return grow_corners(grey, replace(kind, sign=-kind.sign), seeds)
+    return grow_corners(grey, replace(kind, sign=-kind.sign), seeds, options)

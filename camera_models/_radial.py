@@ -16,6 +16,7 @@ TABLE_SIZE = 1024
 """Samples of a monotone function that give the start of its inverse."""
 PLAIN_STEPS = 2
 """Newton steps from the table that nearly every point needs; a point that needs more takes safeguarded ones."""
+NEGLIGIBLE = 1e-150
 LAST_STEP = 1e-10
 """Newton's step relative to the interval after which the error, quadratic in it, is one of rounding."""
 SMALL_SLOPE = 1e-7
@@ -30,6 +31,8 @@ def first_sign_change(coefficients: Float[np.ndarray, " k"], scale: float) -> fl
     scaled = np.asarray(coefficients, dtype=float) * scale ** np.arange(len(coefficients))
     if not np.isfinite(scaled).all():
         return 0.0
+    # Highest coefficients so small that a quotient by them would overflow are none.
+    scaled = scaled[: np.flatnonzero(np.abs(scaled) >= NEGLIGIBLE * np.abs(scaled).max())[-1] + 1]
     if (scaled >= 0).all():
         return math.inf
     roots = _roots(np.trim_zeros(scaled, "b"))

@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib_patterns.options import DetectionOptions
     from camera_models.errors import GeometryError, InputError, OmnilinesError
     from camera_models.formats.native import Calibration, load, save
     from camera_models.pose import Pose
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 _HOMES = {
     # Photos of a target -> cameras.
     "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
+    "calib_patterns.options": ("DetectionOptions",),
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
     "omnilines.pipelines.calibrate": ("calibrate", "CalibrationResult"),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
@@ -68,6 +70,7 @@ __all__ = [
     "Cancelled",
     "ConversionResult",
     "Corners",
+    "DetectionOptions",
     "GeometryError",
     "ImagePoses",
     "InputError",

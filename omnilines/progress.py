@@ -28,11 +28,14 @@ def silent(stage: str, done: int, total: int) -> None:
     """The progress callback that says nothing."""
 
 
-def on_all_cores(work: Callable[[T], R], items: Sequence[T], stage: str, progress: ProgressCallback) -> list[R]:
-    """The results in order, one item per core at a time. Torch starts no threads within them: every core has its item, and they
-    would wait for each other at several times the cost of the work."""
+def on_all_cores(
+    work: Callable[[T], R], items: Sequence[T], stage: str, progress: ProgressCallback, at_once: int | None = None
+) -> list[R]:
+    """The results in order, one item per core at a time, `at_once` at most where each takes much memory. Torch starts no threads
+    within them: every core has its item, and they would wait for each other at several times the cost of the work."""
     results = []
-    pool = ThreadPoolExecutor(os.cpu_count() or 1, initializer=torch.set_num_threads, initargs=(1,))
+    cores = os.cpu_count() or 1
+    pool = ThreadPoolExecutor(min(cores, at_once or cores), initializer=torch.set_num_threads, initargs=(1,))
     try:
         for done, result in enumerate(pool.map(work, items), 1):
             results.append(result)
@@ -41,6 +44,18 @@ def on_all_cores(work: Callable[[T], R], items: Sequence[T], stage: str, progres
         # After an error, or where the user stops it, what has not begun does not begin.
         pool.shutdown(cancel_futures=True)
     return results
+
+
+def interruptible(work: Callable[[], R], cancel: Callable[[], None]) -> R:
+    """The result of work that holds the interpreter, in a thread of its own, so that an interrupt is heard meanwhile: then
+    `cancel` is called, which has to end the work."""
+    with ThreadPoolExecutor(1) as pool:
+        task = pool.submit(work)
+        try:
+            return task.result()
+        except KeyboardInterrupt:
+            cancel()
+            raise
 
 
 LEAST_SHARE = 200

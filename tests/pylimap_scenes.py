@@ -13,7 +13,7 @@ import torch
 
 from camera_models import CameraModel, OpenCVFisheye
 from camera_models.pose import Pose
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import ImagePoses, Lines, Segments
 from omnilines.synthetic.lines import LineWorld
@@ -123,7 +123,7 @@ def of_images(segments: Segments, images: int) -> Segments:
     )
 
 
-def ours(world: LineWorld, segments: Segments, triangulation: str = "dual", cost: str = "sector") -> LineScene:
+def ours(world: LineWorld, segments: Segments, triangulation: str = "dual", cost: str = "sector") -> AdjustedScene:
     """Triangulated and adjusted lines, the poses held."""
     poses: ImagePoses = world.poses()
     return reconstruct_lines(segments, poses, {"cam0": world.camera}, triangulation=triangulation, cost=cost)

@@ -22,9 +22,10 @@ from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models.pose import Pose
 from omnilines.cli import main
+from omnilines.options import with_settings
 
 VERBS = "detect detect_rig calibrate calibrate_rig convert".split()
-RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions".split()
+RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions DetectionOptions".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
     *("load", "save", "read_corners", "read_rig_corners", "read_poses", "read_segments", "read_lines"),
@@ -137,6 +138,43 @@ def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     titles = [re.findall(r"<h2[^>]*>([^<]*)</h2>", result.report(tmp_path / "report.html").read_text())
               for result in (from_files, whole)]  # fmt: skip
     assert [title for title in titles[0] if title != "Photos"] == titles[1] and len(titles[0]) == len(titles[1]) + 1
+
+
+def test_thresholds_are_options(rendered: Path) -> None:
+    """They reach what they decide: by `--set` they come as options too."""
+    found = ol.detect(rendered / "board", BOARD)
+    default = ol.CalibrationOptions("opencv-fisheye", searches=0)
+    strict = with_settings(default, ["calibration.robust.reject_sigma=2"], "calibration.")
+    kept = [int(ol.calibrate(found, options=options).fit.kept.sum()) for options in (default, strict)]
+    assert kept[1] < kept[0] - 10
+    many = with_settings(default, ["views.least_views=9"])
+    with pytest.raises(ol.InputError, match="at least 9, found 8"):
+        ol.calibrate(found, options=many)
+    cameras = {"left": rendered / "rig" / "left", "right": rendered / "rig" / "right"}
+    with pytest.raises((ol.InputError, ol.GeometryError), match="at least 9, found 8"):
+        ol.calibrate_rig(ol.detect_rig(cameras, BOARD), options=many)
+
+
+def test_a_rig_from_folders_and_arrays_of_each_camera(rendered: Path, tmp_path: Path) -> None:
+    """Photos by camera are those of one folder; so is the rig."""
+    right = {f"{k}.png": cv2.imread(str(rendered / "rig" / "right" / f"{k}.png"), cv2.IMREAD_UNCHANGED) for k in range(8)}
+    found = ol.detect_rig({"left": rendered / "rig" / "left", "right": right}, [BOARD])
+    same = ol.detect_rig(rendered / "rig", BOARD)
+    assert found.corners.images == same.corners.images and found.corners.frames == same.corners.frames
+    np.testing.assert_array_equal(found.corners.pixels, same.corners.pixels)
+    assert found.photo_folder is None and same.photo_folder == rendered / "rig"
+    result = ol.calibrate_rig(found, model="opencv-fisheye")
+    centre = result.rig["right"].cam_from_rig.centre.numpy()
+    covariance = result.fit.member("right").pose_covariance[3:, 3:]
+    assert np.abs(centre - [0.1, 0, 0]).max() < 5.0 * math.sqrt(np.linalg.eigvalsh(covariance)[-1]) < 0.001
+    begun = ol.calibrate_rig(found.corners, (640, 480), start=result.cameras, hold=True)
+    np.testing.assert_array_equal(begun.cameras["left"].parameters, result.cameras["left"].parameters)
+    with pytest.raises(ol.InputError, match="`models`: cameras among left, right were expected, found 'middle'"):
+        ol.calibrate_rig(found, models={"middle": "pinhole"})
+    with pytest.raises(ol.InputError, match=r"`boards` known was expected with a corners\.csv"):
+        ol.calibrate_rig(found, boards="known")
+    page = result.report(tmp_path / "report.html").read_text()
+    assert "left: parameters" in page and ">Photos with the largest residuals<" not in page
 
 
 def test_what_calls_can_get_wrong(rendered: Path) -> None:

@@ -9,6 +9,7 @@ import torch
 from tag_views import CAMERAS, check_partial, views
 
 import calib_patterns
+from calib_patterns import DetectionOptions
 from calib_patterns.aprilgrid import FAMILIES, AprilGrid
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.corner_growth import grow_corners
@@ -16,6 +17,7 @@ from calib_patterns.local_map import KnownCorners
 from calib_patterns.rendering import render_target
 from camera_models.errors import InputError
 
+OPTIONS = DetectionOptions()
 SPEC = "aprilgrid:6x6:35mm:0.3:36h11"
 BOARD = calib_patterns.pattern(SPEC)
 # The first codes of each family as published with AprilTag.
@@ -145,9 +147,9 @@ def test_another_family_of_tags_is_refused() -> None:
             seeds = KnownCorners(
                 board.points_m[[18, 19, 26, 27], :2], truth[np.array([18, 19, 26, 27]) + 2 * shift], np.full(4, 0.7)
             )
-            assert len(grow_corners(image, other.corner_kind, seeds)) > 20
-            assert len(other._grown(image, seeds)) == 0
-            assert (len(board._grown(image, seeds)) > 20) == (shift == 0)
+            assert len(grow_corners(image, other.corner_kind(OPTIONS.fit), seeds, OPTIONS)) > 20
+            assert len(other._grown(image, seeds, OPTIONS)) == 0
+            assert (len(board._grown(image, seeds, OPTIONS)) > 20) == (shift == 0)
             refused += 1
     assert refused == 6
 

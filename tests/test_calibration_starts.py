@@ -132,7 +132,7 @@ def test_survives_a_fifth_of_gross_errors_and_two_mislabelled_views(model, reach
 
 
 def test_kept_corners_are_fitted_by_plain_least_squares():
-    """With no gross error, the robust default gives the plain fit of the corners that it keeps, not a bent one."""
+    """With no gross error, the robust default gives the plain fit of the corners that it keeps, not the one of the loss."""
     corners = ladder_corners(LADDER_LENS, 76.0, 7)
     robust = calibrate_camera(corners, SIZE, "opencv-fisheye")
     rows = np.flatnonzero(robust.kept)

@@ -10,10 +10,10 @@ import pytest
 import torch
 import yaml
 
-from calib_patterns import Detection, Pattern, pattern
+from calib_patterns import Detection, DetectionOptions, Pattern, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import graded_background, render_target
-from calib_patterns.tangent_views import HALF_ANGLE_RAD, detect_in_views, places_of_interest, tangent_view
+from calib_patterns.tangent_views import detect_in_views, places_of_interest, tangent_view
 from camera_models import Calibration, CameraModel, InputError, save
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pose import Pose
@@ -31,6 +31,7 @@ from omnilines.pipelines.camera_search import completed, resected, searched
 from omnilines.pipelines.detect import PhotoCorners, detect, search_again
 from omnilines.records import ViewResult
 
+OPTIONS = DetectionOptions()
 SIZE = (1280, 960)
 LENS_220 = OpenCVFisheye([246.0, 246.0, 639.5, 479.5, -0.01, 0.003, -0.001, 0.0001], SIZE)
 SMALL = OpenCVFisheye([143.0, 143.0, 319.5, 239.5, -0.01, 0.003, -0.001, 0.0001], (640, 480))
@@ -62,13 +63,13 @@ def test_a_view_is_the_stereographic_one(model: CameraModel) -> None:
         axis, valid = model.unproject(pixel[None])
         if not valid[0]:
             continue
-        view = tangent_view(model, axis[0])
+        view = tangent_view(model, axis[0], OPTIONS.views)
         side = view.camera.image_size[0]
         middle = np.full((1, 2), 0.5 * (side - 1))
         np.testing.assert_allclose(view.in_photo(middle, model), pixel[None], atol=1e-6)
         np.testing.assert_allclose(view.camera_from_view.T @ view.camera_from_view, np.eye(3), atol=1e-12)
         assert np.linalg.det(view.camera_from_view) > 0 and not view.reversed
-        focal = 0.5 * side / math.tan(0.5 * HALF_ANGLE_RAD)
+        focal = 0.5 * side / math.tan(0.5 * math.radians(OPTIONS.views.half_angle_deg))
         offset = rng.uniform(-0.4, 0.4, (20, 2)) * side
         radius = np.linalg.norm(offset, axis=1)
         theta = 2 * np.arctan(radius / focal)
@@ -102,7 +103,7 @@ def test_a_mirror_shows_the_right_way_round_in_views() -> None:
     pose = random_board_poses(BOARD, mirror, 3, math.radians(75.0), min_spacing_px=9.0, seed=4)[2]
     image = render_target(BOARD, mirror, pose, blur_px=0.4, noise_grey=1.0, seed=1)
     truth = mirror.project(pose.transform(torch.as_tensor(BOARD.points_m)))[0].numpy()
-    assert tangent_view(mirror, places_of_interest(image, mirror)[0]).reversed
+    assert tangent_view(mirror, places_of_interest(image, mirror, OPTIONS)[0], OPTIONS.views).reversed
     found = detect_in_views(image, BOARD, mirror, mirrored=True)
     assert len(found) > 0.8 * len(truth) and error_px(found, truth, BOARD) < 0.3
     # Taken for a lens's photo, its corners are numbered the other way round, which no pose makes good.
@@ -116,7 +117,7 @@ def test_no_board_no_corners() -> None:
     clutter = np.clip(scene + rng.normal(0.0, 8.0, scene.shape), 0, 255).astype(np.uint8)
     for image in (clutter, np.full((480, 640), 90, dtype=np.uint8)):
         assert len(searched(image, BOARD, SMALL, Detection.empty())) == 0
-    assert places_of_interest(np.full((480, 640), 90, dtype=np.uint8), SMALL) == []
+    assert places_of_interest(np.full((480, 640), 90, dtype=np.uint8), SMALL, OPTIONS) == []
 
 
 def test_resection_of_a_known_camera() -> None:

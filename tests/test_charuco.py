@@ -9,6 +9,7 @@ import torch
 from tag_views import check_partial, views
 
 import calib_patterns
+from calib_patterns import DetectionOptions
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.charuco import TAGS_OF_DICTIONARY, ChArUco
 from calib_patterns.rendering import render_target
@@ -104,7 +105,7 @@ def test_squares_lead_where_no_tag_can_be_read() -> None:
     pose = random_board_poses(BOARD, model, 8, math.radians(108.0), min_spacing_px=12.0, seed=77)[3]
     image = render_target(BOARD, model, pose, blur_px=1.2, noise_grey=5.0, vignetting=0.2, seed=3)
     assert isinstance(BOARD, ChArUco)
-    assert len(find_tags(image, BOARD.family, BOARD.tag_corners_m).ids) == 0
+    assert len(find_tags(image, BOARD.family, BOARD.tag_corners_m, DetectionOptions()).ids) == 0
     truth = model.project(pose.transform(torch.as_tensor(BOARD.points_m)))[0].numpy()
     found, reason = BOARD.detect(image)
     assert reason is None and found.ids.tolist() == list(range(48))

@@ -10,7 +10,7 @@ from matching_scenes import VIEWS, room
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.structure.clipping import supported_stretches
-from omnilines.structure.kernels.clip import agreed, clipped, covered
+from omnilines.structure.kernels.clip import SETTLING, agreed, clipped, covered
 from omnilines.structure.options import ClippingOptions
 
 SIGMA = 0.01
@@ -98,6 +98,39 @@ def test_ends_agree_where_photos_do() -> None:
     near, far = 1.0 - 0.9 * AGREE_SIGMA * 0.01 * math.sqrt(2), 1.0 - 1.1 * AGREE_SIGMA * 0.01 * math.sqrt(2)
     assert agreed(np.array([1.0, near]), np.full(2, 0.01), np.arange(2), AGREE_SIGMA)[0] == pytest.approx(0.5 * (1.0 + near))
     assert math.isnan(agreed(np.array([1.0, far]), np.full(2, 0.01), np.arange(2), AGREE_SIGMA)[0])
+
+
+def plain_agreed(ends: np.ndarray, sigma: np.ndarray, image: np.ndarray) -> tuple[float, float]:
+    """From the tables of who agrees with whom."""
+    rows = [np.flatnonzero(image == k)[ends[image == k].argmax()] for k in np.unique(image)]
+    ends, sigma = ends[rows], sigma[rows]
+    apart = np.abs(ends - ends[:, None])
+    agree = apart <= AGREE_SIGMA * np.sqrt(sigma[:, None] ** 2 + np.minimum(sigma, sigma[:, None]) ** 2)
+    voters = agree.sum(1)
+    enough = np.flatnonzero(voters >= max(2, (voters.max() + 1) // 2))
+    if not len(enough):
+        return math.nan, math.nan
+    member = agree[enough[ends[enough].argmax()]]
+    for _ in range(SETTLING + 1):
+        weight = 1.0 / sigma[member] ** 2
+        place, spread = float((weight * ends[member]).sum() / weight.sum()), float(weight.sum() ** -0.5)
+        member = np.abs(ends - place) <= AGREE_SIGMA * np.hypot(sigma, spread)
+        if member.sum() < 2:
+            break
+    return place, spread
+
+
+def test_agreed_ends_are_those_of_a_plain_count() -> None:
+    rng = np.random.default_rng(11)
+    nowhere = 0
+    for _ in range(400):
+        count = int(rng.integers(1, 20))
+        ends = np.where(rng.random(count) < 0.6, 1.0 + 0.02 * rng.standard_normal(count), rng.uniform(0.0, 1.2, count))
+        sigma, image = rng.uniform(0.002, 0.05, count), rng.integers(0, 9, count)
+        found, expected = agreed(ends, sigma, image, AGREE_SIGMA), plain_agreed(ends, sigma, image)
+        assert found == pytest.approx(expected, rel=1e-12, nan_ok=True)
+        nowhere += math.isnan(expected[0])
+    assert 20 < nowhere < 200
 
 
 def test_true_ends_beat_hidden_and_overshooting_ones() -> None:

@@ -227,7 +227,7 @@ def test_mistakes_are_one_sentence(tmp_path: Path, capsys) -> None:
     assert "found 'a.dat'; name the format with --to" in refused(capsys, source, tmp_path / "a.dat")
     assert "A format is one of" in refused(capsys, source, tmp_path / "a.yml", "--to", "bundler")
     assert "found" in refused(capsys, source, source) and source.read_text().startswith("format: omnilines")
-    assert "cannot be read" in refused(capsys, tmp_path / "absent.yaml", tmp_path / "a.yml")
+    assert "does not exist" in refused(capsys, tmp_path / "absent.yaml", tmp_path / "a.yml")
     (tmp_path / "poem.yaml").write_text("roses: red\n")
     assert "was expected to be a calibration of" in refused(capsys, tmp_path / "poem.yaml", tmp_path / "a.yml")
     assert "--image-size was expected as WIDTHxHEIGHT" in refused(capsys, source, tmp_path / "a.yml", "--image-size", "big")

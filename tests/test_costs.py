@@ -9,7 +9,7 @@ import torch
 from camera_models import CameraModel, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import Arcs, arcs_from_segments
-from omnilines.costs import COSTS, cost_function, sector
+from omnilines.costs import COSTS, IN_PIXELS, WHITENED, cost_function, cost_named, sector
 from omnilines.costs._cost import by_bearings
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Segments
@@ -75,8 +75,36 @@ def test_derivative_by_the_bearings_is_that_of_differences(name):
     torch.testing.assert_close(predicted, difference, rtol=1e-5, atol=1e-7 * float(difference.abs().max()))
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cost_says_of_itself_what_is_so(name):
+    """The form that the compiled engine takes has the residuals of the cost, and distances are in the unit that is said."""
+    cost, arcs = cost_named(name), observed(CAMERAS["fisheye"])
+    normal = normals_near(arcs, 0.02)
+    found = cost.of_arcs(arcs)(arcs.bearings, normal)[0]
+    if cost.scaled_rows is not None:
+        rows, spread = cost.scaled_rows.rows(arcs.bearings), normal.square().sum(-1, keepdim=True)
+        if cost.scaled_rows.spread is not None:
+            b = cost.scaled_rows.spread(arcs.by_pixel, arcs.covariance_px2)
+            spread = torch.einsum("ni,naij,nj->na", normal, b, normal)
+        torch.testing.assert_close(torch.einsum("nai,ni->na", rows, normal) / spread.sqrt(), found, rtol=1e-12, atol=1e-15)
+    if cost.distances_in is not None:
+        distance_px = arcs.orthogonal_px(normal)
+        unit = (normal / normal.norm(dim=-1, keepdim=True))[:, None, :, None]
+        across = arcs.by_pixel.mT @ unit
+        along = across / across.norm(dim=-2, keepdim=True)
+        sigma_px = (along.mT @ arcs.covariance_px2 @ along)[..., 0, 0].sqrt()
+        expected = distance_px / sigma_px if cost.distances_in == "sigma" else distance_px
+        torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_the_costs_that_the_adjustment_rests_on_are_what_it_takes_them_for():
+    assert cost_named(WHITENED).is_whitened and cost_named(IN_PIXELS).distances_in == "px"
+    assert cost_named(WHITENED).scaled_rows is not None
+    assert any(cost_named(name).scaled_rows is None for name in NAMES)
+
+
 def test_unknown_cost_is_refused():
-    with pytest.raises(InputError, match="one of sector, whitened, taylor-kriegman, bartoli-sturm, found 'huber'"):
+    with pytest.raises(InputError, match=f"one of {', '.join(NAMES)}, found 'huber'"):
         cost_function("huber", observed(CAMERAS["pinhole"]))
 
 

@@ -18,7 +18,9 @@ from omnilines.triangulation.result import Triangulation
 def planes(scene: Row, stated: bool = True) -> PlaneObservations:
     arcs = scene.arcs
     covariance = arcs.covariance_px2 if stated else None
-    return PlaneObservations.from_arcs(arcs.bearings, scene.poses[arcs.image], arcs.track, arcs.tracks, arcs.by_pixel, covariance)
+    return PlaneObservations.from_arcs(
+        arcs.bearings, scene.poses[arcs.image], arcs.track, arcs.tracks, arcs.by_pixel, covariance_px2=covariance
+    )
 
 
 def hard(scene: Row) -> Row:

@@ -324,7 +324,7 @@ def test_short_cuts(tmp_path: Path) -> None:
         InputError, match=r"notes.txt was expected to be a calibration of colmap, .*name its format with `from_format`"
     ):
         read(tmp_path / "notes.txt")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "absent.yaml")
 
 

@@ -37,7 +37,7 @@ OPTIONS = MatchingOptions()
 SLACKS_PX, NEIGHBOURS = OPTIONS.tolerance.tried_px, OPTIONS.hypotheses.max_neighbours
 
 
-def assert_consistent(found: Matched, least_views: int = 4) -> None:
+def assert_consistent(found: Matched, min_views: int = 4) -> None:
     """What the tracks say of themselves: numbers, photos, lines and the arcs that they rest on."""
     arcs, tracks = found.arcs, found.tracks
     member = tracks.track >= 0
@@ -45,8 +45,8 @@ def assert_consistent(found: Matched, least_views: int = 4) -> None:
     views = np.unique(np.stack([tracks.track[member], arcs.image[member]]), axis=1)[0]
     seen = np.bincount(views, minlength=len(tracks))
     assert bool((seen >= tracks.enough_views).all()) and set(tracks.enough_views.tolist()) <= {
-        max(least_views - 1, 3),
-        least_views,
+        max(min_views - 1, 3),
+        min_views,
     }
     assert bool(tracks.lines.known.all()) and tracks.merged >= 0 and tracks.inconsistent >= 0
     np.testing.assert_array_equal(tracks.rows, np.flatnonzero(member))
@@ -85,7 +85,7 @@ def test_nearly_all_arcs_find_their_line(name: str) -> None:
         # With colours a pinhole camera, which sees lines in the fewest photos, loses one of them.
         complete = 0.995 if colours and name != "pinhole" else 0.985
         assert got.purity > purity and got.completeness > complete and got.found > 0.985
-        assert abs(len(found.tracks) - lines) <= 2 and found.slack_px <= SLACKS_PX[1]
+        assert abs(len(found.tracks) - lines) <= 2 and found.tolerance_px <= SLACKS_PX[1]
         assert float(np.median(line_errors(scene, found))) < 0.006
 
 
@@ -127,7 +127,7 @@ def test_arcs_of_no_common_lines_give_next_to_no_tracks(name: str, seed: int) ->
     found = match_arcs(arcs)
     assert_consistent(found)
     # Nothing stands out, so nothing asks for tolerance; a line in a hundred arcs would be one track in 25.
-    assert found.slack_px == SLACKS_PX[0] and len(found.tracks) <= 4
+    assert found.tolerance_px == SLACKS_PX[0] and len(found.tracks) <= 4
     assert float((found.tracks.track >= 0).mean()) < MOST_ARCS_RANDOMLY_IN_TRACKS
 
 
@@ -138,13 +138,13 @@ def test_errors_of_poses_widen_the_slack(name: str) -> None:
     scene = room(name)
     poor, good = (scene.arcs(0.3, 3, poses=shaken(scene.poses, *errors, 9)) for errors in ((0.2, 10.0), (0.05, 2.0)))
     near = neighbouring_photos(good.poses.centre.numpy(), good.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    slack = evidence_of_lines(good, near, 0).slack_px
-    for arcs, slack_px, share in ((good, slack, 0.95), (poor, None, 0.9)):
-        found = match_arcs(arcs, slack_px=slack_px)
+    slack = evidence_of_lines(good, near, 0).tolerance_px
+    for arcs, tolerance_px, share in ((good, slack, 0.95), (poor, None, 0.9)):
+        found = match_arcs(arcs, tolerance_px=tolerance_px)
         assert_consistent(found)
         got = score(scene, found.tracks.track)
         assert got.found > share and got.purity > 0.94
-    assert matched(name).slack_px < slack < found.slack_px
+    assert matched(name).tolerance_px < slack < found.tolerance_px
 
 
 @pytest.mark.parametrize("name", ["fisheye", pytest.param("pinhole", marks=pytest.mark.full)])
@@ -161,13 +161,13 @@ def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
     names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
     arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
     near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    assert max(evidence_of_lines(arcs, near, seed).slack_px for seed in range(3)) <= 0.1
+    assert max(evidence_of_lines(arcs, near, seed).tolerance_px for seed in range(3)) <= 0.1
 
 
 def test_too_little_tolerance_costs_tracks() -> None:
     scene = room("fisheye")
     arcs = scene.arcs(0.3, 3, poses=shaken(scene.poses, 0.2, 10.0, 9))
-    assert score(scene, match_arcs(arcs, slack_px=0.1).tracks.track).found < 0.7
+    assert score(scene, match_arcs(arcs, tolerance_px=0.1).tracks.track).found < 0.7
 
 
 def with_twins(name: str, gap_m: float) -> tuple[MatchingScene, np.ndarray]:
@@ -236,7 +236,7 @@ def test_lines_that_others_explain_are_left_out(monkeypatch: pytest.MonkeyPatch)
             with monkeypatch.context() as patch:
                 if k == 0:
                     patch.setattr(tracks_module, "needed", lambda order, *rest: np.ones(len(order), dtype=bool))
-                found = match_arcs(arcs, slack_px=SLACKS_PX[0])
+                found = match_arcs(arcs, tolerance_px=SLACKS_PX[0])
             assert_consistent(found)
             off = line_errors(scene, found)
             wrong[k] += int((off > 0.03).sum())
@@ -250,7 +250,7 @@ def test_three_photos_are_enough_where_every_arc_agrees() -> None:
     """Of six photos: more lines than four photos see, and right ones."""
     scene = room("fisheye", views=6)
     seen = scene.views_of_lines()
-    found = match_arcs(scene.arcs(0.2, 1, colours=True), slack_px=SLACKS_PX[0])
+    found = match_arcs(scene.arcs(0.2, 1, colours=True), tolerance_px=SLACKS_PX[0])
     assert_consistent(found)
     got = score(scene, found.tracks.track, 3)
     assert got.purity > 0.99 and len(found.tracks) > (seen >= 4).sum() + 0.3 * (seen == 3).sum()
@@ -284,7 +284,7 @@ def test_few_neighbours_find_most_lines_in_less_work() -> None:
     arcs = scene.arcs(0.3, 3)
     every, few = (
         matched("pinhole"),
-        match_arcs(arcs, slack_px=0.1, options=MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=8))),
+        match_arcs(arcs, tolerance_px=0.1, options=MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=8))),
     )
     assert few.hypotheses.candidates.sum() < 0.6 * every.hypotheses.candidates.sum()
     got = score(scene, few.tracks.track)
@@ -313,12 +313,12 @@ def test_tracks_do_not_depend_on_the_frame_or_on_the_direction_of_arcs() -> None
     """The world moved far away and turned; every other arc from its other end; the same arcs twice."""
     scene = room("scaramuzza")
     arcs = scene.arcs(0.3, 3, colours=True)
-    expected = match_arcs(arcs, slack_px=0.2)
-    assert same_partition(match_arcs(arcs, slack_px=0.2).tracks.track, expected.tracks.track)
+    expected = match_arcs(arcs, tolerance_px=0.2)
+    assert same_partition(match_arcs(arcs, tolerance_px=0.2).tracks.track, expected.tracks.track)
     moved = Pose.exp(torch.tensor([[0.3, -1.0, 0.5, 3000.0, -2e4, 500.0]], dtype=torch.float64))[
         torch.zeros(12, dtype=torch.int64)
     ]
-    elsewhere = match_arcs(arcs.with_poses(arcs.poses @ moved), slack_px=0.2)
+    elsewhere = match_arcs(arcs.with_poses(arcs.poses @ moved), tolerance_px=0.2)
     assert same_partition(elsewhere.tracks.track, expected.tracks.track)
     turn = np.arange(len(arcs)) % 2 == 0
 
@@ -332,7 +332,7 @@ def test_tracks_do_not_depend_on_the_frame_or_on_the_direction_of_arcs() -> None
         covariance_px2=turned(arcs.covariance_px2),
         colours=turned(arcs.colours),
     )
-    assert same_partition(match_arcs(other, slack_px=0.2).tracks.track, expected.tracks.track)
+    assert same_partition(match_arcs(other, tolerance_px=0.2).tracks.track, expected.tracks.track)
 
 
 def test_scale_of_the_world_does_not_matter() -> None:
@@ -341,7 +341,7 @@ def test_scale_of_the_world_does_not_matter() -> None:
     expected = matched("fisheye")
     for scale in (1e-3, 1e4):
         poses = Pose(arcs.poses.rotation, scale * arcs.poses.translation)
-        found = match_arcs(arcs.with_poses(poses), slack_px=expected.slack_px)
+        found = match_arcs(arcs.with_poses(poses), tolerance_px=expected.tolerance_px)
         assert same_partition(found.tracks.track, expected.tracks.track)
         errors_m = line_errors(replace(scene, ends_m=scale * scene.ends_m), found)
         np.testing.assert_allclose(errors_m, scale * line_errors(scene, expected), rtol=1e-4, atol=scale * 1e-6)
@@ -352,13 +352,13 @@ def test_photos_and_arcs_that_are_not_there() -> None:
     scene = room("fisheye")
     arcs = scene.arcs(0.3, 3)
     some = arcs.rows(np.flatnonzero((arcs.image % 3 != 0) & (arcs.image != 11)))
-    found = match_arcs(some, least_views=3)
+    found = match_arcs(some, min_views=3)
     assert_consistent(found, 3)
     assert len(found.tracks) > 60
     lonely = arcs.rows(np.array([np.flatnonzero(arcs.image == k)[k] for k in range(0, 12, 4)]))
     nothing = match_arcs(lonely)
     assert_consistent(nothing)
-    assert len(nothing.tracks) == 0 and bool((nothing.tracks.track == -1).all()) and nothing.slack_px == SLACKS_PX[0]
+    assert len(nothing.tracks) == 0 and bool((nothing.tracks.track == -1).all()) and nothing.tolerance_px == SLACKS_PX[0]
     assert nothing.tracks.lines.ends_m.shape == (0, 2, 3)
     none = arcs.rows(np.zeros(0, dtype=np.int64))
     assert none.packed.shape == (0, 14) and none.px_rad.shape == (0,) and none.starts.tolist() == [0] * 13
@@ -399,8 +399,8 @@ def test_positions_are_where_the_ends_meet_the_line() -> None:
 def test_wrong_options_and_photos_are_refused_in_one_sentence() -> None:
     arcs = room("fisheye").arcs(0.3, 3)
     alone = {"options": MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=1))}
-    for options in ({"least_views": 2}, alone, {"slack_px": 0.0}, {"slack_px": -1.0}, {"slack_px": float("nan")}):
-        with pytest.raises(InputError, match="at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found"):
+    for options in ({"min_views": 2}, alone, {"tolerance_px": 0.0}, {"tolerance_px": -1.0}, {"tolerance_px": float("nan")}):
+        with pytest.raises(InputError, match="`min_views` of 3 or more, 2 neighbours of a photo and a `tol"):
             match_arcs(arcs, **options)
     with pytest.raises(GeometryError, match="in at least 3 photos with poses were expected to match lines, found 2;"):
         match_arcs(arcs.rows(np.flatnonzero(arcs.image < 2)))
@@ -416,10 +416,10 @@ def test_the_slack_is_the_same_for_the_same_seed() -> None:
     scene = room("fisheye")
     arcs = scene.arcs(0.3, 3)
     near = every_neighbour(12)
-    first = evidence_of_lines(arcs, near, 5).slack_px
-    assert first == evidence_of_lines(arcs, near, 5).slack_px and first in SLACKS_PX
+    first = evidence_of_lines(arcs, near, 5).tolerance_px
+    assert first == evidence_of_lines(arcs, near, 5).tolerance_px and first in SLACKS_PX
     steps = []
-    match_arcs(arcs, slack_px=first, progress=lambda stage, done, total: steps.append((stage, done, total)))
+    match_arcs(arcs, tolerance_px=first, progress=lambda stage, done, total: steps.append((stage, done, total)))
     for stage in ("matching arcs", "building tracks"):
         own = [(done, total) for name, done, total in steps if name == stage]
         assert own and own[-1][0] == own[-1][1] and [done for done, _ in own] == sorted(done for done, _ in own)

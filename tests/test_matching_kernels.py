@@ -18,6 +18,7 @@ from omnilines.matching.hypotheses import find_hypotheses
 from omnilines.matching.kernels import hypothesis as kernel
 from omnilines.matching.kernels import voting as voting_kernel
 from omnilines.matching.kernels.epipolar import arcs_across, arcs_by_angle
+from omnilines.matching.kernels.place import agreeing
 from omnilines.matching.kernels.track import claim, near_lines, needed, united
 from omnilines.matching.options import MatchingOptions
 
@@ -251,6 +252,21 @@ def test_no_partner_lies_outside_the_angles_about_the_baseline_that_an_arc_reach
             assert true <= set(across)
             partners, skipped = partners + len(true), skipped + len(elsewhere) - len(across)
     assert partners > 300 and skipped > total * total / 3
+
+
+def test_arcs_agree_with_a_camera_by_the_best_line_that_it_sees_where_they_are() -> None:
+    rng = np.random.default_rng(6)
+    arc = np.sort(rng.integers(0, 12, 90))
+    alike, normal = rng.uniform(0.05, 1.0, 90), rng.standard_normal((90, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    point, ahead, centres = rng.standard_normal((90, 3)), rng.standard_normal((90, 3)), rng.standard_normal((40, 3))
+    offset, sine = (normal * point).sum(-1), 0.3
+    towards = point - centres[:, None]
+    near = np.abs((normal * towards).sum(-1)) < sine * np.linalg.norm(towards, axis=-1)
+    given = np.where(near & ((towards * ahead).sum(-1) > 0.0), alike, 0.0)
+    expected = sum(given[:, arc == k].max(1) for k in np.unique(arc))
+    np.testing.assert_allclose(agreeing(arc, alike, normal, offset, point, ahead, centres, sine), expected, rtol=1e-12)
+    assert expected.min() > 0.0
 
 
 def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.MonkeyPatch) -> None:

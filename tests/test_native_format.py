@@ -253,7 +253,11 @@ ERRORS = [
     ("fx: 301", "fx: -.inf", "parameter fx of camera cam0 must be a finite number, found -inf"),
     ("fx: 301", "fx: wide", "parameter fx of camera cam0 must be a finite number, found 'wide'"),
     ("fx: 301", "fx: true", "parameter fx of camera cam0 must be a finite number, found True"),
-    ("fx: 301", "fx: 1" + "0" * 400, "parameter fx of camera cam0 must be a finite number, found 1000"),
+    (
+        "fx: 301",
+        "fx: 1" + "0" * 400,
+        "parameter fx of camera cam0 must be a finite number, found a whole number of about 400 digits",
+    ),
     ("fx: 301", "fx: [3]", "parameter fx of camera cam0 must be a finite number, found a list"),
     (", fx: 301", "", "camera cam0: .*fx"),
     ("fx: 301", "fx: 301, kx: 1", "camera cam0: .*kx"),

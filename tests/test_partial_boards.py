@@ -7,20 +7,18 @@ import numpy as np
 import pytest
 import torch
 from ov_plane import read_split
-from scipy.special import ndtr
 from tag_views import View, views
 
-from calib_patterns import Detection, pattern
+from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.grid_checks import flaw_of, good_corners
-from calib_patterns.kernels.saddle_fit import BUFFER_ROWS, JACOBIAN, LEFT, linearised
-from calib_patterns.kernels.saddle_window import GREY, PARAMETERS, ROW_LENGTH, U, V
 from calib_patterns.partial import visible_part
 from calib_patterns.rendering import render_target
 from calib_patterns.saddle import fit_corners, fit_saddles
 from calib_patterns.saddle_points import lattices, saddle_points
 from camera_models.opencv_fisheye import OpenCVFisheye
 
+OPTIONS = DetectionOptions()
 SPEC = "checkerboard:8x6:30mm"
 BOARD = pattern(SPEC)
 COLUMNS, ROWS = 8, 6
@@ -76,7 +74,7 @@ def test_clutter_is_no_board() -> None:
     for scale in (3.0, 5.0, 8.0):
         texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), scale)
         grey = np.clip(128 + 45 * texture / texture.std(), 0, 255).astype(np.uint8)
-        assert len(saddle_points(grey).pixels) > 50
+        assert len(saddle_points(grey, OPTIONS.saddles).pixels) > 50
         found, reason = BOARD.detect(grey)
         assert len(found) == 0 and reason is not None
         lost += 1
@@ -157,7 +155,7 @@ def test_tags_inside_squares_do_not_move_corners(square_px: float) -> None:
         soft = cv2.GaussianBlur(board_with_tags(seed), (0, 0), 1.2 / scale)
         image = cv2.warpAffine(soft, matrix, (400, 320), borderValue=128.0) + rng.normal(0.0, 1.5, (320, 400))
         search = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-        found, flaw = visible_part(search, search, np.ones(2), 8, 7, False)
+        found, flaw = visible_part(search, search, np.ones(2), 8, 7, OPTIONS, mirrored=False)
         assert found is not None and flaw is None and len(found) == 56
         truth = drawn @ matrix[:, :2].T + matrix[:, 2]
         errors.append(np.linalg.norm(found.pixels[:, None] - truth, axis=-1).min(1))
@@ -170,7 +168,7 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     flat = cv2.resize(square, None, fx=30, fy=30, interpolation=cv2.INTER_NEAREST)
     shear = np.array([[0.9, 0.75, 40.0], [0.1, 0.8, 30.0]])
     image = cv2.GaussianBlur(cv2.warpAffine(flat, shear, (800, 480), flags=cv2.INTER_AREA, borderValue=128), (0, 0), 0.8)
-    grid = lattices(saddle_points(image), 9, 3)[0]
+    grid = lattices(saddle_points(image, OPTIONS.saddles), 9, 3, OPTIONS.saddles)[0]
     x, y = np.meshgrid(np.arange(1, 14), np.arange(1, 12))
     truth = (np.stack([x, y], -1) * 30 - 0.5).reshape(-1, 2) @ shear[:, :2].T + shear[:, 2]
     distance = np.linalg.norm(grid.pixels[:, None] - truth, axis=-1)
@@ -178,47 +176,6 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     design = np.concatenate([place, np.ones((len(place), 1))], 1)
     assert len(grid.places) > 100 and distance.min(1).max() < 1.0
     np.testing.assert_allclose(design @ np.linalg.lstsq(design, grid.places, rcond=None)[0], grid.places, atol=1e-6)
-
-
-def saddle_image(p: np.ndarray, curvature: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The model as saddle.py states it, with the shift that blur along bent edges causes, in 64 bits."""
-    du, dv, gain = u - p[0], v - p[1], abs(p[6])
-    w_1, w_2 = np.exp(p[4:6])
-    along_1, across_1 = np.cos(p[2]) * du + np.sin(p[2]) * dv, np.cos(p[2]) * dv - np.sin(p[2]) * du
-    along_2, across_2 = np.cos(p[3]) * du + np.sin(p[3]) * dv, np.cos(p[3]) * dv - np.sin(p[3]) * du
-    h_1 = across_1 - 0.5 * curvature[0] * (along_1**2 + w_2**2)
-    h_2 = across_2 - 0.5 * curvature[1] * (along_2**2 + w_1**2)
-    side = -1.0 if p[6] < 0 else 1.0
-    one_way = ndtr((h_1 - gain) / w_1) * ndtr((-side * h_2 - gain) / w_2)
-    other_way = ndtr((-h_1 - gain) / w_1) * ndtr((side * h_2 - gain) / w_2)
-    return (1.0 + p[8] * du + p[9] * dv) * (p[7] + p[10] * side * (1.0 - 2.0 * (one_way + other_way)))
-
-
-def test_compiled_derivatives_are_those_of_the_model() -> None:
-    """What is left, its sum of squares and the derivatives, which are those of the model by central differences, for both signs
-    of the gain and edges from sharp to blurred."""
-    rng = np.random.default_rng(1)
-    u, v = (values.ravel().astype(float) for values in np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))
-    grey = rng.uniform(40, 200, u.shape)
-    curvature = np.array([0.01, -0.015])
-    rows = np.zeros((BUFFER_ROWS, ROW_LENGTH))
-    rows[U, : len(u)], rows[V, : len(u)], rows[GREY, : len(u)] = u, v, grey
-    compared = 0
-    for gain in (0.3, -0.3):
-        for log_blur in (-1.2, 0.1, 1.0):
-            at = np.array([0.3, -0.2, 0.1, 1.4, log_blur, log_blur - 0.3, gain, 110.0, 0.004, -0.006, 60.0])
-            cost = linearised(at, curvature, rows.reshape(-1), len(u))
-            left = grey - saddle_image(at, curvature, u, v)
-            np.testing.assert_allclose(rows[LEFT, : len(u)], left, atol=1e-6)
-            np.testing.assert_allclose(cost, left @ left, rtol=1e-8)
-            for k in range(PARAMETERS):
-                step = np.zeros(PARAMETERS)
-                step[k] = 1e-5
-                ahead, behind = (saddle_image(at + sign * step, curvature, u, v) for sign in (1, -1))
-                truth = (ahead - behind) / 2e-5
-                np.testing.assert_allclose(rows[JACOBIAN + k, : len(u)], truth, atol=5e-6 * np.abs(truth).max())
-                compared += 1
-    assert compared == 6 * PARAMETERS
 
 
 def test_a_board_that_goes_on_is_refused() -> None:
@@ -242,9 +199,9 @@ def test_a_grid_that_goes_on_beyond_any_side(nx: int, ny: int) -> None:
         image = cv2.GaussianBlur(cv2.resize(flat, None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST), (0, 0), 0.8)
         x, y = np.meshgrid(np.arange(nx) + left, np.arange(ny) + top)
         grid = (np.stack([x, y], -1) + 2) * 24.0 - 0.5
-        fit = fit_saddles(image, grid, 0.3)
+        fit = fit_saddles(image, grid, 0.3, OPTIONS)
         assert np.linalg.norm(fit.pixels - grid, axis=-1).max() < 0.02
-        flaw = flaw_of(image, fit, good_corners(fit))
+        flaw = flaw_of(image, fit, good_corners(fit, OPTIONS.fit.max_sigma_px), OPTIONS)
         assert (flaw is None) == (side == 4) and (flaw is None or "go on beyond it" in flaw)
         checked += 1
     assert checked == 5
@@ -263,7 +220,7 @@ def test_a_blurred_bent_edge_is_where_it_was() -> None:
     # Along +x the circle below bends towards +v; along +y the circle on the right bends towards +u.
     bend = 30.0**2 / radius
     second = np.array([[[0.0, bend], [bend, 0.0]]])
-    fit = fit_corners(image, np.array([[20.0, 20.0]]), 30.0 * np.eye(2)[None], second, start_blur_px=2.0)
+    fit = fit_corners(image, np.array([[20.0, 20.0]]), 30.0 * np.eye(2)[None], second, OPTIONS.fit, start_blur_px=2.0)
     assert fit.converged.all()
     np.testing.assert_allclose(fit.pixels, [[centre, centre]], atol=0.003)
     np.testing.assert_allclose(fit.blur_px, math.sqrt(blur_px**2 + 1 / 12), rtol=0.02)

@@ -2,14 +2,16 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
 import calib_patterns
-from calib_patterns import Detection, Pattern
+from calib_patterns import Detection, DetectionOptions, Pattern
 from calib_patterns.rendering import render_target
 from camera_models.errors import InputError
 from camera_models.pinhole import Pinhole
@@ -78,6 +80,50 @@ def test_geometry(pattern: Pattern) -> None:
     assert len(np.unique(points, axis=0)) == len(points)
     low = np.array(pattern.top_left_m)
     assert (points[:, :2] > low).all() and (points[:, :2] < low + pattern.size_m).all()
+
+
+@pytest.mark.parametrize("pattern", ALL)
+def test_what_a_target_says_of_itself_is_what_its_print_shows(pattern: Pattern) -> None:
+    """Its kind of corners, its grid and its symmetry."""
+    rng = np.random.default_rng(2)
+    corners, kind = pattern.points_m[:, :2], pattern.corner_kind(DetectionOptions().fit)
+    np.testing.assert_array_equal(kind.corners_m, corners)
+    for quadrant in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+        beside = corners + 0.05 * kind.square_m * np.array(quadrant)
+        white = pattern.reflectance(beside, np.zeros_like(beside)) > 0.5
+        np.testing.assert_array_equal(white, kind.sign * quadrant[0] * quadrant[1] > 0)
+    low, size = np.array(pattern.top_left_m), np.array(pattern.size_m)
+    points = low + size * rng.uniform(0.02, 0.98, (4000, 2))
+    turned = 2.0 * (low + 0.5 * size) - points
+    same = (pattern.reflectance(points, np.zeros_like(points)) == pattern.reflectance(turned, np.zeros_like(points))).mean()
+    assert (same > 0.999) == pattern.looks_same_turned
+    grid = pattern.plain_grid
+    if grid is None:
+        with pytest.raises(NotImplementedError):
+            pattern.resized(8, 6)
+        return
+    row, column = np.divmod(np.arange(grid.columns * grid.rows), grid.columns)
+    np.testing.assert_allclose(corners - corners[0], grid.pitch_m * np.stack([column, row], 1), atol=1e-12)
+    larger = pattern.resized(grid.columns + 3, grid.rows + 1)
+    assert larger.plain_grid == replace(grid, columns=grid.columns + 3, rows=grid.rows + 1)
+
+
+@pytest.mark.parametrize("pattern", EACH_KIND)
+def test_a_target_agrees_with_a_photo_of_itself_only(pattern: Pattern) -> None:
+    model, pose = camera(), pose_in_front(pattern)
+    image = render_target(pattern, model, pose)
+    seen = pattern.marks_agree(image, lambda points: projected(model, pose, points), DetectionOptions())
+    assert seen and pattern.may_be_in(image, DetectionOptions())
+    if pattern.plain_grid is None:
+        aside = pose @ Pose.of(np.eye(3), np.append(0.3 * np.array(pattern.size_m), 0.0))
+        assert not pattern.marks_agree(image, lambda points: projected(model, aside, points), DetectionOptions())
+    else:
+        assert not pattern.may_be_in(np.full_like(image, 100), DetectionOptions())
+
+
+def projected(model: Pinhole, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    pixels, valid = model.project(pose.transform(torch.as_tensor(points.reshape(-1, 3))))
+    return pixels.numpy().reshape(*points.shape[:2], 2), valid.numpy().reshape(points.shape[:2])
 
 
 @pytest.mark.parametrize("pattern", ALL)

@@ -11,10 +11,13 @@ from camera_models.pose import Pose
 from omnilines.least_squares import Loss
 from omnilines.least_squares.reduced_system import sparse_matrix
 from omnilines.posing.bearing_residual import across, bearing_residual, placed
+from omnilines.posing.options import ResectionOptions
 from omnilines.posing.p3p import p3p
-from omnilines.posing.point_adjustment import BEND, Frames, PointEngine, PosesAndPoints, adjust_points
+from omnilines.posing.point_adjustment import Frames, PointEngine, PosesAndPoints, adjust_points
 from omnilines.posing.resection import resect
 from omnilines.posing.tracks import Observations
+
+BEND = ResectionOptions().loss_scale
 
 
 def random_pose(rng: np.random.Generator) -> Pose:
@@ -172,7 +175,7 @@ def test_the_compiled_equations_are_those_of_automatic_derivatives_and_the_gauge
     seen, frames, truth = scene(2e-3, rig)
     # In any order, some points seen by few: observations need not come by point.
     seen = seen.chosen(torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:300])
-    engine, count = PointEngine(seen, frames, 60), len(truth.rig_from_world)
+    engine, count = PointEngine(seen, frames, 60, BEND), len(truth.rig_from_world)
     kept_size = 6 * count
 
     def residual(step: torch.Tensor) -> torch.Tensor:
@@ -206,7 +209,7 @@ def test_the_compiled_equations_are_those_of_automatic_derivatives_and_the_gauge
     assert taken.cost == pytest.approx(engine.cost(taken.state))
     # Without noise what the gauge leaves open costs nothing once points follow.
     clear, _, _ = scene(0.0, rig)
-    engine = PointEngine(clear, frames, 60)
+    engine = PointEngine(clear, frames, 60, BEND)
     undamped = engine.reduce(truth, 0.0)
     assert undamped is not None
     gauge = undamped.system.gauge

@@ -13,8 +13,10 @@ from camera_models.pose import Pose
 from camera_models.rotations import similarity_alignment
 from omnilines.files import read_photo, write_png
 from omnilines.posing import sfm
-from omnilines.posing.feature_matches import MOST_EXHAUSTIVE, NEIGHBOURS, matched, matched_near, pairs_to_compare
+from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
+from omnilines.posing.kernels.match import best_near
+from omnilines.posing.options import MatchOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import doubt, sfm_poses
 from omnilines.records import ImagePoses
@@ -177,15 +179,62 @@ def test_matches_near_the_epipolar_circle_are_the_true_ones():
     assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
 
 
+def unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def plain_near(
+    alike: np.ndarray, a: np.ndarray, b: np.ndarray, b_from_a: Pose, tolerance: float, least: float
+) -> tuple[np.ndarray, ...]:
+    """Best, how alike it is and the second best, and back, from the cosines of all descriptors of features on a half circle."""
+    far = a @ b_from_a.rotation.numpy().T
+    towards = np.broadcast_to(unit(b_from_a.translation.numpy()), far.shape)
+    normal = unit(np.cross(far, towards))
+    whole = np.arccos(np.clip((far * towards).sum(-1), -1.0, 1.0))
+    sideways = np.cross(normal, far)
+    angle = np.arctan2(sideways @ b.T, far @ b.T)
+    near = (np.abs(normal @ b.T) < tolerance) & (angle > -tolerance) & (angle < whole[:, None] + tolerance) & (alike > least)
+    seen = np.where(near, alike, least)
+    ordered = np.sort(np.concatenate([seen, np.full((len(a), 1), least)], 1), 1)
+    best = np.where(near.any(1), seen.argmax(1), -1)
+    return best, ordered[:, -1], ordered[:, -2], np.where(near.any(0), seen.argmax(0), -1)
+
+
+def test_the_compiled_search_along_half_circles_finds_what_all_pairs_have():
+    rng = np.random.default_rng(8)
+    a, b = unit(rng.standard_normal((300, 3))), unit(rng.standard_normal((400, 3)))
+    words = rng.integers(0, 256, (30, 128))
+    one, other = (
+        np.clip(words[rng.integers(0, 30, len(rays))] + rng.normal(0.0, 40.0, (len(rays), 128)), 0, 255).astype(np.uint8)
+        for rays in (a, b)
+    )
+    b_from_a = Pose.exp(torch.as_tensor(rng.standard_normal(6)))
+    tolerance, least = 0.1, 0.85
+    lengths = [np.linalg.norm(words_of.astype(np.float64), axis=-1) for words_of in (one, other)]
+    alike = one.astype(np.float64) @ other.T.astype(np.float64) / lengths[0][:, None] / lengths[1]
+    expected = plain_near(alike, a, b, b_from_a, tolerance, least)
+    far = a @ b_from_a.rotation.numpy().T
+    towards = unit(b_from_a.translation.numpy())
+    whole = np.arccos(np.clip(far @ towards, -1.0, 1.0))
+    circles = far, unit(np.cross(far, towards)), whole, np.ascontiguousarray(b.T)
+    found = best_near(one, lengths[0], other, lengths[1], *circles, tolerance, least)
+    for values, plain in zip((found[0], found[3]), (expected[0], expected[3]), strict=True):
+        np.testing.assert_array_equal(values, plain)
+    for values, plain in zip(found[1:3], expected[1:3], strict=True):
+        np.testing.assert_allclose(values, plain, rtol=1e-6)
+    assert int((expected[0] >= 0).sum()) > 100 and int((expected[2] > least).sum()) > 10 and (expected[0] < 0).any()
+
+
 def test_of_many_photos_each_is_compared_with_those_that_look_alike():
     rng = np.random.default_rng(0)
-    count = MOST_EXHAUSTIVE + 20
+    options = MatchOptions()
+    count = options.max_exhaustive + 20
     themes = rng.uniform(0, 100, (2, 40, 128))
     own = [np.clip(themes[k % 2] + 5 * rng.normal(size=(40, 128)), 0, 255).astype(np.uint8) for k in range(count)]
     none = torch.zeros(40, 3, dtype=torch.float64)
     photos = [Features(none, torch.zeros(40, 2, 3, dtype=torch.float64), none[:, 0], torch.as_tensor(d)) for d in own]
     pairs = pairs_to_compare(photos, 0)
-    assert len(pairs) <= NEIGHBOURS * count
+    assert len(pairs) <= options.neighbours * count
     assert sum((i - j) % 2 == 0 for i, j in pairs) > 0.95 * len(pairs)
     assert pairs_to_compare(photos[:4], 0) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
 

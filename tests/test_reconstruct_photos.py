@@ -12,7 +12,7 @@ import torch
 from camera_models.pose import Pose
 from camera_models.rotations import similarity_alignment
 from omnilines.cli import main
-from omnilines.commands import reconstruct_photos
+from omnilines.commands import reconstruct as command
 from omnilines.commands.render_scene import render_scene
 from omnilines.evaluation.scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments, write_poses
@@ -294,7 +294,7 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
 def test_bad_requests_are_refused_in_one_sentence_before_any_photo_is_looked_at(
     room, rebuilt, tmp_path, capsys, monkeypatch, options, poses, sentence
 ):
-    monkeypatch.setattr(reconstruct_photos, "find_arcs", None)
+    monkeypatch.setattr(command, "extract", None)
     if poses == "colmap":
         (tmp_path / "colmap").mkdir()
         poses = str(tmp_path / "colmap")
@@ -307,7 +307,7 @@ def test_bad_requests_are_refused_in_one_sentence_before_any_photo_is_looked_at(
 
 def test_what_the_end_would_refuse_is_refused_at_the_beginning(room, tmp_path, capsys, monkeypatch):
     """A viewer that is not installed, a name that COLMAP's files do not hold, and photos too few for structure from motion."""
-    monkeypatch.setattr(reconstruct_photos, "find_arcs", None)
+    monkeypatch.setattr(command, "extract", None)
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert call(room / "photos", room, tmp_path / "scene", "--recording") == 2
     assert "omnilines[viewer]" in capsys.readouterr().err

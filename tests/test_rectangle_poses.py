@@ -11,14 +11,14 @@ import torch
 from camera_models import CameraModel, InputError, load
 from camera_models.pose import Pose
 from omnilines.commands.experiment_book import experiment_book
-from omnilines.commands.reconstruct import reconstruct_segments
-from omnilines.commands.reconstruct_photos import reconstruct_photos
-from omnilines.files import find_photos, read_corners, read_poses
-from omnilines.pipelines.photo_arcs import find_arcs
-from omnilines.pipelines.photo_poses import photo_poses, sides_of
+from omnilines.commands.reconstruct import reconstruct_photos, reconstruct_segments
+from omnilines.files import read_corners, read_poses
+from omnilines.pipelines.arcs import extract
+from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.poses import estimate_poses, sides_of
 from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
 from omnilines.posing.features import Features
-from omnilines.posing.find_rectangle import FoundRectangle, PhotoArcs, find_rectangle
+from omnilines.posing.find_rectangle import BearingArcs, FoundRectangle, find_rectangle
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import half_turns
 from omnilines.posing.rectangle import Rectangle, corner_distances, parse_rectangle, pose_of_corners
@@ -69,7 +69,7 @@ def sheet_poses(camera: CameraModel, largest_angle: float, count: int, seed: int
 
 def seen_sides(
     camera: CameraModel, pose: Pose, rng: np.random.Generator, corners_m: np.ndarray = LETTER.corners_m, inside: float = 5.2
-) -> PhotoArcs:
+) -> BearingArcs:
     """Arcs on the sides of a bright quadrilateral, of either direction and in any order, with noise."""
     corners = torch.as_tensor(corners_m)
     along = torch.tensor([0.07, 0.94], dtype=torch.float64)[None, :, None]
@@ -83,11 +83,11 @@ def seen_sides(
     ends[swapped], by_pixel[swapped], colours[swapped] = ends[swapped, ::-1], by_pixel[swapped, ::-1], colours[swapped, ::-1]
     order = rng.permutation(len(corners))
     noise = PIXEL_SIGMA**2 * by_pixel @ by_pixel.swapaxes(-1, -2)
-    return PhotoArcs(ends[order], noise[order], colours[order])
+    return BearingArcs(ends[order], noise[order], colours[order])
 
 
-def together(*parts: PhotoArcs) -> PhotoArcs:
-    return PhotoArcs(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ends", "noise", "colours")))
+def together(*parts: BearingArcs) -> BearingArcs:
+    return BearingArcs(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ends", "noise", "colours")))
 
 
 def error_of(found: Pose, true: Pose) -> np.ndarray:
@@ -136,12 +136,12 @@ def test_what_is_no_sheet_gets_one_sentence() -> None:
     pose = sheet_poses(camera, 0.3, 1, 5)[0]
     whole = seen_sides(camera, pose, rng)
     assert isinstance(find_rectangle(whole, LETTER), FoundRectangle)
-    three = PhotoArcs(whole.ends[:3], whole.noise[:3], whole.colours[:3])
-    dark = PhotoArcs(whole.ends, whole.noise, whole.colours[:, ::-1])
+    three = BearingArcs(whole.ends[:3], whole.noise[:3], whole.colours[:3])
+    dark = BearingArcs(whole.ends, whole.noise, whole.colours[:, ::-1])
     folded = seen_sides(camera, pose, rng, LETTER.corners_m * [0.5, 1.0, 1.0])
     beside = seen_sides(camera, pose, rng, LETTER.corners_m + BESIDE)
     faint = seen_sides(camera, pose, rng, LETTER.corners_m + BESIDE, inside=4.8)
-    nothing = PhotoArcs(np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))
+    nothing = BearingArcs(np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))
     wanted = {
         "four edges that close": (three, dark, nothing),
         "none of that shape": (folded,),
@@ -196,12 +196,9 @@ def test_a_rendered_sheet_gives_the_poses_of_its_photos(
     model: str, size: tuple[int, int], fov_deg: float, tmp_path: Path
 ) -> None:
     truth = rendered(tmp_path / "photos", model, size, fov_deg)
-    photos, cameras = find_photos([tmp_path / "photos"]), load(tmp_path / "photos" / "calibration.yaml")
-    camera_of = {photo.name: "cam0" for photo in photos}
-    arcs = find_arcs(photos, cameras, camera_of, None, tmp_path / "arcs", lambda *_: None)
-    found = photo_poses(
-        "rectangle:279x216mm", photos, cameras, camera_of, tmp_path, arcs=arcs, progress=lambda *_: None
-    )  # fmt: skip
+    cameras = load(tmp_path / "photos" / "calibration.yaml")
+    arcs = extract(tmp_path / "photos", cameras, work=tmp_path)
+    found = estimate_poses(arcs, cameras, "rectangle:279x216mm")
     assert not found.left_out and found.poses.images == truth.poses.images and found.poses.covariance is not None
     lies = sheet_from_world().inverse()
     ways = [truth.poses.cam_from_world @ (lies @ turn) for turn in (Pose.identity(), LETTER.half_turn)]
@@ -212,7 +209,7 @@ def test_a_rendered_sheet_gives_the_poses_of_its_photos(
     assert (square < CHI_SQUARE_6_999).all()
     # With another size something else may have that shape, but the sheet outshines it.
     for size_m in ((0.279, 0.14), (0.3, 0.1), (0.25, 0.235)):
-        wrong = find_rectangle(sides_of(arcs[0], cameras), Rectangle(*size_m))
+        wrong = find_rectangle(sides_of(arcs.photos[0], cameras), Rectangle(*size_m))
         assert isinstance(wrong, str) or wrong.outshone
 
 
@@ -221,7 +218,7 @@ def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) 
     calibration = tmp_path / "photos" / "calibration.yaml"
     photos = [tmp_path / "photos"]
     out = tmp_path / "sheet"
-    result = reconstruct_photos(photos, calibration, "rectangle:279x216mm", out, least_views=3)
+    result = reconstruct_photos(photos, calibration, "rectangle:279x216mm", out, SceneOptions(min_views=3))
     assert any("The world is the sheet" in note for note in result.warnings)
     poses = read_poses(out / "poses.csv")
     table = tmp_path / "corners.csv"

@@ -14,9 +14,9 @@ from camera_models.pose import Pose
 from omnilines.files import PhotoRef
 from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
-from omnilines.pipelines.line_poses import poses_by_lines
-from omnilines.pipelines.photo_arcs import FoundArcs
-from omnilines.pipelines.viewed_arcs import viewed_arcs
+from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
+from omnilines.pipelines.better_poses import poses_by_lines
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
 from omnilines.synthetic.lines import room_world
@@ -76,7 +76,7 @@ def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) ->
     found, last = found_in(scene, few), INSTANTS - 1
     poses = known_poses(found, scene.poses, list(range(last)))
     matched = match_arcs(viewed_arcs(found, poses, calibration))
-    placed = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    placed = poses_by_lines(found, poses, matched, calibration, SceneOptions(), lambda *told: None)
     assert placed is not None and placed.frames is not None
     assert placed.images[:-2] == poses.images and placed.frames[-2:] == (f"{last:03d}",) * 2
     degrees, metres = errors(placed, found, scene.poses, last)
@@ -85,7 +85,7 @@ def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) ->
         known = lines_of_tracks(matched.arcs, matched.tracks.track, len(matched.tracks))
         for photo in found[-2:]:
             alone = viewed_arcs([photo], image_poses([photo.photo.name], [Pose.identity()], [photo.camera]), calibration)
-            assert placed_anywhere(alone.widened(matched.slack_px), known, 0) is None
+            assert placed_anywhere(alone.widened(matched.tolerance_px), known, 0) is None
     between = placed.cam_from_world[-1] @ placed.cam_from_world[-2].inverse()
     expected = IN_RIG[1] @ IN_RIG[0].inverse()
     torch.testing.assert_close(between.rotation, expected.rotation, rtol=0.0, atol=1e-12)
@@ -103,7 +103,7 @@ def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None
     poses = known_poses(found, off, list(range(INSTANTS)))
     matched = match_arcs(viewed_arcs(found, poses, calibration))
     assert errors(poses, found, scene.poses, 2)[1] > 0.05
-    mended = poses_by_lines(found, poses, matched, calibration, 0, lambda *told: None)
+    mended = poses_by_lines(found, poses, matched, calibration, SceneOptions(), lambda *told: None)
     assert mended is not None
     degrees, metres = errors(mended, found, scene.poses, 2)
     assert degrees < 0.2 and metres < 0.01

@@ -12,8 +12,9 @@ from test_matching_directions import scene
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
 from omnilines.files import PhotoRef
-from omnilines.pipelines.photo_arcs import FoundArcs
-from omnilines.pipelines.rough_poses import better_poses
+from omnilines.pipelines.arcs import FoundArcs
+from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
@@ -55,7 +56,11 @@ def exact() -> MatchingScene:
 
 
 def better(exact: MatchingScene, given: Pose, from_photos) -> PhotoPoses:
-    return better_poses(found_arcs(exact), table(given), Calibration({"cam0": exact.camera}), 0, from_photos, silent)
+    return better_poses(found_arcs(exact), table(given), Calibration({"cam0": exact.camera}), **options(from_photos))
+
+
+def options(from_photos) -> dict:
+    return {"from_photos": from_photos, "options": SceneOptions(), "progress": silent}
 
 
 def test_good_poses_stay_as_they_are(exact: MatchingScene) -> None:
@@ -96,4 +101,4 @@ def test_where_the_photos_give_no_poses_the_note_says_so(exact: MatchingScene) -
 
 def test_too_few_photos_are_left_to_matching(exact: MatchingScene) -> None:
     two = table(shaken(exact.poses, 2.0, 100.0, 3), range(2))
-    assert better_poses(found_arcs(exact), two, Calibration({"cam0": exact.camera}), 0, must_not_be_asked, silent) is two
+    assert better_poses(found_arcs(exact), two, Calibration({"cam0": exact.camera}), **options(must_not_be_asked)) is two

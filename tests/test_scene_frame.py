@@ -15,14 +15,15 @@ from omnilines.commands.render_scene import render_scene
 from omnilines.files import read_lines, read_poses
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.pipelines import photo_poses as _photo_poses
-from omnilines.pipelines.scene_frame import (
+from omnilines.pipelines import poses as _poses
+from omnilines.pipelines.frame import (
     KnownDistance,
     distance_and_sigma,
     parse_known_distance,
     scene_frame,
-    unit_of_table,
 )
+from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.poses import unit_of_table
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
@@ -43,6 +44,10 @@ def room(tmp_path_factory):
     for name in ("calibration.yaml", "poses.csv", "truth.csv", "visibility.csv"):
         (folder / "photos" / name).rename(folder / name)
     return folder
+
+
+def framed(lines, poses, families, source, unit, known):
+    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, options=SceneOptions())
 
 
 def found_by_sfm(room) -> PhotoPoses:
@@ -67,7 +72,7 @@ def open_scene(room, tmp_path_factory):
     """The scene folder of poses whose unit is open, what was printed, and what was noted."""
     folder = tmp_path_factory.mktemp("open")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_photo_poses, "sfm_poses", lambda *_, **__: found_by_sfm(room))
+        patch.setattr(_poses, "sfm_poses", lambda *_, **__: found_by_sfm(room))
         assert call(room, folder / "scene", "--colmap", "--json") == 0
     return folder / "scene"
 
@@ -162,7 +167,7 @@ def test_a_distance_to_a_photo_without_a_pose_is_refused(room, open_scene, tmp_p
     posed = found_by_sfm(room)
     few = ImagePoses(posed.poses.images[1:], posed.poses.cam_from_world[1:], posed.poses.cameras[1:])
     lost = {"view00.png": "view00.png has no pose: it is dark."}
-    monkeypatch.setattr(_photo_poses, "sfm_poses", lambda *_, **__: PhotoPoses(few, lost))
+    monkeypatch.setattr(_poses, "sfm_poses", lambda *_, **__: PhotoPoses(few, lost))
     assert call(room, tmp_path, "--scale-from", "view00.png,view04.png:2") == 2
     assert "found view00.png: view00.png has no pose: it is dark. Name others." in capsys.readouterr().err
     assert not (tmp_path / "lines.csv").exists()
@@ -210,7 +215,7 @@ def test_turning_and_scaling_keeps_reprojection_and_mahalanobis_distances(seed):
     lines, poses = a_scene(seed)
     known = KnownDistance("0.jpg", "3.jpg", 7.3)
     families = line_families(lines)
-    frame = scene_frame(lines, poses, families, "sfm", LengthUnit.OPEN, known)
+    frame = framed(lines, poses, families, "sfm", LengthUnit.OPEN, known)
     np.testing.assert_allclose(frame.poses.cam_from_world.rotation.mT.numpy()[:, 2, 1].mean(), -1, atol=0.1)
     assert frame.lines.unit is LengthUnit.METRES and distance_and_sigma(known, frame.poses)[0] == pytest.approx(7.3)
     rng = np.random.default_rng(seed)
@@ -239,7 +244,7 @@ def test_turning_and_scaling_keeps_reprojection_and_mahalanobis_distances(seed):
 def test_a_frame_that_was_given_is_left_and_a_scene_without_a_clear_vertical_says_so(tmp_path):
     lines, poses = a_scene(1)
     families = line_families(lines)
-    given = scene_frame(lines, poses, families, str(tmp_path), LengthUnit.OPEN, None)
+    given = framed(lines, poses, families, "colmap", LengthUnit.OPEN, None)
     np.testing.assert_array_equal(given.lines.ends_m, lines.ends_m)
     np.testing.assert_array_equal(given.poses.cam_from_world.rotation, poses.cam_from_world.rotation)
     # The report's view has the vertical family's direction up: -y of the cameras, about.
@@ -248,7 +253,7 @@ def test_a_frame_that_was_given_is_left_and_a_scene_without_a_clear_vertical_say
     # Every photo lies on a side of its own: none of the three families is up.
     turns = torch.eye(3).double()[torch.tensor([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 1, 2], [1, 2, 0]])]
     rolled = Pose(turns @ poses.cam_from_world.rotation, poses.cam_from_world.translation)
-    lying = scene_frame(lines, ImagePoses(poses.images, rolled), families, "sfm", LengthUnit.METRES, None)
+    lying = framed(lines, ImagePoses(poses.images, rolled), families, "sfm", LengthUnit.METRES, None)
     assert "No family of parallel lines is clearly vertical" in lying.notes[-1]
     np.testing.assert_array_equal(lying.lines.ends_m, lines.ends_m)
 

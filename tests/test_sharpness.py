@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from calib_patterns import Detection, pattern
+from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
-from calib_patterns.sharpness import MIN_CORNERS, MIN_PHOTOS, blur_remarks
+from calib_patterns.sharpness import blur_remarks
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
@@ -21,6 +21,7 @@ from omnilines.commands.detect import detect
 from omnilines.pipelines.detect import PhotoCorners
 from omnilines.records import Corners
 
+MIN_CORNERS, MIN_PHOTOS = DetectionOptions().min_corners, DetectionOptions().sharpness.min_photos
 BOARD = pattern("checkerboard:6x5:30mm")
 SIZE = (512, 384)
 LENSES = {

@@ -12,18 +12,16 @@ import pytest
 from omnilines.commands.render_scene import render_scene
 
 VIEWS = 6
-WORKS = (
-    "import os, sys, time\nfrom omnilines.cli import main\nfrom omnilines.commands import {module}\n{patch}\nmain(sys.argv[1:])\n"
-)
+WORKS = "import os, sys, time\nfrom omnilines.cli import main\nfrom omnilines.pipelines import {module}\n{patch}\nmain()\n"
 IN_THREADS = """
-real = _photo_arcs.extract_arcs
+real = arcs.extract_arcs
 turn = __import__("itertools").count()
 def slow(*given):
     own = next(turn)
     os.write(2, b"begun\\n")
     time.sleep(30 if own else 0)
     return real(*given)
-_photo_arcs.extract_arcs = slow
+arcs.extract_arcs = slow
 """
 """The first photo is looked at; the others take long, in as many threads as there are cores."""
 IN_C_CODE = """
@@ -32,7 +30,7 @@ def busy(*given, **named):
     os.write(2, b"begun\\n")
     # As compiled code does, this runs without Python's lock, and no Python runs in the main thread until it is over.
     hashlib.pbkdf2_hmac("sha256", b"a", b"b", 1_000_000_000)
-_line_scene.match_arcs = busy
+lines.match_arcs = busy
 """
 
 
@@ -57,7 +55,7 @@ def left_behind(folder):
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status):
-    process = started(room, tmp_path / "scene", "_photo_arcs", IN_THREADS)
+    process = started(room, tmp_path / "scene", "arcs", IN_THREADS)
     assert process.stderr.readline() == b"begun\n"
     arcs = tmp_path / "scene" / "work" / "arcs"
     while not list(arcs.glob("*.npz")):
@@ -79,7 +77,7 @@ def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status)
 
 def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
     ours, theirs = pty.openpty()
-    process = started(room, tmp_path / "scene", "_line_scene", IN_C_CODE, stderr=theirs)
+    process = started(room, tmp_path / "scene", "lines", IN_C_CODE, stderr=theirs)
     os.close(theirs)
     seen = b""
     while b"begun" not in seen:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from table_checks import assert_same
 
 from camera_models.errors import InputError
+from camera_models.formats.values import stray
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.files import (
     read_corners,
@@ -24,11 +25,13 @@ from omnilines.files import (
     write_poses,
     write_segments,
 )
+from omnilines.files.tables import LARGEST_PX, LEAST_SIGMA_PX
 from omnilines.records import LINE_STATUSES, Corners, ImagePoses, Lines, Segments
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+finite = st.floats(-LARGEST_PX, LARGEST_PX)
+positive = st.floats(LEAST_SIGMA_PX, LARGEST_PX)
 name = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=5).filter(lambda s: bool(s.strip()))
+photo = name.filter(lambda s: stray(s) is None)
 Folders = pytest.TempPathFactory
 
 
@@ -53,7 +56,7 @@ Fields = tuple[Any, ...]
 def corner_fields(draw: Any) -> Fields:
     n = draw(st.integers(1, 6))
     view, view_names = in_order(draw, n)
-    images = tuple(draw(st.lists(name, min_size=len(view_names), max_size=len(view_names))))
+    images = tuple(draw(st.lists(photo, min_size=len(view_names), max_size=len(view_names))))
     board = arrays(draw, finite, n, 3)
     board[:, 0] = np.arange(n) / 7
     sigma = arrays(draw, positive, n) if draw(st.booleans()) else None
@@ -66,7 +69,7 @@ def corner_fields(draw: Any) -> Fields:
 @st.composite
 def segment_fields(draw: Any) -> Fields:
     n = draw(st.integers(1, 6))
-    image, images = in_order(draw, n)
+    image, images = in_order(draw, n, photo)
     track, tracks = in_order(draw, n)
     matched = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
     kept = list(dict.fromkeys(track[matched].tolist()))
@@ -85,7 +88,7 @@ def segment_fields(draw: Any) -> Fields:
 
 @st.composite
 def pose_fields(draw: Any) -> Fields:
-    images = tuple(draw(st.lists(name, min_size=1, max_size=6, unique=True)))
+    images = tuple(draw(st.lists(photo, min_size=1, max_size=6, unique=True)))
     n = len(images)
     cameras = tuple(draw(st.lists(name, min_size=n, max_size=n))) if draw(st.booleans()) else None
     return images, arrays(draw, st.floats(-4, 4), n, 3), arrays(draw, finite, n, 3), cameras

@@ -113,7 +113,7 @@ def noisy_rows(seed: int, with_noise: bool) -> tuple[PlaneObservations, LineChar
         by_pixel = hat(rays) @ randn(20, 2, 3, 2, seed=seed + 4)
         root = randn(20, 2, 2, 2, seed=seed + 5)
         covariance = root @ root.mT + 0.1 * torch.eye(2, dtype=torch.float64)
-    observations = PlaneObservations.from_arcs(rays, poses, track, 5, by_pixel, covariance)
+    observations = PlaneObservations.from_arcs(rays, poses, track, 5, by_pixel, covariance_px2=covariance)
     return observations, chart_of(observations, PlueckerLines.from_points(ends[:, 0], ends[:, 1]))
 
 
@@ -142,7 +142,9 @@ def test_residuals_are_distances_in_standard_deviations_of_pixels() -> None:
     flat = pixels.flatten(0, 1)
     rays, _ = scene.camera.unproject(flat)
     poses = scene.poses[torch.arange(8).repeat(40)]
-    given = PlaneObservations.from_arcs(rays, poses, scene.track, 40, scene.camera.unproject_jacobian(flat), covariance)
+    given = PlaneObservations.from_arcs(
+        rays, poses, scene.track, 40, scene.camera.unproject_jacobian(flat), covariance_px2=covariance
+    )
     truth = PlueckerLines.from_points(scene.ends[:, 0], scene.ends[:, 1])
     h = end_distances(given, truth[scene.track].moment_about(given.centre))
     # The line in the image, from its exact end points.
@@ -199,7 +201,9 @@ def test_ends_of_unequal_noise_are_weighed_by_it() -> None:
     rays, _ = scene.camera.unproject(flat)
     poses = scene.poses[torch.arange(8).repeat(len(scene.ends))]
     by_pixel = scene.camera.unproject_jacobian(flat)
-    result = triangulate("ml", PlaneObservations.from_arcs(rays, poses, scene.track, len(scene.ends), by_pixel, covariance))
+    result = triangulate(
+        "ml", PlaneObservations.from_arcs(rays, poses, scene.track, len(scene.ends), by_pixel, covariance_px2=covariance)
+    )
     delta = deviations(result, scene.ends)
     distance = (delta * torch.linalg.solve(result.covariance, delta)).sum(-1)
     # Chi-square of four degrees of freedom: the estimate attains the covariance that it states, which is the bound.
@@ -223,7 +227,7 @@ def arcs_of_all_kinds(scene: LineSet, seed: int) -> PlaneObservations:
     poses = scene.poses[torch.arange(len(scene.poses)).repeat(len(scene.ends))]
     covariance = sigma_px[..., None, None] ** 2 * torch.eye(2, dtype=torch.float64)
     return PlaneObservations.from_arcs(
-        bearings, poses, scene.track, len(scene.ends), scene.camera.unproject_jacobian(pixels), covariance
+        bearings, poses, scene.track, len(scene.ends), scene.camera.unproject_jacobian(pixels), covariance_px2=covariance
     )
 
 
@@ -256,7 +260,9 @@ def test_stated_noise_decides_whether_planes_differ() -> None:
     for sigma_px in (0.05, 1.0):
         covariance = sigma_px**2 * torch.eye(2, dtype=torch.float64).expand(2, 2, 2, 2)
         both = torch.zeros(2, dtype=torch.int64)
-        rows = PlaneObservations.from_arcs(rays, upright(centres), both, 1, camera.unproject_jacobian(pixels), covariance)
+        rows = PlaneObservations.from_arcs(
+            rays, upright(centres), both, 1, camera.unproject_jacobian(pixels), covariance_px2=covariance
+        )
         names += triangulate("ml", rows).status_names
     assert names == ["weak", "parallel_planes"]
 
@@ -375,9 +381,9 @@ def test_wrong_noise_is_refused_in_one_sentence() -> None:
     poses, by_pixel = scene.poses[torch.arange(8).repeat(40)], scene.camera.unproject_jacobian(flat)
     singular = torch.zeros(320, 2, 2, 2, dtype=torch.float64)
     with pytest.raises(InputError, match="positive definite, found 640 of 640"):
-        PlaneObservations.from_arcs(rays, poses, scene.track, 40, by_pixel, singular)
+        PlaneObservations.from_arcs(rays, poses, scene.track, 40, by_pixel, covariance_px2=singular)
     with pytest.raises(InputError, match="give by_pixel"):
-        PlaneObservations.from_arcs(rays, poses, scene.track, 40, None, singular)
+        PlaneObservations.from_arcs(rays, poses, scene.track, 40, None, covariance_px2=singular)
     with pytest.raises(InputError, match="found no arcs"):
         replace(scene.observe(scene.pixels, 0.5), arcs=None)
     with pytest.raises(InputError, match="at least 0, found -1"):
@@ -399,6 +405,8 @@ def test_arcs_that_say_little_change_nothing(height_m: float, status: str) -> No
     sigma_px = torch.where(poor, 300.0, 0.02).to(torch.float64)
     covariance = sigma_px[:, None, None, None] ** 2 * torch.eye(2, dtype=torch.float64).expand(8, 2, 2, 2)
     track = torch.zeros(8, dtype=torch.int64)
-    rows = PlaneObservations.from_arcs(rays, upright(centres), track, 1, camera.unproject_jacobian(pixels), covariance)
+    rows = PlaneObservations.from_arcs(
+        rays, upright(centres), track, 1, camera.unproject_jacobian(pixels), covariance_px2=covariance
+    )
     assert triangulate("ml", rows).status_names == (status,)
     assert triangulate("ml", rows.take(torch.nonzero(~poor).flatten(), track[:4], 1)).status_names == (status,)

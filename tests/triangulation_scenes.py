@@ -56,7 +56,7 @@ class LineSet:
         by_pixel = self.camera.unproject_jacobian(flat) if in_pixels else None
         eye = torch.eye(2, dtype=torch.float64).expand(len(flat), 2, 2, 2)
         covariance = None if sigma_px is None else sigma_px**2 * eye
-        return PlaneObservations.from_arcs(bearings, poses, self.track, len(self.ends), by_pixel, covariance)
+        return PlaneObservations.from_arcs(bearings, poses, self.track, len(self.ends), by_pixel, covariance_px2=covariance)
 
 
 def _line_set(camera: CameraModel, poses: Pose, ends: torch.Tensor) -> LineSet:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from camera_models.errors import InputError
+from camera_models.formats.disk import read_bytes
 
 if TYPE_CHECKING:
     from camera_models.formats.calibration_data import Calibration
@@ -100,8 +101,4 @@ def write(path: str | Path, calibration: "Calibration", name: str | None = None)
 
 
 def _head(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            return stream.read(HEAD).decode("latin-1")
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}); check the path.") from error
+    return read_bytes(file, HEAD).decode("latin-1")

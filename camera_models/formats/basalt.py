@@ -112,10 +112,15 @@ class Basalt(CalibrationFormat):
 
 
 def _json(path: Path) -> Any:
+    content = read_text(path)
     try:
-        return json.loads(read_text(path))
+        return json.loads(content)
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno} is not valid JSON: {error.msg}; correct it or restore the file.") from None
+    except ValueError:  # a number of more digits than Python reads
+        raise InputError(
+            f"{path} was expected to hold numbers within reason, found one of thousands of digits; restore it."
+        ) from None
     except RecursionError:
         raise InputError(f"{path} is nested too deeply for a calibration; restore the file.") from None
 

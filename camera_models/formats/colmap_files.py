@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import read_text
+from camera_models.formats.disk import read_bytes, read_text
 
 MODELS: dict[str, int] = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12,
@@ -167,10 +167,7 @@ def _rig_of_row(row: tuple[str, list[str]]) -> RigRecord:
 
 
 def _bytes(path: Path) -> "_Reader":
-    try:
-        return _Reader(path, path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check the path and its permissions.") from error
+    return _Reader(path, read_bytes(path))
 
 
 class _Reader:

@@ -11,6 +11,7 @@ import torch
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera, ViewRecord
+from camera_models.formats.camera_check import check_cameras
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.forms import Form, listed
 from camera_models.pose import Pose
@@ -129,6 +130,7 @@ class CalibrationFormat(ABC):
                 content = self._read(file, image_size)
             else:
                 content = _joined({part: self._read(part, image_size) for part in self._files(file)})
+            check_cameras(content.calibration)
             return _referred_to_first(content) if self.REFERRED else content
         except InputError as error:
             raise error if str(file) in str(error) else InputError(f"{file}: {error}") from None

@@ -20,12 +20,14 @@ import camera_models
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera, ViewRecord
+from camera_models.formats.camera_check import check_cameras
 from camera_models.formats.contract import CalibrationFormat, Content, Documents
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.forms import Form
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
 from camera_models.formats.values import (
     default,
+    image_name,
     image_size,
     items,
     mapping,
@@ -49,7 +51,9 @@ def load(path: str | Path) -> Calibration:
     """The calibration in a file; raises InputError with the file, the key and what was expected there."""
     data = read_yaml(path)
     try:
-        return _calibration(data)
+        calibration = _calibration(data)
+        check_cameras(calibration)
+        return calibration
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -215,7 +219,7 @@ def _rig_camera(value: Any, where: str) -> RigCamera:
 
 def _view(value: Any, where: str, first_camera: str) -> ViewRecord:
     view = mapping(value, where)
-    image = text(required(view, "image", where), f"image of {where}")
+    image = image_name(required(view, "image", where), f"image of {where}")
     where = f"{where} ({image})"
     used = default(view.get("used"), True)
     if not isinstance(used, bool):

@@ -38,11 +38,21 @@ def matrix_of(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> 
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def check_matrix(matrix: list[float], where: str) -> None:
+    """Raises InputError where nine numbers are not those of K = [fx s cx; 0 fy cy; 0 0 1]."""
+    if [matrix[3], *matrix[6:]] != [0.0, 0.0, 0.0, 1.0]:
+        raise InputError(
+            f"The camera matrix of {where} must be fx s cx; 0 fy cy; 0 0 1, found {listed(f'{item:g}' for item in matrix)}; "
+            "correct it."
+        )
+
+
 def camera_of(
     kind: str, matrix: list[float], distortion: list[float], xi: float | None, size: tuple[int, int], *, where: str
 ) -> tuple[CameraModel, str | None]:
     """The camera of K and D, and a note; more coefficients than the model has must be zero, fewer are filled up with zeros."""
     form = next(form for form in FORMS if form.name == kind)
+    check_matrix(matrix, where)
     fx, skew, cx, _, fy, cy = matrix[:6]
     count = 8 if kind == PINHOLE else 4
     if any(distortion[count:]):

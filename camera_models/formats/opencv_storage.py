@@ -1,5 +1,6 @@
 """cv2.FileStorage as a mapping: matrices as arrays, numbers, texts and lists of them."""
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -12,12 +13,19 @@ import numpy as np
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text
 
+DEEPEST = 64
+_COLUMNS = 2
+_TAG = re.compile(r"</?[A-Za-z_][^<>]*(?<!/)>")
 _SYNTAX = {".xml": ".xml", ".json": ".json"}
 
 
 def read_storage(path: Path) -> dict[str, Any]:
     """The top level of a file; raises InputError where it cannot be parsed."""
     text = read_text(path)
+    if _depth(text) > DEEPEST:
+        raise InputError(
+            f"{path} was expected to be a calibration of OpenCV, found one nested more than {DEEPEST} deep; restore it."
+        )
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
@@ -27,6 +35,18 @@ def read_storage(path: Path) -> dict[str, Any]:
         cause = error.__cause__ or error
         said = getattr(cause, "err", None) or "not a file of cv2.FileStorage"
         raise InputError(f"{path} cannot be parsed by OpenCV ({said}); correct it or restore the file.") from None
+
+
+def _depth(text: str) -> int:
+    """An upper bound of the nesting, as XML or as YAML and JSON; OpenCV's parsers recurse, and the process ends."""
+    if text.lstrip().startswith("<"):
+        steps = [-1 if tag.startswith("</") else 1 for tag in _TAG.findall(text)]
+        blocks = 0
+    else:
+        steps = [1 if mark in "[{" else -1 for mark in re.findall(r"[\[\]{}]", text)]
+        # Each level of a block is indented by a column or more, or begins with a dash in the same line.
+        blocks = max((len(start) for start in re.findall(r"^[ \-]*", text, re.M)), default=0) // _COLUMNS
+    return max(itertools.accumulate(steps), default=0) + blocks
 
 
 def _value(node: Any, name: str) -> Any:

@@ -16,6 +16,7 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
 from camera_models.formats.forms import Form, listed
+from camera_models.formats.opencv_cameras import check_matrix
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, required, text
 from camera_models.formats.yaml_text import read_yaml, yaml_text
@@ -60,6 +61,7 @@ class RosCameraInfo(CalibrationFormat):
         matrix = _matrix(data, "camera_matrix", "k", 9)
         if matrix is None or matrix[0] <= 0:
             raise InputError("The camera matrix must be that of a calibrated camera, found none; calibrate the camera first.")
+        check_matrix(matrix, "the file")
         fx, skew, cx, _, fy, cy = matrix[:6]
         name = text(data.get("distortion_model") or data.get("camera_model") or "plumb_bob", "distortion_model")
         form = self.form_named(_ALIASES.get(name, name), "the file")

@@ -1,6 +1,8 @@
 """Values as files of data give them, checked: each function takes a value and the place where it stands, for the message."""
 
+import math
 import sys
+import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,6 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from camera_models.errors import InputError
+
+LARGEST = 1e100
+"""Of a number in a file; squares and cubes of it are numbers still."""
+MOST_TOLD = 200
+"""Characters of a value in a message."""
 
 
 def default(value: Any, otherwise: Any) -> Any:
@@ -58,6 +65,8 @@ def number(value: Any, where: str) -> float:
     # A comparison, because float() overflows for an int of hundreds of digits.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{where} must be a finite number, found {found(value)}; correct it.")
+    if abs(value) > LARGEST:
+        raise InputError(f"{where} must be a number within reason (below {LARGEST:g}), found {float(value):g}; correct it.")
     return float(value)
 
 
@@ -87,7 +96,33 @@ def image_size(value: Any, where: str) -> tuple[int, int]:
     return width, height
 
 
+def image_name(value: Any, where: str) -> str:
+    """The name of a photo: a path relative to the folder of the photos, that stays in it."""
+    name = text(value, where)
+    why = stray(name)
+    if why is not None:
+        raise InputError(
+            f"{where} must be the name of a photo inside the folder of the photos, found {name[:80]!r}, which {why}."
+        )
+    return name
+
+
+def stray(name: str) -> str | None:
+    """Why a name is not that of a photo inside a folder, as the end of a sentence; None where it is."""
+    if name.startswith(("/", "\\")) or name[1:3] in (":\\", ":/"):
+        return "is an absolute path; leave out the folder"
+    if ".." in name.replace("\\", "/").split("/"):
+        return "leads out of it; give the folder that holds all photos"
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+        return "holds characters that are not text; rename it"
+    return None
+
+
 def found(value: Any) -> str:
     """A value as a message names it."""
     kinds = {dict: "a mapping", list: "a list", type(None): "nothing"}
-    return kinds.get(type(value)) or repr(value)
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        # Python itself refuses to print those of thousands.
+        return f"a whole number of about {int(value.bit_length() * math.log10(2))} digits"
+    told = kinds.get(type(value)) or repr(value)
+    return told if len(told) <= MOST_TOLD else f"{told[:MOST_TOLD]}..."

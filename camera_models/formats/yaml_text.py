@@ -15,6 +15,9 @@ from camera_models.formats.disk import read_text
 # libyaml parses the same language several times faster where PyYAML was built with it.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+DEEPEST = 64
+MOST_REPEATED = 100_000
+"""Values that aliases may stand for, all together."""
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
 _FLOAT = "tag:yaml.org,2002:float"
 
@@ -74,6 +77,7 @@ def read_yaml(path: str | Path) -> Any:
     """The data of a YAML file; raises InputError naming the file, and the line where it is malformed."""
     text = read_text(path)
     try:
+        _check_nesting(text, path)
         return yaml.load(text, Loader=_Loader)  # a subclass of the safe loader
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -83,8 +87,41 @@ def read_yaml(path: str | Path) -> Any:
     except yaml.reader.ReaderError as error:
         line_number = text.count("\n", 0, error.position) + 1
         raise InputError(f"{path}, line {line_number} holds a character that YAML forbids; remove it.") from None
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not valid YAML ({error}); correct it or restore the file.") from None
+
+
+def _check_nesting(text: str, path: str | Path) -> None:
+    """Refuse, from the parser's events and without recursion, what is nested too deeply or grows too much by its aliases.
+
+    libyaml's composer recurses for each level, and ends the process where the stack does; lists of aliases of lists of aliases
+    take a minute to walk through for a few kilobytes.
+    """
+    sizes: dict[str | None, int] = {}
+    open_nodes: list[list[Any]] = [[None, 0]]
+    repeated = 0
+    for event in yaml.parse(text, Loader=_SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in open_nodes):
+                raise InputError(f"{path}: no value of YAML may hold itself, found that '{event.anchor}' does; restore the file.")
+            repeated += sizes.get(event.anchor, 1)
+            open_nodes[-1][1] += sizes.get(event.anchor, 1)
+        elif isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append([event.anchor, 1])
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, size = open_nodes.pop()
+            sizes |= {anchor: size} if anchor else {}
+            open_nodes[-1][1] += size
+        elif isinstance(event, yaml.ScalarEvent):
+            sizes |= {event.anchor: 1} if event.anchor else {}
+            open_nodes[-1][1] += 1
+        if len(open_nodes) > DEEPEST + 1 or repeated > MOST_REPEATED:
+            what = (
+                f"nested more than {DEEPEST} deep" if len(open_nodes) > DEEPEST + 1 else "made of aliases that repeat each other"
+            )
+            raise InputError(f"{path} was expected to be a plain file of YAML, found one that is {what}; restore the file.")
 
 
 def yaml_text(data: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """From a table of matched segments with poses and cameras to a line scene: triangulate, adjust, state the uncertainty."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,7 +32,7 @@ REFINABLE = ("lines", "poses", "intrinsics", "rig")
 
 
 @dataclass(frozen=True)
-class LineScene:
+class AdjustedScene:
     """Adjusted lines and poses, and the same lines as they were triangulated."""
 
     lines: Lines
@@ -79,7 +79,7 @@ def reconstruct_lines(
     options: AdjustmentOptions = AdjustmentOptions(),
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
-) -> LineScene:
+) -> AdjustedScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `triangulation_options` are those of the method's function, `cautious` is that of `adjust_lines`. `rig` is that of the
@@ -154,7 +154,7 @@ def _described(
     table: ArcTable,
     refined_rig: bool,
     options: AdjustmentOptions,
-) -> LineScene:
+) -> AdjustedScene:
     """The scene before (`state`) and after the adjustment, with what does not fit it."""
     inner, tracks, member, first = rests.inner, rests.tracks, rests.member, rests.first
     final = inner.seen_by(adjusted.state.models) if adjusted.state.models else inner
@@ -164,7 +164,7 @@ def _described(
     used = member.clone()
     used[member] = first.known[table.arcs.track[member]]
     end, seen = adjusted.state, tuple(names[k] for k in tracks.tolist())
-    return LineScene(
+    return AdjustedScene(
         lines=lines,
         poses=poses,
         before=before,
@@ -216,10 +216,14 @@ def _left_out(
 def parse_refine(text: str) -> tuple[str, ...]:
     """What is refined, from a list such as `lines,poses`. Raises InputError on anything else."""
     parts = tuple(part.strip() for part in text.split(",") if part.strip())
-    unknown = [part for part in parts if part not in REFINABLE]
-    if unknown or "lines" not in parts:
-        raise InputError(
-            f"--refine was expected to be lines, with any of poses, intrinsics and rig, found '{text}'; give a list such as "
-            "lines,poses."
-        )
+    check_refine(parts)
     return parts
+
+
+def check_refine(parts: Sequence[str]) -> None:
+    """Raises InputError where something else than lines, with any of `REFINABLE`, is to be refined."""
+    if "lines" not in parts or any(part not in REFINABLE for part in parts):
+        raise InputError(
+            f"`refine` was expected to be lines, with any of poses, intrinsics and rig, found '{','.join(parts)}'; give a list "
+            "such as lines,poses."
+        )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from camera_models import InputError, model_class
-from omnilines.least_squares import Loss
+from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts held-out views best."""
@@ -14,8 +14,9 @@ REFINABLE = ("aspect", "flatness")
 
 
 @dataclass(frozen=True)
-class CalibrationOptions:
-    """What can be asked of a calibration. Raises InputError where it cannot work, before any photo is looked at."""
+class CalibrationOptions(CalibrationThresholds):
+    """What can be asked of a calibration, and its thresholds. Raises InputError where it cannot work, before any photo is looked
+    at."""
 
     model: str = "scaramuzza"
     """Name of a camera model, or "auto": fit all and take the one that predicts held-out views best."""
@@ -29,9 +30,14 @@ class CalibrationOptions:
     """Whether the camera looks into a mirror (a0 < 0)."""
     refine_board: tuple[str, ...] = ()
     """What is estimated of the board: "aspect", "flatness" or both."""
+    searches: int = 3
+    """Times at most that the camera is sent out for corners that were missed in its photos."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
+        # Loaded with the first options and not with their class, whose defaults the help of the command line shows.
+        from omnilines.least_squares import Loss
+
         if self.model != AUTO:
             model_class(self.model)
         elif self.of_model:
@@ -60,6 +66,7 @@ class CalibrationFields(TypedDict, total=False):
     loss: str
     mirror: bool
     refine_board: tuple[str, ...]
+    searches: int
 
 
 def require_refinable(names: Sequence[str]) -> None:

@@ -22,7 +22,7 @@ def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[
         min_angle_deg=result.min_angle_deg,
         rms_px_per_axis=result.rms_px_per_axis,
         rms_px_per_point=result.rms_px_per_point,
-        sign_source=("mirror" if mirror else "assumed") if result.model.NAME == "scaramuzza" else None,
+        sign_source=("mirror" if mirror else "assumed") if result.model.AXIS_SIGN_OPEN else None,
     )
     views = tuple(view_record(view) for view in result.views)
     if result.board_terms:

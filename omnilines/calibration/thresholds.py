@@ -147,9 +147,9 @@ class RigThresholds(NamedTuple):
     """A camera whose corners fit the rig worse than this many times as well as alone is named."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CalibrationThresholds:
-    """All thresholds of a calibration."""
+    """All thresholds of a calibration, the groups of its options."""
 
     views: ViewThresholds = ViewThresholds()
     screening: ScreeningThresholds = ScreeningThresholds()

@@ -4,16 +4,20 @@ torch and cv2 are imported by the commands themselves, so that `--help` answers 
 """
 
 import sys
+from typing import Any, NoReturn
 
 import typer
 
 from camera_models.errors import OmnilinesError
-from omnilines.cli._shared import app
+from omnilines.cli._shared import app, printable
 from omnilines.cli._stopping import stoppable
 from omnilines.cli.spelling import with_flags
 
 # The order of the commands in the help is the order of these imports.
 from omnilines.cli import targets, extraction, scenes, cameras, lines, experiments  # isort: skip
+
+UsageError: Any = typer.BadParameter.__bases__[0]
+"""Of click, or of the copy of it that newer versions of typer bring."""
 
 __all__ = ["app", "cameras", "experiments", "extraction", "lines", "main", "scenes", "targets"]
 
@@ -23,10 +27,22 @@ def main(arguments: list[str] | None = None) -> None:
     the command, with the status 128 + its number."""
     try:
         with stoppable():
-            app(arguments, standalone_mode=True)
+            status = app(arguments, standalone_mode=False)
     except OmnilinesError as error:
-        typer.echo(f"omnilines: {with_flags(str(error))}", err=True)
-        sys.exit(2)
+        _refuse(with_flags(str(error)))
+    except UsageError as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()
+            sys.exit(2)
+        command = error.ctx.command_path if error.ctx else "omnilines"
+        _refuse(f"{' '.join(error.format_message().split()).rstrip('.')}; see {command} --help.")
     except OSError as error:
-        typer.echo(f"omnilines: {error.filename or 'a file'} cannot be read or written ({error.strerror}).", err=True)
-        sys.exit(2)
+        _refuse(f"{error.filename or 'a file'} cannot be read or written ({error.strerror}).")
+    except MemoryError:
+        _refuse("more memory than there is was asked for; give fewer or smaller photos, or a smaller size.")
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _refuse(sentence: str) -> NoReturn:
+    typer.echo(f"omnilines: {printable(sentence)}", err=True)
+    sys.exit(2)

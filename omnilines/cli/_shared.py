@@ -69,6 +69,11 @@ def _root(
     """Options of the command as a whole."""
 
 
+def printable(text: str) -> str:
+    """A text in one line, without what a terminal would obey: names of files and cells may hold anything."""
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
 def parse_size(text: str, option: str) -> tuple[int, int]:
     """(width, height) of a text such as 1280x960; raises InputError otherwise."""
     parts = text.lower().split("x")
@@ -125,7 +130,7 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:
-        typer.echo(f"note: {with_flags(warning)}", err=True)
+        typer.echo(f"note: {printable(with_flags(warning))}", err=True)
     if as_json:
         checks = [vars(check) for check in result.checks]
         report = str(result.report) if result.report else None
@@ -143,7 +148,7 @@ def _print_tables(result: "CommandResult") -> None:
         typer.echo(summary.title)
         width = max((len(name) for name, _ in summary.rows), default=0)
         for name, text in summary.rows:
-            typer.echo(f"  {name:<{width}}  {text}")
+            typer.echo(printable(f"  {name:<{width}}  {text}"))
     if result.checks:
         typer.echo("Checks")
         width = max(len(check.name) for check in result.checks)

@@ -8,6 +8,7 @@ import typer
 
 from camera_models.errors import InputError
 from camera_models.formats import FORMATS
+from omnilines.calibration.options import CalibrationOptions
 from omnilines.cli._shared import (
     BlurPx,
     Json,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
+DEFAULT = CalibrationOptions
+"""Its defaults."""
 EACH = "; of a rig also by camera, as in cam0=...,cam1=..."
 FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
 
@@ -41,12 +44,14 @@ def calibrate(
     out: Out,
     pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
-    model: Annotated[str, typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.")] = "scaramuzza",
+    model: Annotated[
+        str, typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.")
+    ] = DEFAULT.model,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
-    loss: LossName = "cauchy",
-    mirror: Mirror = False,
+    loss: LossName = DEFAULT.loss,
+    mirror: Mirror = DEFAULT.mirror,
     boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
     calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
@@ -76,18 +81,17 @@ def calibrate(
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
         from camera_models import load
-        from omnilines.calibration.options import CalibrationOptions
         from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
         from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
         from omnilines.pipelines.calibrate_rig import RigSetup
 
         options = CalibrationOptions(
+            model=DEFAULT.model if rig else model,
             degree=degree,
             coefficients=coefficients,
             loss=loss,
             mirror=mirror,
             refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
-            **({} if rig else {"model": model}),
         )
         options = with_settings(options, settings or (), "calibration.")
         if not rig and tables:

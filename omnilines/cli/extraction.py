@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Out, app, run
+from omnilines.cli._shared import Json, Out, Settings, app, run
 
 ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)]
 
@@ -16,9 +16,13 @@ def extract(
     calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
     out: Out,
     mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Find arcs of straight lines in photos -> segments.csv and pictures."""
     from omnilines.commands.extract import extract as command
+    from omnilines.extraction import ExtractionOptions
+    from omnilines.options import with_settings
 
-    run(lambda progress: command(photos, calibration, out, mask=mask, progress=progress), as_json)
+    options = with_settings(ExtractionOptions(), settings or (), "extraction.")
+    run(lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress), as_json)

@@ -1,13 +1,17 @@
 """Commands on lines: reconstruct, adjust."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, app, run
+from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, app, run
 from omnilines.triangulation import method_options
+
+if TYPE_CHECKING:
+    from omnilines.extraction import ExtractionOptions
+    from omnilines.pipelines.options import SceneOptions
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
@@ -101,52 +105,78 @@ def reconstruct(
     device: Device = "cpu",
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Photos, calibration and poses (or matched segments in place of photos) -> 3D lines, report.html."""
     if not photos and segments is None:
         raise InputError(
-            "Photos, or --segments with a table of matched segments, were expected, found neither; give one of them."
+            "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
     if not photos and scale_from is not None:
-        raise InputError("--scale-from is for photos, found --segments without them; give poses in metres.")
-    method = triangulation or ("ml" if photos else "dual")
-    options = method_options(method, subset=subset, bandwidth=bandwidth, weights=weights)
-    if not photos and segments is not None:
-        _from_segments(
-            calibration, poses, segments, out, method, options, cost or "whitened", refine or "lines",
-            loss or "none", robust, pose_sigma_deg, pose_sigma_m, device, as_json,
-        )  # fmt: skip
-        return
-    if robust or pose_sigma_deg is not None or pose_sigma_m is not None:
+        raise InputError("`scale_from` is for photos, found `segments` without them; give poses in metres.")
+    if photos and (robust or pose_sigma_deg is not None or pose_sigma_m is not None):
         raise InputError(
-            "--robust, --pose-sigma-deg and --pose-sigma-m are for --segments without photos, found with photos: wrong arcs are "
+            "`robust`, `pose_sigma_deg` and `pose_sigma_m` are for `segments` without photos, found with photos: wrong arcs are "
             "always left out, and their poses have no prior; leave them out."
         )
-    from omnilines.commands.reconstruct_photos import reconstruct_photos
+    from omnilines.commands.reconstruct import reconstruct_photos
 
+    of_photos = bool(photos)
+    method = triangulation or ("ml" if of_photos else "dual")
+    extraction, options = _options(
+        settings,
+        refine=refine or ("lines,poses" if of_photos and poses == "sfm" else "lines"),
+        triangulation=method,
+        triangulation_options=method_options(method, subset=subset, bandwidth=bandwidth, weights=weights),
+        cost=cost or "whitened",
+        loss=loss or ("cauchy" if of_photos else "none"),
+        device=device,
+        min_views=min_views,
+        tolerance_px=tolerance_px,
+        seed=seed,
+    )
+    if not photos:
+        assert segments is not None
+        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+        return
     run(
         lambda progress: reconstruct_photos(
-            photos or [], calibration, poses, out, segments=segments, pattern=pattern, scale_from=scale_from, mask=mask,
-            least_views=min_views, tolerance_px=tolerance_px, triangulation=method, triangulation_options=options,
-            cost=cost or "whitened", refine=refine, loss=loss or "cauchy", colmap=colmap, recording=recording, device=device,
-            seed=seed, progress=progress,
+            photos, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+            scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
         ),
         as_json,
         kept=out / "work",
     )  # fmt: skip
 
 
+PARTS = ("matching.", "adjustment.", "structure.")
+"""Options of a scene that are also known without its name before them."""
+
+
+def _options(settings: list[str] | None, **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
+    """The options of arcs and of the scene, from their flags and from `set`."""
+    from omnilines.adjustment.scene import parse_refine
+    from omnilines.options import with_settings
+    from omnilines.pipelines.arcs import SHORT_ARCS
+    from omnilines.pipelines.options import SceneOptions
+
+    named = [f"scene.{setting}" if setting.startswith(PARTS) else setting for setting in settings or []]
+    of_arcs = [setting for setting in named if setting.startswith("extraction.")]
+    others = [setting for setting in named if setting not in of_arcs]
+    scene = SceneOptions(**{**given, "refine": parse_refine(given["refine"])})
+    return with_settings(SHORT_ARCS, of_arcs, "extraction."), with_settings(scene, others, "scene.")
+
+
 def _from_segments(
-    calibration: Path, poses: str, segments: Path, out: Path, triangulation: str, options: dict[str, Any], cost: str, refine: str,
-    loss: str, robust: bool, pose_sigma_deg: float | None, pose_sigma_m: float | None, device: str, as_json: bool,
+    calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", robust: bool,
+    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
     run(
         lambda progress: reconstruct_segments(
-            calibration, Path(poses), segments, out, triangulation=triangulation, triangulation_options=options, cost=cost,
-            refine=refine, loss=loss, robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, device=device,
+            calibration, poses, segments, out, options, robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m,
             progress=progress,
         ),
         as_json,
@@ -170,22 +200,17 @@ def adjust(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     device: Device = "cpu",
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Refine the lines and the poses of a scene."""
-    _from_segments(
-        calibration,
-        str(poses),
-        segments,
-        out,
-        triangulation,
-        method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights),
-        cost,
-        refine,
-        loss,
-        robust,
-        pose_sigma_deg,
-        pose_sigma_m,
-        device,
-        as_json,
+    _, options = _options(
+        settings,
+        refine=refine,
+        triangulation=triangulation,
+        triangulation_options=method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights),
+        cost=cost,
+        loss=loss,
+        device=device,
     )
+    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)

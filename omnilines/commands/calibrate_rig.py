@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from omnilines.calibration.options import AUTO
 from omnilines.commands.calibrate import photos_beside
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_rig_corners
@@ -25,7 +24,7 @@ def calibrate_rig_photos(
     check_output_folder(out)
     cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
     setup.require_cameras(cameras)
-    perhaps = [name for name in cameras if setup.model_of(name) in (AUTO, "scaramuzza")]
+    perhaps = [name for name in cameras if setup.axis_sign_open(name)]
     found = detect_rig(folder, pattern_specs, mirrored=setup.options.mirror, perhaps_mirrored=perhaps, progress=progress)
     return _written(found, setup, out, progress)
 

@@ -1,42 +1,108 @@
-"""omnilines reconstruct and adjust: calibration.yaml, poses.csv and segments.csv -> 3D lines with their uncertainty."""
+"""omnilines reconstruct and adjust: photos, or matched segments, calibration and poses -> 3D lines with their uncertainty."""
 
 import math
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from camera_models import Calibration, CameraEstimate, InputError, load, save
-from camera_models.formats.calibration_data import RigCamera
-from omnilines import report
-from omnilines.adjustment.scene import LineScene, parse_refine, reconstruct_lines
-from omnilines.adjustment.suspects import Suspect
+from camera_models import Calibration, InputError, load
+from omnilines.commands.extract import read_mask
 from omnilines.commands.result import CommandResult
+from omnilines.commands.resume import Stamp
+from omnilines.extraction import ExtractionOptions
 from omnilines.files import (
+    Photo,
+    find_photos,
     is_corners_table,
+    photo_folder,
     read_corners,
     read_poses,
     read_segments,
-    write_covariance,
-    write_lines,
-    write_ply,
-    write_poses,
-    write_segments,
 )
+from omnilines.files.colmap_scene import check_colmap_folder, colmap_cameras, write_colmap_scene
+from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import output_folder
-from omnilines.least_squares import Outcome, Progress
-from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
-from omnilines.pipelines.scene_frame import UNIT_KEY, unit_of_table
+from omnilines.files.recording import rerun_module, write_recording
+from omnilines.pages.scene import scene_data, scene_sections, scene_summary
+from omnilines.pipelines.adjust import adjust
+from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
+from omnilines.pipelines.frame import parse_known_distance, require_poses
+from omnilines.pipelines.given_arcs import check_given, given_arcs
+from omnilines.pipelines.options import OF_TABLES, SceneOptions
+from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, unit_of_poses, unit_of_table
+from omnilines.pipelines.reconstruct import check_options, reconstruct
+from omnilines.pipelines.scene import Scene
 from omnilines.posing.from_corners import poses_from_corners
+from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.provenance import provenance
-from omnilines.records import ImagePoses, Segments, Summary
+from omnilines.records import Segments
+from omnilines.report import write_report
 
-SHOWN_SUSPECTS = 5
-"""Observations named in a note; all of them are in `--json` and the report."""
+WORK, STAMP = "work", "done.json"
+MADE_BY = ("camera_models", "calib_patterns", "omnilines")
+"""Whose source decides what is written."""
+
+
+def reconstruct_photos(
+    photos: Sequence[Path],
+    calibration: Path,
+    poses: str,
+    out: Path,
+    options: SceneOptions = SceneOptions(),
+    *,
+    extraction: ExtractionOptions = SHORT_ARCS,
+    segments: Path | None = None,
+    pattern: str | None = None,
+    scale_from: str | None = None,
+    mask: Path | None = None,
+    colmap: bool = False,
+    recording: bool = False,
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Rebuild the straight lines that photos show.
+
+    `poses` is a source of `estimate_poses`. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos,
+    where poses leave the scale open. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
+    would be found in them. `colmap` and `recording` add a COLMAP model and a recording for the rerun viewer.
+
+    Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
+    inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
+    input, and GeometryError naming the stage where no line is left.
+    """
+    refs, cameras = find_photos(photos), load(calibration)
+    camera_of = cameras_of_photos(refs, cameras)
+    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    given = _given(segments, mask, refs, camera_of)
+    unit = unit_of_poses(poses, cameras, camera_of)
+    distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
+    folder = output_folder(out)
+    check_source(poses, refs, cameras, camera_of, pattern)
+    check_options(options, cameras)
+    if colmap:
+        check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
+    if recording:
+        rerun_module()
+    files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
+    wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
+    stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
+    done = stamp.result()
+    if done is not None:
+        return done
+    if distance is not None and not from_photos(poses):
+        require_poses(distance, estimate_poses(refs, cameras, poses))
+    work = folder / WORK
+    if given is None:
+        arcs = extract(
+            refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, progress=progress
+        )
+    else:
+        arcs = given_arcs(given, refs, cameras, appearance=options.matching.appearance, name=str(segments), progress=progress)
+    posed = estimate_poses(arcs, cameras, poses, pattern=pattern, seed=options.seed, work=work, progress=progress)
+    inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
+    scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
+    result = _written(folder, scene, colmap, recording, progress)
+    stamp.write(result)
+    return result
 
 
 def reconstruct_segments(
@@ -44,68 +110,50 @@ def reconstruct_segments(
     poses: Path,
     segments: Path,
     out: Path,
+    options: SceneOptions = replace(OF_TABLES, refine=("lines",)),
     *,
-    triangulation: str = "dual",
-    triangulation_options: Mapping[str, Any] | None = None,
-    cost: str = "whitened",
-    refine: str = "lines",
-    loss: str = "none",
     robust: bool = False,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
-    device: str = "cpu",
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Triangulate and adjust the lines of a user's own tables; `refine` is `lines` with any of `poses`, `intrinsics` and `rig`.
+    """Triangulate and adjust the lines of a user's own tables (`pipelines.adjust`).
 
-    With `robust`, observations of other lines are found by consensus and left out. `pose_sigma_deg` and `pose_sigma_m`, both or
-    neither, make the poses of the table a prior with these standard deviations of each component. `device` is `cpu` or `cuda`.
+    `pose_sigma_deg` and `pose_sigma_m`, both or neither, make the poses of the table a prior with these standard deviations.
 
     Writes a scene folder: calibration.yaml, poses.csv, segments.csv, lines.csv, covariance.npz, lines.ply, report.html. Raises
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
-    parts = parse_refine(refine)
-    prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in parts)
-    cameras = load(calibration)
+    prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
+    cameras, table = load(calibration), read_segments(segments)
+    posed = replace(_poses(poses, table, cameras), unit=unit_of_table(poses))
+    inputs = {"calibration": calibration, "poses": poses, "segments": segments}
+    scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
+    return _written(output_folder(out), scene, False, False, progress)
+
+
+def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], camera_of: Mapping[str, str]) -> Segments | None:
+    """A user's own segments, where there are some."""
+    if segments is None:
+        return None
+    if mask is not None:
+        raise InputError("`mask` says where arcs are looked for, found `segments` beside it; leave one of them out.")
     table = read_segments(segments)
-    pose_table = _poses(poses, table, cameras)
-
-    def tell(step: Progress) -> None:
-        progress("adjusting the scene", step.iteration, 0)
-
-    progress("triangulating", 0, 0)
-    scene = reconstruct_lines(
-        table,
-        pose_table,
-        cameras,
-        triangulation=triangulation,
-        triangulation_options=triangulation_options,
-        cost=cost,
-        refine_poses="poses" in parts,
-        refine_cameras="intrinsics" in parts,
-        refine_rig="rig" in parts,
-        rig=cameras.rig,
-        pose_sigma=prior,
-        robust=robust,
-        loss=loss,
-        device=device,
-        callback=tell,
-    )
-    scene = replace(scene, lines=replace(scene.lines, unit=unit_of_table(poses)))
-    folder = output_folder(out)
-    files = write_scene(folder, scene, table, cameras, {"calibration": calibration, "poses": poses, "segments": segments})
-    progress("writing the report", 0, 0)
-    summary = _summary(scene, triangulation, cost, parts)
-    page = report.write_report(folder / "report.html", "Line scene", _sections(scene, summary))
-    return CommandResult(
-        (summary,), _data(scene, tuple(cameras)), files=(*files, page), report=page, warnings=scene.table.left_out + summary.notes
-    )
+    check_given(table, photos, camera_of, str(segments))
+    return table
 
 
-def _poses(path: Path, segments: Segments, cameras: Calibration) -> ImagePoses:
+def _pose_files(source: str) -> list[Path]:
+    path = Path(source)
+    if path.is_dir():
+        return sorted(file for file in path.rglob("*") if file.suffix in (".bin", ".txt") and file.is_file())
+    return [path] if path.is_file() else []
+
+
+def _poses(path: Path, segments: Segments, cameras: Calibration) -> PhotoPoses:
     """The poses of a table, or those that see its points of known place."""
     if not is_corners_table(path):
-        return read_poses(path)
+        return PhotoPoses(read_poses(path))
     names = segments.cameras or (next(iter(cameras)),) * len(segments.images)
     if segments.cameras is None and len(cameras.cameras) > 1:
         raise InputError(
@@ -114,7 +162,7 @@ def _poses(path: Path, segments: Segments, cameras: Calibration) -> ImagePoses:
     found = poses_from_corners(read_corners(path), cameras, dict(zip(segments.images, names, strict=True)))
     if found.left_out:
         raise InputError(f"{path}: {next(iter(found.left_out.values()))}")
-    return found.poses
+    return found
 
 
 def _pose_sigma(sigma_deg: float | None, sigma_m: float | None, refined: bool) -> tuple[float, float] | None:
@@ -123,109 +171,25 @@ def _pose_sigma(sigma_deg: float | None, sigma_m: float | None, refined: bool) -
         return None
     if sigma_deg is None or sigma_m is None or not (sigma_deg > 0 and sigma_m > 0) or not refined:
         raise InputError(
-            "A prior on poses takes --pose-sigma-deg and --pose-sigma-m above 0 and --refine with poses, found "
+            "A prior on poses takes `pose_sigma_deg` and `pose_sigma_m` above 0 and `refine` with poses, found "
             f"{sigma_deg}, {sigma_m} and poses {'refined' if refined else 'held'}; give both or neither."
         )
     return math.radians(sigma_deg), sigma_m
 
 
-def write_scene(
-    folder: Path, scene: LineScene, segments: Segments, cameras: Calibration, inputs: dict[str, Any]
-) -> tuple[Path, ...]:
-    """The files of a scene folder but for the report."""
-    paths = tuple(
-        folder / name for name in ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv", "covariance.npz", "lines.ply")
-    )
-    save(paths[0], refined_calibration(scene, cameras, inputs))
-    write_poses(paths[1], scene.poses)
-    write_segments(paths[2], segments)
-    write_lines(paths[3], scene.lines)
-    write_covariance(paths[4], scene.poses, scene.lines)
-    write_ply(paths[5], scene.lines, camera_centres_m=scene.poses.cam_from_world.centre.numpy())
-    return paths
-
-
-def refined_calibration(scene: LineScene, cameras: Calibration, inputs: dict[str, Any]) -> Calibration:
-    """The calibration with the cameras and the rig as they were refined, and with their uncertainty."""
-    models, estimates, rig = dict(cameras.cameras), dict(cameras.estimates), dict(cameras.rig)
-    for name, model, covariance in zip(models, scene.cameras, scene.adjusted.camera_covariance, strict=False):
-        models[name] = model
-        sigma = covariance.diagonal().clamp_min(0).sqrt().tolist()
-        named = dict(zip(model.PARAMETER_NAMES, sigma, strict=True))
-        # The residuals of a calibration are those of its own corners.
-        known = replace(estimates.get(name, CameraEstimate()), rms_px_per_axis=None, rms_px_per_point=None)
-        estimates[name] = replace(known, sigma=named, covariance=covariance.numpy())
-    if scene.cam_from_rig is not None and scene.adjusted.rig_covariance is not None:
-        sigmas = scene.adjusted.rig_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt().numpy()
-        rig = {name: RigCamera(scene.cam_from_rig[k], sigmas[k]) for k, name in enumerate(rig)}
-    return Calibration(models, estimates, rig, cameras.views, {**provenance(inputs), UNIT_KEY: scene.lines.unit.sign})
-
-
-def _summary(scene: LineScene, triangulation: str, cost: str, parts: tuple[str, ...]) -> Summary:
-    counts = Counter(scene.lines.status)
-    lines = scene.lines
-    rows = (
-        ("tracks", str(len(lines))),
-        ("lines", ", ".join(f"{count} {status}" for status, count in counts.most_common())),
-        ("photos", str(len(scene.poses))),
-        ("triangulation and cost", f"{triangulation}, {cost}"),
-        ("refined", ", ".join(parts)),
-        ("rms_px before", f"{scene.rms_px(before=True):.4f}"),
-        ("rms_px after", f"{scene.rms_px():.4f}"),
-        ("median of the largest sigma of a line's ends across it", f"{_median_sigma_m(scene):.3g} {lines.unit.sign}"),
-        ("noise of the end points", noise_row(scene.adjusted.noise)),
-    )
-    notes = _named("do not belong to their track and were left out", scene.wrong)
-    notes += _named("lie farther from their line than 99.9 percent should", scene.suspect)
-    if "poses" in parts:
-        notes += (
-            "The scale, position and orientation of the scene are free with bearings alone: the poses as a whole keep those of "
-            "poses.csv, and the uncertainties are stated in that frame.",
-        )
-    if scene.adjusted.outcome is not Outcome.CONVERGED:
-        notes += (scene.adjusted.outcome.value,)
-    notes += noise_notes(scene.adjusted.noise)
-    return Summary("Line scene", rows, notes)
-
-
-def _named(what: str, found: tuple[Suspect, ...]) -> tuple[str, ...]:
-    """One sentence on observations, the first few by name."""
-    if not found:
-        return ()
-    shown = ", ".join(f"{s.track} in {s.image} ({s.distance_px:.1f} px)" for s in found[:SHOWN_SUSPECTS])
-    more = f" and {len(found) - SHOWN_SUSPECTS} more" if len(found) > SHOWN_SUSPECTS else ""
-    return (f"{len(found)} observations {what}: {shown}{more}.",)
-
-
-def _median_sigma_m(scene: LineScene) -> float:
-    known = scene.lines.sigma_m[np.isfinite(scene.lines.sigma_m)]
-    return float(np.median(known)) if len(known) else float("nan")
-
-
-def _sections(scene: LineScene, summary: Summary) -> list[report.Section]:
-    before, after = (values[np.isfinite(values)] for values in (scene.residual_before_px, scene.residual_px))
-    distances = {"triangulated": np.abs(before), "adjusted": np.abs(after)}
-    return [
-        report.summary_section(summary),
-        report.histogram_section("Residuals", distances, "orthogonal distance of an observed end (px)"),
-        report.scene_section(lines=scene.lines, cameras=scene.poses),
-    ]
-
-
-def _data(scene: LineScene, names: tuple[str, ...]) -> dict[str, Any]:
-    sigma = _median_sigma_m(scene)
-    return {
-        "tracks": len(scene.lines),
-        UNIT_KEY: scene.lines.unit.sign,
-        "status": dict(Counter(scene.lines.status)),
-        "rms_px_before": scene.rms_px(before=True),
-        "rms_px": scene.rms_px(),
-        "median_sigma_m": sigma if np.isfinite(sigma) else None,
-        "noise": noise_data(scene.adjusted.noise),
-        "outcome": scene.adjusted.outcome.name.lower(),
-        "iterations": scene.adjusted.iterations,
-        "left_out": list(scene.table.left_out),
-        "wrong": [asdict(suspect) for suspect in scene.wrong],
-        "suspect": [asdict(suspect) for suspect in scene.suspect],
-        "cameras": {name: model.named_parameters() for name, model in zip(names, scene.cameras, strict=False)},
-    }
+def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress: ProgressCallback) -> CommandResult:
+    """The scene folder and its page."""
+    progress("writing the scene", 0, 0)
+    files = [*scene.save(folder)]
+    remarks: tuple[str, ...] = ()
+    if colmap:
+        known, remarks = colmap_cameras(scene.cameras)
+        files += write_colmap_scene(output_folder(folder / "colmap"), known, scene.poses, scene.lines, remarks=remarks)
+    if recording:
+        files.append(folder / "scene.rrd")
+        write_recording(files[-1], scene.lines, scene.poses, scene.cameras)
+    progress("writing the report", 0, 0)
+    summary = scene_summary(scene)
+    files.append(write_report(folder / "report.html", "Line scene", scene_sections(scene, remarks)))
+    notes = (*scene.told, *remarks, *summary.notes)
+    return CommandResult((summary,), scene_data(scene), files=tuple(files), report=files[-1], warnings=notes)

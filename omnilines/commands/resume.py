@@ -5,8 +5,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from camera_models import InputError
 from camera_models.formats.disk import write_atomically
 from omnilines.commands.result import CommandResult
+from omnilines.files.fingerprint import content_hash
 from omnilines.records import Summary
 
 
@@ -18,16 +20,16 @@ class Stamp:
         self.inputs = inputs
 
     def result(self) -> CommandResult | None:
-        """The last result, if it was made from the same inputs and all its files are there as they were written."""
+        """The last result, if it was made from the same inputs and all its files are there with the contents they had."""
         try:
             kept = json.loads(self.path.read_text(encoding="utf-8"))
-            files = {Path(name): size for name, size in kept["files"]}
-            whole = kept["inputs"] == self.inputs and all(file.stat().st_size == size for file, size in files.items())
+            files = {Path(name): content for name, content in kept["files"]}
+            whole = kept["inputs"] == self.inputs and all(content_hash(file) == content for file, content in files.items())
             summaries = tuple(
                 Summary(one["title"], tuple(map(tuple, one["rows"])), tuple(one["notes"])) for one in kept["summaries"]
             )
             report = Path(kept["report"])
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, InputError):
             return None
         if not whole:
             return None
@@ -38,7 +40,7 @@ class Stamp:
         """Keep a result, after all its files are written."""
         kept: dict[str, Any] = {
             "inputs": self.inputs,
-            "files": [(str(file), file.stat().st_size) for file in result.files],
+            "files": [(str(file), content_hash(file)) for file in result.files],
             "report": str(result.report),
             "summaries": [asdict(summary) for summary in result.summaries],
             "data": result.data,

@@ -5,12 +5,12 @@ from pathlib import Path
 from camera_models import load
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_photos
-from omnilines.commands.reconstruct import write_scene
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
 from omnilines.files.folders import output_folder
 from omnilines.pages.validation import validation_data, validation_sections, validation_summaries
 from omnilines.pipelines.render import MODEL, RenderOptions, render_targets
+from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.validation import compare
@@ -58,7 +58,8 @@ def validate(
     scene = validation.scene
     asked = {"fov_deg": truth.fov_deg, "views": options.views, "noise": options.noise_grey, "blur": options.blur_px}
     inputs = {"photos": folder / PHOTOS, "model": model, **asked, "seed": options.seed}
-    tables = write_scene(folder, scene, validation.board.segments, validation.calibration, inputs)
+    cameras = refined_calibration(scene, validation.calibration)
+    tables = Scene(scene, validation.board.segments, cameras, inputs).save(folder)
     progress("writing the report", 0, 0)
     summaries = validation_summaries(validation)
     sections = validation_sections(validation, summaries, folder / PHOTOS)

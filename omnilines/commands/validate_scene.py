@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from omnilines.commands.reconstruct_photos import reconstruct_photos
+from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PHOTOS
 from omnilines.files.folders import output_folder
@@ -11,6 +11,7 @@ from omnilines.pages.scene_validation import (
     scene_validation_sections,
     scene_validation_summaries,
 )
+from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
@@ -42,7 +43,7 @@ def validate_scene(
     shown = truth.save(folder / PHOTOS, progress)
     photos = [folder / PHOTOS / name for name in truth.photos]
     tables = [folder / PHOTOS / name for name in ("calibration.yaml", "poses.csv")]
-    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, seed=truth.seed, progress=progress)
+    done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, SceneOptions(seed=truth.seed), progress=progress)
     progress("comparing with the truth", 0, 0)
     validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
     summaries = scene_validation_summaries(validation)

@@ -144,18 +144,18 @@ def profiled(photo: Photo, arcs: Arcs, noise: float, options: NeighbourOptions) 
     mean, whole = mean_profiles(photo.picture, at, starts, wanted, OFFSETS_PX)
     middle, count = begins + length // 2, len(begins)
     blocks = Blocks(
-        len(arcs),
-        at.owner[begins],
-        length,
-        whole,
-        np.add.reduceat(at.angle, begins) / length,
-        np.add.reduceat(at.rate, begins) / length,
-        at.pixel[middle],
-        at.across[middle],
-        mean,
-        noise / np.sqrt(length),
-        np.zeros((count, MOST_STEPS)),
-        np.ones(count, dtype=np.int64),
+        arcs=len(arcs),
+        owner=at.owner[begins],
+        length=length,
+        whole=whole,
+        angle=np.add.reduceat(at.angle, begins) / length,
+        rate=np.add.reduceat(at.rate, begins) / length,
+        pixel=at.pixel[middle],
+        across=at.across[middle],
+        profile=mean,
+        sigma=noise / np.sqrt(length),
+        place=np.zeros((count, MOST_STEPS)),
+        count=np.ones(count, dtype=np.int64),
     )
     return Profiled(arcs, blocks, _path(photo.model, arcs, at))
 

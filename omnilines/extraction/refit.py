@@ -140,14 +140,14 @@ def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float, o
         cut.append(replace(arcs, low=ends[0], high=ends[1]).keep(ends[0] < ends[1]))
     refitted = replace(moved(kept, change, covariance), low=low, high=high).centred()
     return Refitted(
-        refitted,
-        own["support"],
-        own["length_px"],
-        own["contrast"],
-        own["blur_px"],
-        bend,
-        settled,
-        joined(cut).centred(),
+        arcs=refitted,
+        support=own["support"],
+        length_px=own["length_px"],
+        contrast=own["contrast"],
+        blur_px=own["blur_px"],
+        bend=bend,
+        settled=settled,
+        cut=joined(cut).centred(),
     )
 
 

@@ -8,7 +8,16 @@ from jaxtyping import Int
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text
-from omnilines.files.tables import PARQUET_SUFFIXES, Table, name_cells, number_cells, read_table, write_table
+from omnilines.files.tables import (
+    LARGEST_M,
+    LARGEST_PX,
+    PARQUET_SUFFIXES,
+    Table,
+    name_cells,
+    number_cells,
+    read_table,
+    write_table,
+)
 from omnilines.records import Corners
 
 COLUMNS = ("view", "image", "board_x_m", "board_y_m", "u_px", "v_px")
@@ -65,18 +74,18 @@ def is_rig_table(path: str | Path) -> bool:
 
 
 def _corners(table: Table, view: Int[np.ndarray, " n"], view_names: tuple[str, ...]) -> Corners:
+    table.images()
     images = table.name_of_each("image", view, view_names, "view")
     board = np.zeros((len(table), 3))
-    board[:, :2] = table.numbers("board_x_m", "board_y_m")
+    board[:, :2] = table.within(LARGEST_M, "board_x_m", "board_y_m")
     if table.has("board_z_m"):
-        board[:, 2] = table.numbers("board_z_m")[:, 0]
+        board[:, 2] = table.within(LARGEST_M, "board_z_m")[:, 0]
     _require_distinct(table, np.column_stack([view, board]))
     sigma = None
     if table.has("sigma_px"):
-        sigma = table.numbers("sigma_px")[:, 0]
-        table.require(sigma > 0, "sigma_px", "a standard deviation above 0")
+        sigma = table.sigmas("sigma_px")
     ids = table.whole_numbers("id") if table.has("id") else None
-    return Corners(view, view_names, images, board, table.numbers("u_px", "v_px"), sigma, ids)
+    return Corners(view, view_names, images, board, table.within(LARGEST_PX, "u_px", "v_px"), sigma, ids)
 
 
 def write_corners(path: str | Path, corners: Corners) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_bytes, write_atomically
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 
@@ -130,11 +130,24 @@ def _photos_in(folder: Path) -> Iterator[str]:
         linked.add(target)
         return new
 
-    for parent, folders, files in os.walk(os.path.abspath(folder), followlinks=True):
+    def refuse(error: OSError) -> None:
+        raise InputError(f"The folder {error.filename} cannot be read ({error.strerror}); give photos in folders that can be.")
+
+    for parent, folders, files in os.walk(os.path.abspath(folder), onerror=refuse, followlinks=True):
         folders[:] = [name for name in sorted(folders) if not name.startswith(".") and is_new(os.path.join(parent, name))]
         yield from (
             os.path.join(parent, name) for name in files if name.lower().endswith(PHOTO_SUFFIXES) and not name.startswith(".")
         )
+
+
+def require_distinct_stems(photos: Sequence[PhotoRef]) -> None:
+    """Raises InputError where two photos differ in their suffix alone: what is written of each would have one name."""
+    seen: dict[Path, str] = {}
+    for photo in photos:
+        stem = Path(photo.name).with_suffix("")
+        other = seen.setdefault(stem, photo.name)
+        if other != photo.name:
+            raise InputError(f"Photos with names of their own were expected, found {other} and {photo.name}; rename one of them.")
 
 
 def _natural(name: str) -> tuple[list[tuple[str, int]], str]:
@@ -149,10 +162,7 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     other numbers than 8 or 16 bit ones.
     """
     file = Path(path)
-    try:
-        data = np.frombuffer(file.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise InputError(f"The image {file} cannot be read ({error.strerror}); check the path.") from error
+    data = np.frombuffer(read_bytes(file), dtype=np.uint8)
     if not len(data):
         raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
     try:

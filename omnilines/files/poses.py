@@ -7,7 +7,7 @@ import torch
 
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
 from camera_models.pose import Pose
-from omnilines.files.tables import name_cells, number_cells, read_table, write_table
+from omnilines.files.tables import LARGEST_M, name_cells, number_cells, read_table, write_table
 from omnilines.records import ImagePoses
 
 COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
@@ -21,17 +21,17 @@ def read_poses(path: str | Path) -> ImagePoses:
     line and column where a value is missing or not a finite number, a quaternion has length zero, or a photo stands twice.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
-    image, images = table.names("image")
+    image, images = table.images()
     _, first = np.unique(image, return_index=True)
     once = np.zeros(len(table), dtype=bool)
     once[first] = True
     table.require(once, "image", "each image once", "remove one of its rows")
     cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
     frames = table.name_of_each("frame", image, images, "image") if table.has("frame") else None
-    quaternions = table.numbers("qw", "qx", "qy", "qz")
+    quaternions = table.within(LARGEST_M, "qw", "qx", "qy", "qz")
     table.require(np.linalg.norm(quaternions, axis=1) > 1e-12, "qw", "a unit quaternion, not one of length zero")
     rotation = rotation_from_file(torch.from_numpy(quaternions))
-    return ImagePoses(images, Pose(rotation, torch.from_numpy(table.numbers("tx", "ty", "tz"))), cameras, None, frames)
+    return ImagePoses(images, Pose(rotation, torch.from_numpy(table.within(LARGEST_M, "tx", "ty", "tz"))), cameras, None, frames)
 
 
 def write_poses(path: str | Path, poses: ImagePoses) -> None:

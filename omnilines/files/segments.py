@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from camera_models.errors import InputError
-from omnilines.files.tables import Table, name_cells, number_cells, read_table, write_table
+from omnilines.files.tables import LARGEST_PX, LEAST_SIGMA_PX, Table, name_cells, number_cells, read_table, write_table
 from omnilines.records import Segments
 
 COLUMNS = ("image", "track", "u1_px", "v1_px", "u2_px", "v2_px")
@@ -21,14 +21,13 @@ def read_segments(path: str | Path) -> Segments:
     a photo has two cameras, or a covariance (px^2) is incomplete or not one.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
-    image, images = table.names("image")
+    image, images = table.images()
     track, tracks = table.names("track", may_be_empty=True)
-    ends = table.numbers("u1_px", "v1_px", "u2_px", "v2_px").reshape(-1, 2, 2)
+    ends = table.within(LARGEST_PX, "u1_px", "v1_px", "u2_px", "v2_px").reshape(-1, 2, 2)
     table.require((ends[:, 0] != ends[:, 1]).any(1), "u2_px", "an end point other than the first", "remove the row")
     sigma = None
     if table.has("sigma_px"):
-        sigma = table.numbers("sigma_px")[:, 0]
-        table.require(sigma > 0, "sigma_px", "a standard deviation above 0")
+        sigma = table.sigmas("sigma_px")
     cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
     return Segments(image, images, track, tracks, ends, sigma, _covariance(table), cameras)
 
@@ -42,10 +41,13 @@ def _covariance(table: Table) -> Float[np.ndarray, "n 2 2 2"] | None:
         raise InputError(
             f"{table.path}: the column {absent[0]} is missing beside {given[0]}; give all of {','.join(COVARIANCE)}."
         )
-    suu1, suv1, svv1, suu2, suv2, svv2 = table.numbers(*COVARIANCE).T
+    suu1, suv1, svv1, suu2, suv2, svv2 = table.within(LARGEST_PX**2, *COVARIANCE).T
+    least = LEAST_SIGMA_PX**2
     for end, (suu, suv, svv) in enumerate(((suu1, suv1, svv1), (suu2, suv2, svv2)), 1):
         table.require(suu > 0, f"suu{end}", "a variance above 0")
         table.require(svv > 0, f"svv{end}", "a variance above 0")
+        table.require(suu >= least, f"suu{end}", f"a variance of at least {least:g}")
+        table.require(svv >= least, f"svv{end}", f"a variance of at least {least:g}")
         limit = np.sqrt(suu) * np.sqrt(svv) * (1 + 1e-9)
         table.require(np.abs(suv) <= limit, f"suv{end}", f"a covariance of at most sqrt(suu{end} svv{end})")
     return np.stack([suu1, suv1, suv1, svv1, suu2, suv2, suv2, svv2], 1).reshape(-1, 2, 2, 2)

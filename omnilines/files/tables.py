@@ -16,7 +16,12 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text, write_atomically
+from camera_models.formats.values import stray
 
+LARGEST_PX = 1e7
+"""Of a pixel, and of its standard deviation, in a table."""
+LEAST_SIGMA_PX = 1e-6
+LARGEST_M = 1e9
 PARQUET_SUFFIXES = (".parquet", ".pq")
 
 
@@ -45,6 +50,31 @@ class Table:
         """Raise InputError for the first row in which `holds` is false."""
         if not holds.all():
             raise self.error(int(np.argmin(holds)), column, expected, advice)
+
+    def within(self, most: float, *columns: str) -> Float[np.ndarray, "n k"]:
+        """As `numbers`; raises InputError where one is beyond `most` either way."""
+        values = self.numbers(*columns)
+        for k, name in enumerate(columns):
+            self.require(np.abs(values[:, k]) <= most, name, f"a number from {-most:g} to {most:g}")
+        return values
+
+    def sigmas(self, column: str) -> Float[np.ndarray, " n"]:
+        """Standard deviations in pixels; raises InputError where one is 0, negative or beyond reason."""
+        sigma = self.numbers(column)[:, 0]
+        self.require(sigma > 0, column, "a standard deviation above 0")
+        self.require(
+            (sigma >= LEAST_SIGMA_PX) & (sigma <= LARGEST_PX), column, f"a number from {LEAST_SIGMA_PX:g} to {LARGEST_PX:g}"
+        )
+        return sigma
+
+    def images(self, column: str = "image") -> tuple[Int[np.ndarray, " n"], tuple[str, ...]]:
+        """As `names`; raises InputError where one is not the name of a photo inside a folder."""
+        index, names = self.names(column)
+        for k, name in enumerate(names):
+            why = stray(name)
+            if why is not None:
+                raise self.error(int(np.argmax(index == k)), column, "a photo inside the folder of the photos", f"it {why}")
+        return index, names
 
     def numbers(self, *columns: str) -> Float[np.ndarray, "n k"]:
         """Finite numbers of the columns, side by side; raises InputError on an empty cell, NaN, infinity or text."""

@@ -62,9 +62,9 @@ class ViewedArcs:
             return self
         return self.rows(np.sort(np.argsort(self.circle_sigma_rad, kind="stable")[:most]))
 
-    def widened(self, slack_px: float) -> "ViewedArcs":
+    def widened(self, tolerance_px: float) -> "ViewedArcs":
         """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
-        return replace(self, covariance_px2=self.covariance_px2 + slack_px**2 * np.eye(2))
+        return replace(self, covariance_px2=self.covariance_px2 + tolerance_px**2 * np.eye(2))
 
     def moved_to(self, first: Pose) -> "ViewedArcs":
         """The same arcs where all photos moved as one, so that the first of them has the pose `first` (1,)."""
@@ -89,7 +89,7 @@ class ViewedArcs:
             torch.arange(len(self)),
             len(self),
             torch.as_tensor(self.by_pixel),
-            torch.as_tensor(self.covariance_px2),
+            covariance_px2=torch.as_tensor(self.covariance_px2),
         )
 
     def tracks(self, rows: Int[np.ndarray, " m"], track: Int[np.ndarray, " m"], tracks: int) -> PlaneObservations:

@@ -29,6 +29,7 @@ def chance_of_lines(
     positions_m: Float[np.ndarray, "l 2"],
     own: Int[np.ndarray, " n"],
     cameras: Sequence[CameraModel],
+    *,
     options: MatchingOptions = MatchingOptions(),
 ) -> Float[np.ndarray, " l"]:
     """Probability that as many photos would show each of l lines if it were not there, between 0 and 1.

@@ -4,7 +4,7 @@ found = match_arcs(arcs)        # ViewedArcs: both ends of every arc as bearings
 found.tracks.track              # (n,) line of every arc or -1; found.tracks.lines: a `Triangulation`
 
 How far arcs of one line may lie apart follows from their stated noise and from a slack for what no arc knows of: errors of poses
-and cameras. Unless given, the slack is chosen by the data (`evidence_of_lines`).
+and cameras (`tolerance_px`). Unless given, the slack is chosen by the data (`evidence_of_lines`).
 """
 
 import math
@@ -36,7 +36,8 @@ class Matched:
     """As given, widened by the slack."""
     hypotheses: Hypotheses
     tracks: Tracks
-    slack_px: float
+    tolerance_px: float
+    """The slack."""
 
     def agreeing_photos(self) -> Int[np.ndarray, " n"]:
         """Number of other photos that support the best line of every arc."""
@@ -49,31 +50,31 @@ class Matched:
 def match_arcs(
     arcs: ViewedArcs,
     *,
-    least_views: int = LEAST_VIEWS,
-    slack_px: float | None = None,
+    min_views: int = LEAST_VIEWS,
+    tolerance_px: float | None = None,
     options: MatchingOptions = MatchingOptions(),
     seed: int = 0,
     progress: ProgressCallback = silent,
 ) -> Matched:
-    """Put arcs into tracks that at least `least_views` photos (3 or more) see.
+    """Put arcs into tracks that at least `min_views` photos (3 or more) see.
 
     Raises InputError on a wrong option and GeometryError where fewer than three photos have arcs, or all of them stand at one
     place: then nothing has a depth.
     """
     neighbours = options.hypotheses.max_neighbours
-    if least_views < 3 or neighbours < 2 or (slack_px is not None and not slack_px > 0):
+    if min_views < 3 or neighbours < 2 or (tolerance_px is not None and not tolerance_px > 0):
         raise InputError(
-            "Matching expects at least 3 views of a line, 2 neighbours of a photo and a slack above 0 px, found "
-            f"{least_views}, {neighbours} and {slack_px}; correct the option."
+            "Matching expects `min_views` of 3 or more, 2 neighbours of a photo and a `tolerance_px` above 0, found "
+            f"{min_views}, {neighbours} and {tolerance_px}; correct the option."
         )
     _require_parallax(arcs)
     near = _near(arcs, neighbours)
-    if slack_px is None:
-        slack_px = evidence_of_lines(arcs, near, seed, options, progress).slack_px
-    widened = arcs.widened(slack_px)
+    if tolerance_px is None:
+        tolerance_px = evidence_of_lines(arcs, near, seed, options, progress).tolerance_px
+    widened = arcs.widened(tolerance_px)
     found = find_hypotheses(widened, near, options=options, progress=progress)
-    tracks = build_tracks(widened, found, least_views, options, progress)
-    return Matched(widened, found, tracks, slack_px)
+    tracks = build_tracks(widened, found, min_views, options, progress)
+    return Matched(widened, found, tracks, tolerance_px)
 
 
 def _near(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:
@@ -84,7 +85,7 @@ def _near(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:
 class Evidence:
     """What arcs say of the poses of their photos."""
 
-    slack_px: float
+    tolerance_px: float
     """The slack that they ask for."""
     gain: float
     """Photos by which the best line of an arc stands out from its best rival, less those by which it does by chance; the mean."""
@@ -162,17 +163,17 @@ def _turned(poses: Pose, turn_rad: tuple[float, float], rng: np.random.Generator
 
 
 def _shown_slack(
-    arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, slack_px: float, showing_share: float
+    arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, tolerance_px: float, showing_share: float
 ) -> float:
     """What the residuals show beyond the stated noise: of the arcs whose line stands out most, with their supporters."""
     best = np.argsort(found.rival - found.score, kind="stable")[: math.ceil(showing_share * len(rows))]
     support = found.support[best]
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
-    level = noise_level(arcs.widened(slack_px).tracks(member, track, len(best)))
+    level = noise_level(arcs.widened(tolerance_px).tracks(member, track, len(best)))
     stated = float(np.median(_stated_px(arcs)[member]))
-    square = level**2 * (stated**2 + slack_px**2) - stated**2
-    return math.sqrt(square) if square > 0 else (0.0 if math.isfinite(level) else slack_px)
+    square = level**2 * (stated**2 + tolerance_px**2) - stated**2
+    return math.sqrt(square) if square > 0 else (0.0 if math.isfinite(level) else tolerance_px)
 
 
 def _require_parallax(arcs: ViewedArcs) -> None:

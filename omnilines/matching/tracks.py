@@ -57,11 +57,11 @@ class Tracks:
 def build_tracks(
     arcs: ViewedArcs,
     found: Hypotheses,
-    least_views: int,
+    min_views: int,
     options: MatchingOptions = MatchingOptions(),
     progress: ProgressCallback = silent,
 ) -> Tracks:
-    """Tracks of arcs in at least `least_views` photos, with their lines.
+    """Tracks of arcs in at least `min_views` photos, with their lines.
 
     One photo fewer is enough (not fewer than FIRST_VIEWS) where each arc of the track by itself leads to all the others.
     """
@@ -85,7 +85,7 @@ def build_tracks(
         track, lines, out = _triangulated(arcs, track, count)
         wrong, before = wrong + out, count
         track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
-        enough = _enough_views(arcs, track, count, found, least_views, options.tracks.min_agreement)
+        enough = _enough_views(arcs, track, count, found, min_views, options.tracks.min_agreement)
         track, count = _with_views(arcs, track, count, enough)
         if count < before:
             continue
@@ -99,9 +99,9 @@ def build_tracks(
 
 
 def _enough_views(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, least_views: int, min_agreement: float
+    arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, min_views: int, min_agreement: float
 ) -> Int[np.ndarray, " t"]:
-    """Photos that have to show each track: `least_views`, or one fewer where all its arcs agree.
+    """Photos that have to show each track: `min_views`, or one fewer where all its arcs agree.
 
     An arc agrees when arcs of all other photos of its track support the best line that it has alone, with `min_agreement` each:
     alike in colour on both sides. By chance three do that far less often than four meet in a line.
@@ -114,7 +114,7 @@ def _enough_views(
     pairs = np.unique(row * arcs.images + arcs.image[support[row, column]])
     agreeing = np.bincount(pairs // arcs.images, minlength=len(member))
     alone = (agreeing < others) | (found.score[member] < min_agreement * others)
-    return np.where(np.bincount(own, alone, minlength=count) > 0, least_views, max(least_views - 1, FIRST_VIEWS))
+    return np.where(np.bincount(own, alone, minlength=count) > 0, min_views, max(min_views - 1, FIRST_VIEWS))
 
 
 def _needed(

@@ -14,6 +14,7 @@ from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOp
 from omnilines.calibration.record import calibration_record
 from omnilines.calibration.select import Selection, select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
+from omnilines.calibration.thresholds import DuplicateThresholds
 from omnilines.files.folders import output_folder
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import PhotoCorners, search_again
@@ -22,8 +23,6 @@ from omnilines.records import Corners, ViewResult
 
 GUIDE = "scaramuzza"
 """The model that leads to more corners where the user has not chosen one: it fits lenses of every width, and mirrors."""
-SEARCHES = 3
-"""Times at most that a camera is sent out for more corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ def calibrate(
         selection, options, result = _selected(found, options, progress)
     if result is None:
         result = _fitted(found, options, progress)
-    result = with_remarks(result, _remarks(found, result))
+    result = with_remarks(result, _remarks(found, result, options.duplicates))
     result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
     return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection)
 
@@ -161,7 +160,7 @@ def _guided(
     """The corners of photos with those that the camera leads to, and the calibration of them where it has been made already."""
     found, result = first, None
     guide = replace(options, model=GUIDE) if options.model == AUTO else options
-    for done in range(SEARCHES):
+    for done in range(options.searches):
         result = _fitted(found, guide, progress)
         poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
         # A photo that shows nothing to the first camera shows nothing to the next one.
@@ -184,6 +183,7 @@ def _fitted(found: PhotoCorners, options: CalibrationOptions, progress: Progress
         mirror=options.mirror,
         options=options.of_model,
         refine_board=options.refine_board,
+        thresholds=options,
         callback=tell,
     )
 
@@ -196,7 +196,9 @@ def _selected(
     def trying(label: str, done: int, total: int) -> None:
         progress(f"fitting {label}", done, total)
 
-    selection = select_model(found.corners, found.image_size, callback=trying, loss=options.loss, mirror=options.mirror)
+    selection = select_model(
+        found.corners, found.image_size, loss=options.loss, mirror=options.mirror, thresholds=options, callback=trying
+    )
     chosen = selection.chosen.candidate
     options = replace(options, model=chosen.model, **chosen.options)
     return selection, options, None if options.refine_board else selection.result
@@ -216,11 +218,11 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _remarks(found: PhotoCorners, result: CameraCalibration) -> dict[str, tuple[str, ...]]:
+def _remarks(found: PhotoCorners, result: CameraCalibration, duplicates: DuplicateThresholds) -> dict[str, tuple[str, ...]]:
     """What the photos and the table of corners say of single views: blur, and views that show the same as another."""
     names: Sequence[str] = found.corners.view_names
     remarks: dict[str, list[str]] = {name: [remark] for name, remark in zip(names, found.remarks, strict=False) if remark}
-    for first, later in duplicate_views(found.corners, result.rms_px_per_axis):
+    for first, later in duplicate_views(found.corners, result.rms_px_per_axis, duplicates):
         remarks.setdefault(names[later], []).append(
             f"it shows the board where {names[first]} does, to within the noise: a duplicate counts twice and adds little"
         )

@@ -51,6 +51,11 @@ class RigSetup:
         """The camera model that is to be fitted."""
         return self.models.get(camera, self.models.get("", self.options.model))
 
+    def axis_sign_open(self, camera: str) -> bool:
+        """Whether the camera may turn out to look to either side."""
+        model = self.model_of(camera)
+        return model == AUTO or model_class(model).AXIS_SIGN_OPEN
+
     def require_cameras(self, cameras: Sequence[str]) -> None:
         """Raises InputError where a model, or all calibrations to begin from, are of none of these cameras."""
         for kind, names in (("`models`", self.models), ("`start`", self.start)):
@@ -218,5 +223,6 @@ def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> R
         loss=setup.options.loss,
         numberings=found.numberings,
         seen_from_front=found.seen_from_front,
+        thresholds=setup.options,
         callback=tell,
     )

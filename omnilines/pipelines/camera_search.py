@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from calib_patterns import Detection, Pattern
+from calib_patterns import Detection, DetectionOptions, Pattern
 from calib_patterns.guided_part import guided_search_of_part
-from calib_patterns.tangent_views import LEAST_CORNERS, detect_in_views
+from calib_patterns.tangent_views import detect_in_views
 from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.initialise import BoardPoints, resect_boards
@@ -24,20 +24,35 @@ def resected(pattern: Pattern, model: CameraModel, found: Detection) -> Pose | N
 
 
 def completed(
-    image: np.ndarray, pattern: Pattern, model: CameraModel, found: Detection, cam_from_board: Pose | None = None
+    image: np.ndarray,
+    pattern: Pattern,
+    model: CameraModel,
+    found: Detection,
+    cam_from_board: Pose | None = None,
+    *,
+    options: DetectionOptions = DetectionOptions(),
 ) -> Detection | None:
     """The corners found and those that the camera leads to from them; None where they are too few or contradict the camera."""
     pose = resected(pattern, model, found) if cam_from_board is None else cam_from_board
     if pose is None:
         return None
-    guided = guided_search_of_part(image, pattern, model, pose, found)
-    return guided.detection if guided.fits and len(guided.detection) >= LEAST_CORNERS else None
+    guided = guided_search_of_part(image, pattern, model, pose, found, options)
+    return guided.detection if guided.fits and len(guided.detection) >= options.min_corners else None
 
 
-def searched(image: np.ndarray, pattern: Pattern, model: CameraModel, found: Detection, *, mirrored: bool = False) -> Detection:
+def searched(
+    image: np.ndarray,
+    pattern: Pattern,
+    model: CameraModel,
+    found: Detection,
+    *,
+    mirrored: bool = False,
+    options: DetectionOptions = DetectionOptions(),
+) -> Detection:
     """Everything that a photo shows of a board for a camera: from the corners found or, where none fit the camera, from
     straightened views; what was found where neither leads further."""
-    whole = completed(image, pattern, model, found)
+    whole = completed(image, pattern, model, found, options=options)
     if whole is None:
-        whole = completed(image, pattern, model, detect_in_views(image, pattern, model, mirrored=mirrored))
+        lost = detect_in_views(image, pattern, model, mirrored=mirrored, options=options)
+        whole = completed(image, pattern, model, lost, options=options)
     return found if whole is None else whole

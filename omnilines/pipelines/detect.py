@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from calib_patterns import Detection, Pattern
+from calib_patterns import Detection, DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns.checkerboard import Checkerboard
 from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
@@ -43,6 +42,8 @@ class PhotoCorners:
     pattern: Pattern | None = None
     mirrored: bool = False
     """Whether the photos were taken for mirror images."""
+    options: DetectionOptions = DetectionOptions()
+    """With which they were found, and more of them are."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What they were made from, for the provenance of results."""
 
@@ -66,7 +67,9 @@ class PhotoCorners:
     def remarks(self) -> tuple[str | None, ...]:
         """Of each view of `corners` what a person should know of its photo, one sentence, or None."""
         views = len(self.corners.images)
-        return (None,) * views if self.blur_px is None else blur_remarks(self.corners.view, self.blur_px, views)
+        if self.blur_px is None:
+            return (None,) * views
+        return blur_remarks(self.corners.view, self.blur_px, views, self.options)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -106,6 +109,7 @@ def detect(
     *,
     camera: CameraModel | None = None,
     mirrored: bool = False,
+    options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
     """Find a target in photos of one camera, on all cores, one photo per core in memory.
@@ -133,9 +137,9 @@ def detect(
         except InputError as error:
             return Detection.empty(), str(error), None
         size = (image.shape[1], image.shape[0])
-        detection, reason = target.detect(image, mirrored=mirrored)
+        detection, reason = target.detect(image, mirrored=mirrored, options=options)
         if camera is not None and size == camera.image_size:
-            detection = searched(image, target, camera, detection, mirrored=mirrored)
+            detection = searched(image, target, camera, detection, mirrored=mirrored, options=options)
             reason = None if len(detection) else reason
         return detection, reason, size
 
@@ -166,6 +170,7 @@ def detect(
         tuple(found_photos),
         target,
         mirrored,
+        options,
         {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
     )
 
@@ -213,8 +218,8 @@ def search_again(
         if (image.shape[1], image.shape[0]) != model.image_size:
             return known
         if photo.name not in poses:
-            return searched(image, pattern, model, known, mirrored=found.mirrored)
-        whole = completed(image, pattern, model, known, poses[photo.name])
+            return searched(image, pattern, model, known, mirrored=found.mirrored, options=found.options)
+        whole = completed(image, pattern, model, known, poses[photo.name], options=found.options)
         return known if whole is None else whole
 
     again = [photo for photo in found.photos if may_gain(photo)]
@@ -224,19 +229,20 @@ def search_again(
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
     """What tells of a wrong count of corners: three photos or more that all show the same smaller grid."""
-    if not isinstance(pattern, Checkerboard) or corners.ids is None or len(corners.images) < 3:
+    grid = pattern.plain_grid
+    if grid is None or corners.ids is None or len(corners.images) < 3:
         return None
     extents = {
-        (int(np.ptp(ids % pattern.nx)) + 1, int(np.ptp(ids // pattern.nx)) + 1)
+        (int(np.ptp(ids % grid.columns)) + 1, int(np.ptp(ids // grid.columns)) + 1)
         for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
     }
     counts = {tuple(sorted(extent)) for extent in extents}
-    if len(counts) > 1 or counts == {tuple(sorted((pattern.nx, pattern.ny)))}:
+    if len(counts) > 1 or counts == {tuple(sorted((grid.columns, grid.rows)))}:
         return None
-    seen, asked = "{}x{}".format(*next(iter(extents))), f"{pattern.nx}x{pattern.ny}"
+    seen, asked = "{}x{}".format(*next(iter(extents))), f"{grid.columns}x{grid.rows}"
     return (
         f"All {len(corners.images)} photos show {seen} inner corners of a board of {asked}: if that is the whole board, give "
-        f"checkerboard:{seen} with its square."
+        f"{pattern.NAME}:{seen} with its square."
     )
 
 

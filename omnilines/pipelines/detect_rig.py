@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
-from calib_patterns._pattern import Pattern
-from calib_patterns.checkerboard import Checkerboard
 from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
@@ -153,6 +152,7 @@ def detect_rig(
     *,
     mirrored: bool = False,
     perhaps_mirrored: Sequence[str] | None = None,
+    options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
@@ -175,14 +175,15 @@ def detect_rig(
         perhaps = perhaps_mirrored is None or camera in perhaps_mirrored
         for board in boards:
             try:
-                found.append(CameraCorners(camera, _look(own, board, perhaps, mirrored, progress)))
+                looked = _look(own, board, perhaps, mirrored, options, progress)
+                found.append(CameraCorners(camera, looked))
             except InputError as error:
                 notes.append(f"Camera {camera}: {error}")
     folder = Path(photos) if isinstance(photos, str | Path) else None
     if not found:
         where = "" if folder is None else f" in {folder}"
         raise InputError(f"A pattern was expected in the photos of some camera{where}, found none; {notes[-1]}")
-    plain = any(isinstance(board, Checkerboard) for board in boards)
+    plain = any(board.plain_grid is not None for board in boards)
     return replace(
         corners_of_cameras(found, several),
         numberings={board.specification if several else ONE_BOARD: _numbering(board) for board in boards},
@@ -231,20 +232,25 @@ def corners_of_cameras(found: Sequence[CameraCorners], several_boards: bool) -> 
 
 
 def _look(
-    photos: Sequence[Photo], pattern: Pattern, perhaps_mirrored: bool, mirrored: bool, progress: ProgressCallback
+    photos: Sequence[Photo],
+    pattern: Pattern,
+    perhaps_mirrored: bool,
+    mirrored: bool,
+    options: DetectionOptions,
+    progress: ProgressCallback,
 ) -> PhotoCorners:
     try:
-        return detect(photos, pattern, mirrored=mirrored, progress=progress)
+        return detect(photos, pattern, mirrored=mirrored, options=options, progress=progress)
     except InputError:
         # Tags are not read in a mirror image; the corners of a plain board are found either way.
-        if isinstance(pattern, Checkerboard) or not perhaps_mirrored or mirrored:
+        if pattern.plain_grid is not None or not perhaps_mirrored or mirrored:
             raise
-        return detect(photos, pattern, mirrored=True, progress=progress)
+        return detect(photos, pattern, mirrored=True, options=options, progress=progress)
 
 
 def _numbering(pattern: Pattern) -> Numbering:
     """Tags name every corner; the squares of a plain board only have two colours."""
-    if not isinstance(pattern, Checkerboard):
+    if pattern.plain_grid is None:
         return Numbering()
     lattice = Lattice.of(pattern.points_m)
     return Numbering(lattice, coloured=True, trusted=False)

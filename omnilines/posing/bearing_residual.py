@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models.pose import Pose
-
-_NEAREST_OPPOSITE = 1e-9
+from omnilines.posing.kernels.point import NEAREST_OPPOSITE
 
 
 def across(bearings: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:
@@ -30,7 +29,7 @@ def bearing_residual(
     """r and d r / d X of points X in the camera frame; `rows` P are across the bearings, divided by standard deviations."""
     length = seen.norm(dim=-1, keepdim=True).clamp_min(1e-300)
     v = seen / length
-    beyond = (1.0 + (bearings * v).sum(-1, keepdim=True)).clamp_min(_NEAREST_OPPOSITE)
+    beyond = (1.0 + (bearings * v).sum(-1, keepdim=True)).clamp_min(NEAREST_OPPOSITE)
     r = 2.0 * (rows @ v[..., None])[..., 0] / beyond
     by_direction = 2.0 * rows / beyond[..., None] - r[..., None] * (bearings / beyond)[:, None, :]
     along = (by_direction @ v[..., None]) * v[:, None, :]

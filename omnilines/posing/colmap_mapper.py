@@ -10,8 +10,7 @@ they do not, and keypoints there are kept back.
 import itertools
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,21 +22,11 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
-from omnilines.posing.features import LEAST_SIGMA_PX, Features
+from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
+from omnilines.posing.options import MapperOptions, PosingOptions
 from omnilines.posing.rotations import agreeing_pairs
-
-Progress = Callable[[str, int, int], None]
-LARGEST_LATITUDE_RAD = math.radians(80.0)
-LEAST_TWO_VIEW, LEAST_FIRST_PAIR = 15, 30
-"""Inliers of a verified pair, and of the first pair: rooms have few features."""
-LARGEST_PX = 4.0
-"""Distance from the epipolar circle at which a match agrees with a pair's geometry: COLMAP's own limit."""
-RESECTIONS = ((4.0, 15), (4.0, 10), (8.0, 15))
-"""Largest error (px) and least inliers of a photo that is added. COLMAP's 12 px let photos that see few known points in on wrong
-ones; each of these is tried, and the model is taken that most verified matches agree with."""
-LEAST_INLIER_SHARE = 0.25
-"""Of matches that a pair needs."""
+from omnilines.progress import ProgressCallback, interruptible, silent
 
 
 @dataclass(frozen=True)
@@ -54,11 +43,17 @@ class MapperInput:
     """Of each camera of a rig, the first being the rig frame; empty where there is none."""
 
 
-def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress | None = None) -> list[dict[int, Pose]]:
+def map_photos(
+    given: MapperInput,
+    folder: Path,
+    seed: int,
+    progress: ProgressCallback = silent,
+    options: PosingOptions = PosingOptions(),
+) -> list[dict[int, Pose]]:
     """cam_from_world of photos by number, one mapping for each part that COLMAP could join, the largest first.
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
-    make the result repeatable. Photos are added in several ways (RESECTIONS), with all pairs and without those whose rotation
+    make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs and without those whose rotation
     contradicts the others (rotations.py); that is taken whose largest part explains most matches.
     """
     module = pycolmap()
@@ -66,21 +61,23 @@ def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress |
     folder.mkdir(parents=True)
     path = folder / "database.db"
     with module.Database.open(str(path)) as database:
-        rays = _write(module, database, given, seed, progress)
+        rays = _write(module, database, given, seed, progress, options)
     contradicting = [pair for pair, one in rays.items() if not one.agrees]
     best: list[dict[int, Pose]] = []
     most = -1
-    for number, (all_pairs, (error_px, least)) in enumerate(itertools.product((True, False), RESECTIONS)):
+    resections = list(zip(options.mapper.resection_px, options.mapper.resection_inliers, strict=True))
+    for number, (all_pairs, (error_px, least)) in enumerate(itertools.product((True, False), resections)):
         if not all_pairs and not contradicting:
             break
-        if number == len(RESECTIONS):
+        if number == len(resections):
             with module.Database.open(str(path)) as database:
                 for i, j in contradicting:
                     database.delete_two_view_geometry(i + 1, j + 1)
                     database.delete_matches(i + 1, j + 1)
         models = folder / f"models{number}"
         models.mkdir()
-        parts = _mapped(module, path, models, _options(module, seed, error_px, least), len(given.features), progress)
+        own = _options(module, seed, error_px, least, options.mapper.min_first_pair_inliers)
+        parts = _mapped(module, path, models, own, len(given.features), progress)
         agree = _agreeing(parts[0], rays) if parts else 0
         if agree > most:
             best, most = parts, agree
@@ -88,17 +85,15 @@ def map_photos(given: MapperInput, folder: Path, seed: int, progress: Progress |
 
 
 def _mapped(
-    module: Any, database: Path, models: Path, options: Any, photos: int, progress: Progress | None
+    module: Any, database: Path, models: Path, options: Any, photos: int, progress: ProgressCallback
 ) -> list[dict[int, Pose]]:
     """The parts that COLMAP's mapper finds, the largest first."""
     placed = itertools.count(3)
 
     def tell() -> None:
-        if progress is not None:
-            progress("structure from motion", min(next(placed), photos), photos)
+        progress("structure from motion", min(next(placed), photos), photos)
 
-    if progress is not None:
-        progress("structure from motion", 0, photos)
+    progress("structure from motion", 0, photos)
     token = module.CancellationToken()
 
     def work() -> Any:
@@ -106,14 +101,7 @@ def _mapped(
             str(database), str(models.parent), str(models), options, next_image_callback=tell, cancellation_token=token
         )
 
-    # In a thread of its own, so that an interrupt is heard while COLMAP works.
-    with ThreadPoolExecutor(1) as pool:
-        task = pool.submit(work)
-        try:
-            found = task.result()
-        except KeyboardInterrupt:
-            token.cancel()
-            raise
+    found = interruptible(work, token.cancel)
     parts = [
         {image.image_id - 1: pose_of(image.cam_from_world()) for image in model.images.values() if image.has_pose}
         for model in found.values()
@@ -133,30 +121,30 @@ def _agreeing(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"])
     return count
 
 
-def _options(module: Any, seed: int, error_px: float, least: int) -> Any:
+def _options(module: Any, seed: int, error_px: float, least: int, first_pair: int) -> Any:
     options = module.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = 1, seed
     options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
     options.ba_refine_sensor_from_rig = options.extract_colors = options.ba_use_gpu = False
     options.min_model_size = 3
-    options.mapper.init_min_num_inliers = LEAST_FIRST_PAIR
+    options.mapper.init_min_num_inliers = first_pair
     options.mapper.abs_pose_max_error, options.mapper.abs_pose_min_num_inliers = error_px, least
     return options
 
 
 def _write(
-    module: Any, database: Any, given: MapperInput, seed: int, progress: Progress | None
+    module: Any, database: Any, given: MapperInput, seed: int, progress: ProgressCallback, options: PosingOptions
 ) -> dict[tuple[int, int], "_Rays"]:
     """All that the mapper needs; returns the matches of the pairs that were verified."""
-    cameras = {}
+    cameras, its = {}, options.mapper
     for number in sorted(set(given.camera)):
         own = [given.features[k] for k, camera in enumerate(given.camera) if camera == number]
-        cameras[number] = _panorama(module, number + 1, own)
+        cameras[number] = _panorama(module, number + 1, own, options.features.sigma_px)
         database.write_camera(cameras[number], use_camera_id=True)
     rigs = _write_rigs(module, database, cameras, given.cam_from_rig)
     seen, images = [], []
     for k, (features, camera) in enumerate(zip(given.features, given.camera, strict=True)):
-        pixels, kept = _panorama_pixels(features.bearings.numpy(), cameras[camera].width)
+        pixels, kept = _panorama_pixels(features.bearings.numpy(), cameras[camera].width, its.max_latitude_rad)
         row = np.where(kept, np.cumsum(kept) - 1, -1)
         seen.append(_Seen(cameras[camera], pixels[kept], features.bearings.numpy()[kept], row))
         image = module.Image(name=f"{k}", camera_id=camera + 1, image_id=k + 1)
@@ -172,19 +160,18 @@ def _write(
         database.write_frame(record, use_frame_id=True)
     verified = {}
     for done, (pair, rows) in enumerate(given.matches.items()):
-        if progress is not None:
-            progress("checking pairs of photos", done, len(given.matches))
-        matches, geometry = _verified(module, seen[pair[0]], seen[pair[1]], rows.numpy(), seed)
+        progress("checking pairs of photos", done, len(given.matches))
+        matches, geometry = _verified(module, seen[pair[0]], seen[pair[1]], rows.numpy(), seed, its)
         if geometry is not None:
             verified[pair] = matches, geometry
     relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
-    rays, agreeing = {}, set(agreeing_pairs(relative, len(images)))
+    rays, agreeing = {}, set(agreeing_pairs(relative, len(images), its))
     for (i, j), (matches, found) in verified.items():
         database.write_matches(i + 1, j + 1, matches)
         database.write_two_view_geometry(i + 1, j + 1, found)
         agree = np.asarray(found.inlier_matches)
         a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
-        rays[i, j] = _Rays(a, b, LARGEST_PX * 2 * math.pi / seen[j].camera.width, (i, j) in agreeing)
+        rays[i, j] = _Rays(a, b, its.epipolar_px * 2 * math.pi / seen[j].camera.width, (i, j) in agreeing)
     return rays
 
 
@@ -210,18 +197,18 @@ class _Seen:
     """Of every feature in `pixels`; -1 where it was kept back."""
 
 
-def _verified(module: Any, a: _Seen, b: _Seen, pairs: Int[np.ndarray, "m 2"], seed: int) -> tuple[Any, Any]:
+def _verified(module: Any, a: _Seen, b: _Seen, pairs: Int[np.ndarray, "m 2"], seed: int, its: MapperOptions) -> tuple[Any, Any]:
     """Matches of two photos as COLMAP has them, and the geometry that enough of them agree with, or None."""
     matches = np.stack([a.row[pairs[:, 0]], b.row[pairs[:, 1]]], 1)
     matches = matches[(matches >= 0).all(1)].astype(np.uint32)
-    if len(matches) < LEAST_TWO_VIEW:
+    if len(matches) < its.min_pair_inliers:
         return matches, None
     options = module.TwoViewGeometryOptions()
-    options.ransac.random_seed, options.min_num_inliers, options.compute_relative_pose = seed, LEAST_TWO_VIEW, True
-    options.ransac.min_inlier_ratio = options.min_inlier_ratio = LEAST_INLIER_SHARE
-    options.ransac.max_error = LARGEST_PX
+    options.ransac.random_seed, options.min_num_inliers, options.compute_relative_pose = seed, its.min_pair_inliers, True
+    options.ransac.min_inlier_ratio = options.min_inlier_ratio = its.min_inlier_share
+    options.ransac.max_error = its.epipolar_px
     found = module.estimate_calibrated_two_view_geometry(a.camera, a.pixels, b.camera, b.pixels, matches, options)
-    enough = found.cam2_from_cam1 is not None and len(found.inlier_matches) >= LEAST_TWO_VIEW
+    enough = found.cam2_from_cam1 is not None and len(found.inlier_matches) >= its.min_pair_inliers
     return matches, found if enough else None
 
 
@@ -240,10 +227,10 @@ def _write_rigs(module: Any, database: Any, cameras: Mapping[int, Any], cam_from
     return {number: rig_id for rig_id, numbers in enumerate(members, 1) for number in numbers}
 
 
-def _panorama(module: Any, number: int, features: Sequence[Features]) -> Any:
-    """The panorama whose pixels are as large as those of a camera's photos where most keypoints are."""
+def _panorama(module: Any, number: int, features: Sequence[Features], sigma_px: float) -> Any:
+    """The panorama whose pixels are as large as those of a camera's photos where most keypoints, of `sigma_px`, are."""
     sigma = torch.cat([f.sigma_rad for f in features])
-    pixel_rad = float(sigma.quantile(0.1)) / LEAST_SIGMA_PX if len(sigma) else 1e-3
+    pixel_rad = float(sigma.quantile(0.1)) / sigma_px if len(sigma) else 1e-3
     height = int(np.clip(round(math.pi / pixel_rad), 100, 100_000))
     size = [2 * height, height]
     camera = module.Camera(model="EQUIRECTANGULAR", width=size[0], height=size[1], params=size, camera_id=number)
@@ -251,10 +238,12 @@ def _panorama(module: Any, number: int, features: Sequence[Features]) -> Any:
     return camera
 
 
-def _panorama_pixels(bearings: Float[np.ndarray, "n 3"], width: int) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+def _panorama_pixels(
+    bearings: Float[np.ndarray, "n 3"], width: int, max_latitude_rad: float
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """COLMAP's pixels of bearings, and which of them are clear of the poles."""
     longitude = np.arctan2(bearings[:, 0], bearings[:, 2])
     latitude = np.arctan2(bearings[:, 1], np.hypot(bearings[:, 0], bearings[:, 2]))
     scale = width / (2 * math.pi)
     pixels = np.stack([scale * (longitude + math.pi), scale * (latitude + 0.5 * math.pi)], -1)
-    return pixels, np.abs(latitude) < LARGEST_LATITUDE_RAD
+    return pixels, np.abs(latitude) < max_latitude_rad

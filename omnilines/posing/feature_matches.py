@@ -15,27 +15,22 @@ from torch import Tensor
 from camera_models.pose import Pose
 from omnilines.posing.features import Features
 from omnilines.posing.kernels.match import best_near
+from omnilines.posing.options import MatchOptions
 
-RATIO, FAINT_RATIO, GUIDED_RATIO = 0.8, 0.9, 0.85
-"""Of the distances of the best and the second best descriptor."""
-GUIDED_DISTANCE = 0.9
-"""Distance of descriptors (unit vectors) from which two features are no candidates for a guided match."""
-LEAST_ALIKE = 1.0 - 0.5 * GUIDED_DISTANCE**2
-MOST_EXHAUSTIVE = 60
-"""Photos up to which each is compared with every other; of more, each with those that look most alike."""
-NEIGHBOURS, WORDS, SAMPLED = 30, 256, 20_000
+WORDS, SAMPLED = 256, 20_000
+"""Words that descriptors are told by, and descriptors that these are found from."""
 _BEHIND = -2.0
 
 
-def pairs_to_compare(features: Sequence[Features], seed: int) -> list[tuple[int, int]]:
-    """Pairs (i < j) of photos worth comparing: all, or of many photos for each its NEIGHBOURS most alike, by the frequencies of
+def pairs_to_compare(features: Sequence[Features], seed: int, options: MatchOptions = MatchOptions()) -> list[tuple[int, int]]:
+    """Pairs (i < j) of photos worth comparing: all, or of many photos for each its neighbours most alike, by the frequencies of
     descriptors' words (J. Sivic, A. Zisserman, Video Google, ICCV 2003)."""
     count = len(features)
-    if count <= MOST_EXHAUSTIVE:
+    if count <= options.max_exhaustive:
         return list(itertools.combinations(range(count), 2))
     alike = _alikeness(features, seed)
     alike.fill_diagonal_(-1.0)
-    nearest = alike.topk(NEIGHBOURS, dim=1).indices
+    nearest = alike.topk(options.neighbours, dim=1).indices
     return sorted({(min(i, j), max(i, j)) for i, row in enumerate(nearest.tolist()) for j in row})
 
 
@@ -57,8 +52,8 @@ def _alikeness(features: Sequence[Features], seed: int) -> Float[Tensor, "n n"]:
     return weight @ weight.mT
 
 
-def matched(a: Features, b: Features) -> tuple[Int[Tensor, "k 2"], Int[Tensor, "l 2"]]:
-    """Rows of matching features of two photos: those that are clear (RATIO), and also those less so (FAINT_RATIO)."""
+def matched(a: Features, b: Features, options: MatchOptions = MatchOptions()) -> tuple[Int[Tensor, "k 2"], Int[Tensor, "l 2"]]:
+    """Rows of matching features of two photos: those that are clear, and also those less so."""
     if len(a) < 2 or len(b) < 2:
         return torch.zeros(0, 2, dtype=torch.long), torch.zeros(0, 2, dtype=torch.long)
     alike = (a.unit_descriptors() @ b.unit_descriptors().mT).numpy()
@@ -68,13 +63,15 @@ def matched(a: Features, b: Features) -> tuple[Int[Tensor, "k 2"], Int[Tensor, "
     alike[row, column] = _BEHIND
     second = alike.max(1)
     alike[row, column] = first
-    good = np.flatnonzero(_clear(first, second, FAINT_RATIO))
+    good = np.flatnonzero(_clear(first, second, options.faint_ratio))
     good = good[alike[:, column[good]].argmax(0) == good]
     pairs = torch.as_tensor(np.stack([good, column[good]], 1))
-    return pairs[torch.as_tensor(_clear(first[good], second[good], RATIO))], pairs
+    return pairs[torch.as_tensor(_clear(first[good], second[good], options.clear_ratio))], pairs
 
 
-def matched_near(a: Features, b: Features, b_from_a: Pose, tolerance_rad: float) -> Int[Tensor, "k 2"]:
+def matched_near(
+    a: Features, b: Features, b_from_a: Pose, tolerance_rad: float, options: MatchOptions = MatchOptions()
+) -> Int[Tensor, "k 2"]:
     """The same, of features whose rays meet before both cameras to within an angle: that of b lies on the half circle from the
     direction of a's at infinity to the place of camera a."""
     if not len(a) or not len(b):
@@ -88,8 +85,8 @@ def matched_near(a: Features, b: Features, b_from_a: Pose, tolerance_rad: float)
     whole = np.arctan2(sine, np.einsum("nk,k->n", far, towards))
     single = (np.ascontiguousarray(array, dtype=np.float32) for array in (far, normal, whole, b.bearings.numpy().T))
     own, other = (a.descriptors.numpy(), a.lengths), (b.descriptors.numpy(), b.lengths)
-    best, first, second, back = best_near(*own, *other, *single, tolerance_rad, LEAST_ALIKE)
-    row = np.flatnonzero((best >= 0) & _clear(first, second, GUIDED_RATIO))
+    best, first, second, back = best_near(*own, *other, *single, tolerance_rad, options.guided_cosine)
+    row = np.flatnonzero((best >= 0) & _clear(first, second, options.guided_ratio))
     row = row[back[best[row]] == row]
     return torch.as_tensor(np.stack([row, best[row]], 1))
 

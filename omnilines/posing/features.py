@@ -18,18 +18,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from camera_models import CameraEstimate, CameraModel, InputError
 from omnilines.posing._pycolmap import pycolmap
-
-MOST_FEATURES = 4000
-SEARCHED_PX, MOST_ENLARGED = 3.6e6, 2.0
-"""Pixels of the photo that is searched, made smaller or larger to have as many; it is enlarged up to so many times. In larger
-ones there are several times MOST_FEATURES, of which the smallest are dropped: the work was for nothing."""
-PEAK = 0.0033
-"""Least contrast of a keypoint, half of COLMAP's: painted rooms are faint."""
-BEYOND_SUPPORT_RAD = math.radians(2.0)
-SCALE_PX, LEAST_SIGMA_PX = 3.0, 0.35
-"""Scale of a keypoint from which its position is known the less, the larger it is; standard deviation of those below."""
-DARK, SURROUND_PX = 16, 5.0
-"""Grey level (of 255) up to which pixels joined to an image corner are the lens's surround, and the distance kept from it."""
+from omnilines.posing.options import FeatureOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +48,18 @@ class Features:
         return whole / whole.norm(dim=-1, keepdim=True).clamp_min(1.0)
 
 
-def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
+def feature_finder(
+    options: FeatureOptions = FeatureOptions(),
+) -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
     """A function that finds the features of a photo."""
     module = pycolmap()
-    options = module.FeatureExtractionOptions()
-    options.use_gpu, options.num_threads = False, 1
-    options.sift.estimate_affine_shape = True
-    options.sift.peak_threshold = PEAK
-    options.sift.first_octave = 0
-    options.sift.max_num_features = MOST_FEATURES
-    extractor = module.FeatureExtractor.create(options, module.Device.cpu)
+    extraction = module.FeatureExtractionOptions()
+    extraction.use_gpu, extraction.num_threads = False, 1
+    extraction.sift.estimate_affine_shape = True
+    extraction.sift.peak_threshold = options.min_contrast
+    extraction.sift.first_octave = 0
+    extraction.sift.max_num_features = options.max_features
+    extractor = module.FeatureExtractor.create(extraction, module.Device.cpu)
 
     def find(image: np.ndarray, model: CameraModel, estimate: CameraEstimate | None) -> Features:
         """Features of a photo (h, w) or (h, w, 3) of 8 or 16 bits; raises InputError where it has not the camera's size."""
@@ -76,13 +67,20 @@ def feature_finder() -> Callable[[np.ndarray, CameraModel, CameraEstimate | None
             expected, found = (f"{w}x{h} px" for w, h in (model.image_size, image.shape[1::-1]))
             raise InputError(f"A photo of {expected} was expected for its camera, found one of {found}; give that of its camera.")
         grey = _grey(image)
-        searched, factor = _searched(grey)
+        searched, factor = _searched(grey, options)
         keypoints, descriptors = extractor.extract_from_uint8_array(searched)
         table = np.asarray(module.keypoints_to_matrix(keypoints), dtype=np.float64).reshape(-1, 4)
         # COLMAP's first pixel has its centre at 0.5, and so has resampling.
         pixels, scale_px = table[:, :2] / factor - 0.5, table[:, 2] / factor.mean()
-        sigma_px = LEAST_SIGMA_PX * np.maximum(scale_px / SCALE_PX, 1.0)
-        return _on_sphere(pixels, sigma_px, np.array(descriptors.data), model, estimate, clear_of_surround(grey))
+        sigma_px = options.sigma_px * np.maximum(scale_px / options.large_scale_px, 1.0)
+        return _on_sphere(
+            pixels,
+            sigma_px,
+            np.array(descriptors.data),
+            model,
+            _supported_rad(estimate, options),
+            clear_of_surround(grey, options),
+        )
 
     return find
 
@@ -92,25 +90,35 @@ def _grey(image: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey // 257).astype(np.uint8))
 
 
-def _searched(grey: UInt8[np.ndarray, "h w"]) -> tuple[UInt8[np.ndarray, "h2 w2"], Float[np.ndarray, "2"]]:
-    """The photo with about SEARCHED_PX pixels, and how much larger it is (across, down)."""
+def _searched(
+    grey: UInt8[np.ndarray, "h w"], options: FeatureOptions
+) -> tuple[UInt8[np.ndarray, "h2 w2"], Float[np.ndarray, "2"]]:
+    """The photo with about as many pixels as are searched, and how much larger it is (across, down)."""
     size = np.array(grey.shape[::-1])
-    factor = min(MOST_ENLARGED, math.sqrt(SEARCHED_PX / grey.size))
+    factor = min(options.max_enlarged, math.sqrt(1e6 * options.searched_megapixels / grey.size))
     wanted = np.maximum(np.rint(factor * size).astype(int), 1)
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     return cv2.resize(grey, (int(wanted[0]), int(wanted[1])), interpolation=way), wanted / size
 
 
-def clear_of_surround(grey: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def clear_of_surround(grey: UInt8[np.ndarray, "h w"], options: FeatureOptions = FeatureOptions()) -> Bool[np.ndarray, "h w"]:
     """Pixels away from the dark surround of the image circle and then from the image's border; all where no corner is dark."""
-    dark = (cv2.blur(grey, (3, 3)) <= DARK).astype(np.uint8)
+    dark = (cv2.blur(grey, (3, 3)) <= options.surround_grey).astype(np.uint8)
     if not dark[[0, 0, -1, -1], [0, -1, 0, -1]].any():
         return np.ones(grey.shape, dtype=bool)
     # What is dark at the border is joined by a ring around the image: the circle may cut it into slivers.
     _, labels = cv2.connectedComponents(cv2.copyMakeBorder(dark, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1))
     distance = cv2.distanceTransform((labels != labels[0, 0]).astype(np.uint8), cv2.DIST_L2, 3)
-    clear: Bool[np.ndarray, "h w"] = distance[1:-1, 1:-1] > SURROUND_PX
+    clear: Bool[np.ndarray, "h w"] = distance[1:-1, 1:-1] > options.surround_px
     return clear
+
+
+def _supported_rad(estimate: CameraEstimate | None, options: FeatureOptions) -> tuple[float, float]:
+    """The angles off axis between which a camera is believed."""
+    if estimate is None:
+        return 0.0, math.inf
+    most = math.pi if estimate.max_angle_deg is None else math.radians(estimate.max_angle_deg) + options.beyond_support_rad
+    return math.radians(estimate.min_angle_deg), most
 
 
 def _on_sphere(
@@ -118,7 +126,7 @@ def _on_sphere(
     sigma_px: Float[np.ndarray, " n"],
     descriptors: UInt8[np.ndarray, "n 128"],
     model: CameraModel,
-    estimate: CameraEstimate | None,
+    supported_rad: tuple[float, float],
     clear: Bool[np.ndarray, "h w"],
 ) -> Features:
     place: Int[np.ndarray, "n 2"] = np.clip(np.rint(pixels).astype(np.int64), 0, np.array(model.image_size) - 1)
@@ -127,10 +135,7 @@ def _on_sphere(
         bearings, valid = model.unproject(at)
         axis, _ = model.unproject(model.centre_px)
         angle = torch.atan2(torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1), bearings @ axis)
-        supported = torch.ones_like(valid)
-        if estimate is not None:
-            most = math.pi if estimate.max_angle_deg is None else math.radians(estimate.max_angle_deg) + BEYOND_SUPPORT_RAD
-            supported = (angle <= most) & (angle >= math.radians(estimate.min_angle_deg))
+        supported = (angle >= supported_rad[0]) & (angle <= supported_rad[1])
         jacobian = model.unproject_jacobian(at)
     finite = torch.isfinite(jacobian).flatten(1).all(-1)
     keep = valid & supported & finite & torch.as_tensor(clear[place[:, 1], place[:, 0]])

@@ -14,37 +14,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models.pose import Pose
+from omnilines.posing.options import RectangleOptions
 from omnilines.posing.rectangle import Rectangle, corner_distances, pose_of_corners, pose_of_sides
-
-MOST_ARCS = 600
-"""The longest are looked at."""
-LEAST_CONTRAST = 0.1
-"""Of the logarithms of the grey levels inside and outside."""
-MOST_GAP, MOST_BEYOND = 0.7, 0.1
-"""Of an arc's length: it may end so much before or beyond the corner."""
-LEAST_TURN_RAD = np.radians(8.0)
-LEAST_COVERED = 0.6
-"""Of the sides together that the arcs have to cover."""
-NEARLY = 0.2
-"""Error of the ratio of the sides and of the right angle up to which the sheet is fitted."""
-MISFIT = 0.003
-"""Root mean square of the distances of the arc ends from the sides, over the mean angle of a side: paper curls, its size is
-rounded, and calibrations are not perfect."""
-CHI_SQUARE_2_999 = 13.8
-"""What the noise of the arcs explains fits too."""
-AS_BRIGHT = 0.25
-"""Difference of the logarithms of grey levels up to which another rectangle is as bright: a lamp is brighter than paper."""
-AS_LARGE = 0.7
-"""Of the mean angle of a side, from which on another rectangle is as large."""
-LEAST_SURE = 0.01
-"""Standard deviation of the distance over the distance: what is smaller in the photo, or seen too much from its edge, is no sheet
-to stand on."""
-SAME = 0.1
-"""Distance of corners, over the mean angle of a side, up to which two quadrilaterals are the same."""
 
 
 @dataclass(frozen=True)
-class PhotoArcs:
+class BearingArcs:
     """Arcs of one photo."""
 
     ends: Float[np.ndarray, "n 2 3"]
@@ -88,14 +63,16 @@ class _Fits:
     """Whether others fit, but are too small or too oblique."""
 
 
-def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | str:
+def find_rectangle(
+    arcs: BearingArcs, rectangle: Rectangle, options: RectangleOptions = RectangleOptions()
+) -> FoundRectangle | str:
     """The sheet, or one sentence why there is none."""
-    ends, noise, inside = _turned(arcs)
-    cycle = np.array(_cycles(_successors(ends)), dtype=np.int64).reshape(-1, 4)
+    ends, noise, inside = _turned(arcs, options)
+    cycle = np.array(_cycles(_successors(ends, options)), dtype=np.int64).reshape(-1, 4)
     if not len(cycle):
         return "four edges that close round something brighter than its surroundings were expected, found none."
-    cycle, corners = _closed(ends, cycle)
-    fits = _fitted(ends, noise, inside, cycle, rectangle)
+    cycle, corners = _closed(ends, cycle, options.min_covered_share)
+    fits = _fitted(ends, noise, inside, cycle, rectangle, options)
     if not len(fits.misfit) and fits.unsure:
         return "a larger or less oblique sheet was expected, found one whose distance is uncertain by over 1 percent; go nearer."
     if not len(fits.misfit):
@@ -103,12 +80,12 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
             f"a sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm was expected, found {len(cycle)} bright "
             "quadrilaterals and none of that shape; check the size, and that all four corners are in the photo."
         )
-    size, bright = _mean_side(fits.corners), fits.inside >= fits.inside.max() - AS_BRIGHT
+    size, bright = _mean_side(fits.corners), fits.inside >= fits.inside.max() - options.as_bright
     largest = int(np.where(bright, size, 0.0).argmax())
     turned = np.stack([np.roll(fits.corners, k, 1) for k in range(4)])
     off = np.linalg.norm(turned - fits.corners[largest], axis=-1).max(-1).min(0)
-    same = off <= SAME * size[largest]
-    if (bright & ~same & (size >= AS_LARGE * size[largest])).any():
+    same = off <= options.same_share * size[largest]
+    if (bright & ~same & (size >= options.as_large * size[largest])).any():
         return (
             "one sheet of that shape was expected, found others that are as bright and as large; take away what looks like it, "
             "or give the corners in a table."
@@ -116,19 +93,21 @@ def find_rectangle(arcs: PhotoArcs, rectangle: Rectangle) -> FoundRectangle | st
     alike = np.flatnonzero(same)
     right = alike[(fits.pose.rotation[alike, 0, 0] > 0).numpy()]
     best = int(right[fits.misfit[right].argmin()]) if len(right) else int(alike[fits.misfit[alike].argmin()])
-    brighter = inside[cycle].min(-1) > fits.inside[best] + LEAST_CONTRAST
+    brighter = inside[cycle].min(-1) > fits.inside[best] + options.min_contrast
     outshone = bool((brighter & (_mean_side(corners) > size[best])).any())
     chi_square, misfit = float(fits.chi_square[best]), float(fits.misfit[best])
     return FoundRectangle(fits.pose[best], fits.covariance[best], chi_square, fits.corners[best], outshone, misfit)
 
 
-def _turned(arcs: PhotoArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
+def _turned(
+    arcs: BearingArcs, options: RectangleOptions
+) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 3"], Float[np.ndarray, " n"]]:
     """The arcs of enough contrast with their brighter side towards V1 x V2, the longest, and the logarithm of its grey level."""
     grey = arcs.colours.mean(-1)
     step = grey[:, 0] - grey[:, 1]
     length = np.linalg.norm(arcs.ends[:, 1] - arcs.ends[:, 0], axis=-1)
-    kept = np.flatnonzero(np.abs(step) >= LEAST_CONTRAST)
-    kept = kept[np.argsort(-length[kept], kind="stable")][:MOST_ARCS]
+    kept = np.flatnonzero(np.abs(step) >= options.min_contrast)
+    kept = kept[np.argsort(-length[kept], kind="stable")][: options.max_arcs]
     flipped = (step[kept] < 0)[:, None]
     ends, noise = arcs.ends[kept], arcs.noise[kept]
     ends = np.where(flipped[..., None], ends[:, ::-1], ends)
@@ -147,7 +126,7 @@ def _corner(before: Float[np.ndarray, "*n 3"], after: Float[np.ndarray, "*m 3"])
     return across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
 
 
-def _successors(ends: Float[np.ndarray, "n 2 3"]) -> Bool[np.ndarray, "n n"]:
+def _successors(ends: Float[np.ndarray, "n 2 3"], options: RectangleOptions) -> Bool[np.ndarray, "n n"]:
     """Whether arc j may be the side that follows arc i."""
     normal = _normals(ends)
     corner = _corner(normal[:, None], normal[None])
@@ -156,8 +135,9 @@ def _successors(ends: Float[np.ndarray, "n 2 3"]) -> Bool[np.ndarray, "n n"]:
     after = np.arctan2((np.cross(end, corner) * normal[:, None]).sum(-1), (end * corner).sum(-1)) / length[:, None]
     ahead = np.arctan2((np.cross(corner, start) * normal[None]).sum(-1), (corner * start).sum(-1)) / length[None]
     turn = np.arccos(np.clip(normal @ normal.T, -1.0, 1.0))
-    turns = (turn > LEAST_TURN_RAD) & (turn < np.pi - LEAST_TURN_RAD)
-    near = (after > -MOST_BEYOND) & (after < MOST_GAP) & (ahead > -MOST_BEYOND) & (ahead < MOST_GAP)
+    turns = (turn > options.min_turn_rad) & (turn < np.pi - options.min_turn_rad)
+    least, most = -options.max_beyond_share, options.max_gap_share
+    near = (after > least) & (after < most) & (ahead > least) & (ahead < most)
     found: Bool[np.ndarray, "n n"] = turns & near
     return found
 
@@ -185,14 +165,14 @@ def _mean_side(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, " n"]:
 
 
 def _closed(
-    ends: Float[np.ndarray, "n 2 3"], cycle: Int[np.ndarray, "m 4"]
+    ends: Float[np.ndarray, "n 2 3"], cycle: Int[np.ndarray, "m 4"], min_covered_share: float
 ) -> tuple[Int[np.ndarray, "k 4"], Float[np.ndarray, "k 4 3"]]:
     """The quadrilaterals with all corners on the inner side of every arc, and arcs along most of the way round."""
     normal = _normals(ends)
     corners = _corner(np.roll(normal[cycle], 1, 1), normal[cycle])
     convex = (np.einsum("mki,mji->mkj", normal[cycle], corners) > -1e-9).all((1, 2))
     covered = np.linalg.norm(ends[cycle][:, :, 1] - ends[cycle][:, :, 0], axis=-1).sum(-1) / 4
-    kept = convex & (covered >= LEAST_COVERED * _mean_side(corners))
+    kept = convex & (covered >= min_covered_share * _mean_side(corners))
     return cycle[kept], corners[kept]
 
 
@@ -202,13 +182,14 @@ def _fitted(
     inside: Float[np.ndarray, " n"],
     cycle: Int[np.ndarray, "m 4"],
     rectangle: Rectangle,
+    options: RectangleOptions,
 ) -> _Fits:
     """The poses of all quadrilaterals that the sheet fits, each corner of them at the origin where it may be."""
     # Every arc may be the first side.
     normal = _normals(ends)
     cycle = np.concatenate([np.roll(cycle, k, 1) for k in range(4)])
     corners = _corner(np.roll(normal[cycle], 1, 1), normal[cycle])
-    near = _nearly(corners, rectangle)
+    near = _nearly(corners, rectangle, options.nearly)
     cycle, corners = cycle[near], corners[near]
     start, sound = pose_of_corners(torch.as_tensor(corners), rectangle)
     rows = torch.nonzero(sound).flatten()
@@ -218,8 +199,8 @@ def _fitted(
     distance = fit.pose.translation.norm(dim=-1).numpy()
     doubt = np.sqrt(np.linalg.eigvalsh(fit.covariance[:, 3:, 3:].numpy())[:, -1]) / distance
     chi_square = fit.chi_square.numpy()
-    shaped = (misfit <= MISFIT) | (chi_square <= CHI_SQUARE_2_999)
-    good = np.flatnonzero(shaped & (doubt <= LEAST_SURE))
+    shaped = (misfit <= options.max_misfit) | (chi_square <= options.max_chi_square)
+    good = np.flatnonzero(shaped & (doubt <= options.max_distance_sigma_share))
     chosen = torch.as_tensor(good)
     return _Fits(
         fit.pose[chosen],
@@ -232,8 +213,8 @@ def _fitted(
     )
 
 
-def _nearly(corners: Float[np.ndarray, "m 4 3"], rectangle: Rectangle) -> Bool[np.ndarray, " m"]:
-    """Whether the parallelogram with corners along these bearings is about the rectangle."""
+def _nearly(corners: Float[np.ndarray, "m 4 3"], rectangle: Rectangle, most: float) -> Bool[np.ndarray, " m"]:
+    """Whether the parallelogram with corners along these bearings is the rectangle but for an error of `most`."""
     distances, sound = corner_distances(torch.as_tensor(corners))
     at = distances.numpy()[..., None] * corners
     along, down = at[:, 1] - at[:, 0], at[:, 3] - at[:, 0]
@@ -241,5 +222,5 @@ def _nearly(corners: Float[np.ndarray, "m 4 3"], rectangle: Rectangle) -> Bool[n
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(np.log(width / height * rectangle.height_m / rectangle.width_m))
         cosine = np.abs((along * down).sum(-1) / (width * height))
-    near: Bool[np.ndarray, " m"] = sound.numpy() & (ratio < NEARLY) & (cosine < NEARLY)
+    near: Bool[np.ndarray, " m"] = sound.numpy() & (ratio < most) & (cosine < most)
     return near

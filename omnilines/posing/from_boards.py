@@ -6,21 +6,17 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from calib_patterns import Detection, Pattern
-from calib_patterns.checkerboard import Checkerboard
+from calib_patterns import Detection, DetectionOptions, Pattern
 from calib_patterns.guided_part import guided_search_of_part
-from calib_patterns.tangent_views import LEAST_CORNERS, detect_in_views
+from calib_patterns.tangent_views import detect_in_views
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.pose_fit import pose_covariance, refit_pose, robust_scale_px
+from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.resection import resect
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
-
-CORNER_SIGMA_PX = 0.5
-"""Of corners and camera together, where a pose begins: generous, it only decides what is a gross error."""
-LEAST_SHARE = 0.6
-"""Of the corners must agree on the pose."""
 
 
 def poses_from_boards(
@@ -29,7 +25,10 @@ def poses_from_boards(
     cameras: Mapping[str, CameraModel],
     camera_of: Mapping[str, str],
     pattern: Pattern,
-    progress: Callable[[str, int, int], None] | None = None,
+    *,
+    progress: ProgressCallback = silent,
+    options: PosingOptions = PosingOptions(),
+    detection: DetectionOptions = DetectionOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of the photos that show a board which does not move; its frame is the world, in metres.
 
@@ -44,21 +43,19 @@ def poses_from_boards(
     found: list[tuple[str, Pose, Float[np.ndarray, "6 6"]]] = []
     lost = {}
     for done, photo in enumerate(photos):
-        if progress is not None:
-            progress("finding boards", done, len(photos))
-        outcome = board_pose(read(photo), cameras[camera_of[photo]], pattern)
+        progress("finding boards", done, len(photos))
+        outcome = board_pose(read(photo), cameras[camera_of[photo]], pattern, options, detection)
         if isinstance(outcome, str):
             lost[photo] = f"{photo} has no pose: {outcome}"
         else:
             found.append((photo, *outcome))
-    if progress is not None:
-        progress("finding boards", len(photos), len(photos))
+    progress("finding boards", len(photos), len(photos))
     if not found:
         raise InputError(
             f"A {pattern.specification} was expected in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
         )
     notes: tuple[str, ...] = ("The world is the board frame.",)
-    if turns_unseen(pattern):
+    if pattern.looks_same_turned:
         if len(found) > 1:
             raise InputError(
                 f"A board whose ends can be told apart was expected to give the poses of {len(found)} photos, found "
@@ -75,11 +72,6 @@ def poses_from_boards(
     return PhotoPoses(table, lost, notes)
 
 
-def turns_unseen(pattern: Pattern) -> bool:
-    """Whether a board looks the same after half a turn."""
-    return isinstance(pattern, Checkerboard) and (pattern.nx + pattern.ny) % 2 == 0
-
-
 def is_mirrored(model: CameraModel) -> bool:
     """Whether photos of a camera show the world as a mirror does."""
     centre = model.centre_px.detach()
@@ -89,46 +81,59 @@ def is_mirrored(model: CameraModel) -> bool:
     return float((torch.linalg.cross(by_u, by_v) * axis).sum()) < 0
 
 
-def board_pose(image: np.ndarray, model: CameraModel, pattern: Pattern) -> tuple[Pose, Float[np.ndarray, "6 6"]] | str:
+def board_pose(
+    image: np.ndarray,
+    model: CameraModel,
+    pattern: Pattern,
+    options: PosingOptions = PosingOptions(),
+    detection: DetectionOptions = DetectionOptions(),
+) -> tuple[Pose, Float[np.ndarray, "6 6"]] | str:
     """cam_from_board and its covariance, or one sentence why there is none."""
     if image.shape[1::-1] != model.image_size:
         size = f"{image.shape[1]}x{image.shape[0]} px"
         return f"a photo of {model.image_size[0]}x{model.image_size[1]} px was expected for its camera, found one of {size}."
     mirrored = is_mirrored(model)
-    detection, reason = pattern.detect(image, mirrored=mirrored)
-    whole = _completed(image, model, pattern, detection)
+    found, reason = pattern.detect(image, mirrored=mirrored, options=detection)
+    whole = _completed(image, model, pattern, found, options, detection=detection)
     if whole is None:
-        lost = detect_in_views(image, pattern, model, mirrored=mirrored)
-        whole = _completed(image, model, pattern, lost)
+        lost = detect_in_views(image, pattern, model, mirrored=mirrored, options=detection)
+        whole = _completed(image, model, pattern, lost, options, detection=detection)
     if whole is None:
         return reason or "the corners found do not fit the camera; check the pattern and the calibration."
     return whole
 
 
 def _completed(
-    image: np.ndarray, model: CameraModel, pattern: Pattern, found: Detection
+    image: np.ndarray,
+    model: CameraModel,
+    pattern: Pattern,
+    found: Detection,
+    options: PosingOptions,
+    *,
+    detection: DetectionOptions,
 ) -> tuple[Pose, Float[np.ndarray, "6 6"]] | None:
     """The pose from all corners that the camera leads to from those found; None where they are too few or contradict it."""
-    start = _resected(model, pattern, found)
+    start = _resected(model, pattern, found, options, detection.min_corners)
     if start is None:
         return None
-    guided = guided_search_of_part(image, pattern, model, start, found)
+    guided = guided_search_of_part(image, pattern, model, start, found, detection)
     corners = guided.detection
-    if not guided.fits or len(corners) < LEAST_CORNERS:
+    if not guided.fits or len(corners) < detection.min_corners:
         return None
     board_m = pattern.points_m[corners.ids]
     pose, residual = refit_pose(model, guided.cam_from_board, board_m, corners.pixels)
     return pose, robust_scale_px(residual) ** 2 * pose_covariance(model, pose, board_m, 1.0)
 
 
-def _resected(model: CameraModel, pattern: Pattern, found: Detection) -> Pose | None:
+def _resected(model: CameraModel, pattern: Pattern, found: Detection, options: PosingOptions, min_corners: int) -> Pose | None:
     bearings, valid = model.unproject(found.pixels)
-    if valid.sum() < LEAST_CORNERS:
+    if valid.sum() < min_corners:
         return None
     jacobian = model.unproject_jacobian(torch.as_tensor(found.pixels[valid])).detach()
-    sigma = CORNER_SIGMA_PX * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
-    least = max(LEAST_CORNERS, int(LEAST_SHARE * valid.sum()))
+    sigma = options.given.corner_sigma_px * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
+    least = max(min_corners, int(options.given.min_corner_share * valid.sum()))
     try:
-        return resect(bearings[valid], pattern.points_m[found.ids[valid]], sigma, least_inliers=least).pose
+        points = pattern.points_m[found.ids[valid]]
+        return resect(bearings[valid], points, sigma, least_inliers=least, options=options.resection).pose
     except GeometryError:
         return None

@@ -9,22 +9,23 @@ from jaxtyping import Float
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.pose_fit import pose_covariance, refit_pose, robust_scale_px
+from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
-from omnilines.posing.resection import LEAST_POINTS, resect
+from omnilines.posing.resection import MIN_POINTS, resect
 from omnilines.records import Corners, ImagePoses
 
-PICKED_SIGMA_PX = 1.0
-"""Of points picked by hand, where the table states none."""
-GROSS = 10.0
-"""A pose that fits its points so many times worse than they are certain is none."""
 
-
-def poses_from_corners(corners: Corners, cameras: Mapping[str, CameraModel], camera_of: Mapping[str, str]) -> PhotoPoses:
+def poses_from_corners(
+    corners: Corners,
+    cameras: Mapping[str, CameraModel],
+    camera_of: Mapping[str, str],
+    options: PosingOptions = PosingOptions(),
+) -> PhotoPoses:
     """`cam_from_world` of the photos of a table, whose board is the world; `camera_of` names the camera of each photo.
 
-    The covariance is that of the stated noise of the points, or of PICKED_SIGMA_PX, times the variance that the residuals show
-    where it is more. Photos of fewer than four points, and those whose points do not fit, are left out. Raises InputError where
-    none is left.
+    The covariance is that of the stated noise of the points, or of points picked by hand, times the variance that the residuals
+    show where it is more. Photos of fewer than four points, and those whose points do not fit, are left out. Raises InputError
+    where none is left.
     """
     found: dict[str, tuple[Pose, Float[np.ndarray, "6 6"]]] = {}
     lost: dict[str, str] = {}
@@ -32,9 +33,10 @@ def poses_from_corners(corners: Corners, cameras: Mapping[str, CameraModel], cam
         if image not in camera_of:
             continue
         own = corners.view == view
-        sigma = PICKED_SIGMA_PX if corners.sigma_px is None else corners.sigma_px[own]
+        sigma = options.given.picked_sigma_px if corners.sigma_px is None else corners.sigma_px[own]
         try:
-            found[image] = pose_of_points(cameras[camera_of[image]], corners.pixels[own], corners.board_m[own], sigma)
+            model = cameras[camera_of[image]]
+            found[image] = pose_of_points(model, corners.pixels[own], corners.board_m[own], sigma, options)
         except GeometryError as error:
             lost[image] = f"{image} has no pose: {error}"
     if not found:
@@ -52,19 +54,20 @@ def pose_of_points(
     pixels: Float[np.ndarray, "n 2"],
     points_m: Float[np.ndarray, "n 3"],
     sigma_px: float | Float[np.ndarray, " n"],
+    options: PosingOptions = PosingOptions(),
 ) -> tuple[Pose, Float[np.ndarray, "6 6"]]:
     """cam_from_world and its covariance (left perturbation); raises GeometryError where the points do not determine one or do
     not fit."""
-    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(pixels))
+    sigma, gross = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(pixels)), options.given.gross_misfit
     bearings, valid = model.unproject(pixels)
-    if int(valid.sum()) < LEAST_POINTS:
-        raise GeometryError(f"{LEAST_POINTS} points that the camera sees were expected, found {int(valid.sum())}; give more.")
+    if int(valid.sum()) < MIN_POINTS:
+        raise GeometryError(f"{MIN_POINTS} points that the camera sees were expected, found {int(valid.sum())}; give more.")
     jacobian = model.unproject_jacobian(torch.as_tensor(pixels[valid])).detach()
-    sigma_rad = GROSS * sigma[valid] * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
-    start = resect(bearings[valid], points_m[valid], sigma_rad).pose
+    sigma_rad = gross * sigma[valid] * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
+    start = resect(bearings[valid], points_m[valid], sigma_rad, options=options.resection).pose
     pose, residual = refit_pose(model, start, points_m[valid], pixels[valid])
     shown = robust_scale_px(residual / sigma[valid, None])
-    if shown > GROSS:
+    if shown > gross:
         worst = float(np.linalg.norm(residual, axis=-1).max())
         raise GeometryError(
             f"points that fit the camera were expected, found one {worst:.1f} px off; check order, unit and camera."

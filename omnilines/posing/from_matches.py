@@ -15,15 +15,10 @@ from torch import Tensor
 from camera_models import GeometryError
 from camera_models.pose import Pose
 from omnilines.posing.bearing_residual import across
+from omnilines.posing.options import GivenOptions, PosingOptions, ResectionOptions
 from omnilines.posing.point_adjustment import Adjusted, Frames, PosesAndPoints, adjust_points
 from omnilines.posing.resection import resect
 from omnilines.posing.tracks import Observations
-
-LEAST_COMMON = 8
-"""Points that two photos share, and that a photo is resected from."""
-RANSAC_SIGMA = 3.0
-ENOUGH_PARALLAX_RAD = np.radians(10.0)
-"""A point counts by its parallax up to this."""
 
 
 def poses_from_matches(
@@ -31,48 +26,53 @@ def poses_from_matches(
     photo: Int[np.ndarray, " n"],
     point: Int[np.ndarray, " n"],
     sigma_rad: Float[np.ndarray, " n"],
+    options: PosingOptions = PosingOptions(),
 ) -> tuple[Pose, Float[np.ndarray, "p 6 6"]]:
     """`cam_from_world` of all photos, numbered from 0, and its covariance: the first photo is the world, the scale is open.
 
     Row i sees point `point[i]` from `photo[i]` along a unit bearing, with a standard deviation in either direction across it.
     Bearings of the first pair have to lie before their cameras (z > 0). Raises GeometryError where photos share too few points.
     """
+    its = options.given
     b, sigma = torch.as_tensor(bearings), torch.as_tensor(sigma_rad)
     seen = Observations(torch.as_tensor(photo), torch.arange(len(b)), torch.as_tensor(point), b, across(b) / sigma[:, None, None])
     photos = int(photo.max()) + 1
-    first, second, pose = _first_pair(seen, float(np.median(sigma_rad)), photos)
+    first, second, pose = _first_pair(seen, float(np.median(sigma_rad)), photos, its)
     poses, known = [Pose.identity() for _ in range(photos)], torch.zeros(photos, dtype=torch.bool)
     poses[second], known[[first, second]] = pose, True
-    adjusted = _together(seen, poses, known)
+    adjusted = _together(seen, poses, known, options.resection)
     while not bool(known.all()):
         points, found = _points(seen, adjusted.state.rig_from_world, known)
         usable = found[seen.point] & ~known[seen.photo]
         count = torch.bincount(seen.photo[usable], minlength=photos)
         following = int(count.argmax())
-        if int(count[following]) < LEAST_COMMON:
+        if int(count[following]) < its.min_common:
             raise GeometryError(
-                f"At least {LEAST_COMMON} points were expected that photo {following} shares with the photos that have a pose, "
+                f"At least {its.min_common} points were expected that photo {following} shares with the photos that have a pose, "
                 f"found {int(count[following])}; give more matches."
             )
         rows = torch.nonzero(usable & (seen.photo == following)).flatten()
-        resected = resect(b[rows].numpy(), points[seen.point[rows]].numpy(), RANSAC_SIGMA * sigma[rows].numpy())
+        spread = its.ransac_sigmas * sigma[rows].numpy()
+        resected = resect(b[rows].numpy(), points[seen.point[rows]].numpy(), spread, options=options.resection)
         poses = [adjusted.state.rig_from_world[k] for k in range(photos)]
         poses[following], known[following] = resected.pose, True
-        adjusted = _together(seen, poses, known)
+        adjusted = _together(seen, poses, known, options.resection)
     whole = adjusted.state.rig_from_world
     return whole @ whole[:1].inverse(), adjusted.covariance
 
 
-def _first_pair(seen: Observations, sigma_rad: float, photos: int) -> tuple[int, int, Pose]:
+def _first_pair(seen: Observations, sigma_rad: float, photos: int, options: GivenOptions) -> tuple[int, int, Pose]:
     """Two photos and the pose of the second in the frame of the first, with a baseline of 1."""
     best, answer = 0.0, None
     for i in range(photos):
         for j in range(i + 1, photos):
-            found = _relative(*_common(seen, i, j), sigma_rad)
+            found = _relative(*_common(seen, i, j), sigma_rad, options)
             if found is not None and found[1] > best:
                 best, answer = found[1], (i, j, found[0])
     if answer is None:
-        raise GeometryError(f"Two photos with {LEAST_COMMON} points of one scene in common were expected, found none; give more.")
+        raise GeometryError(
+            f"Two photos with {options.min_common} points of one scene in common were expected, found none; give more."
+        )
     return answer
 
 
@@ -83,21 +83,24 @@ def _common(seen: Observations, i: int, j: int) -> tuple[Float[np.ndarray, "m 3"
     return seen.bearings[rows[0][a]].numpy(), seen.bearings[rows[1][b]].numpy()
 
 
-def _relative(a: Float[np.ndarray, "m 3"], b: Float[np.ndarray, "m 3"], sigma_rad: float) -> tuple[Pose, float] | None:
+def _relative(
+    a: Float[np.ndarray, "m 3"], b: Float[np.ndarray, "m 3"], sigma_rad: float, options: GivenOptions
+) -> tuple[Pose, float] | None:
     """The pose of the second photo in the frame of the first, and the sum of the parallax of the points that agree."""
-    if len(a) < LEAST_COMMON:
+    if len(a) < options.min_common:
         return None
     left, right = a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:]
-    essential, inlier = cv2.findEssentialMat(left, right, np.eye(3), cv2.RANSAC, 0.9999, RANSAC_SIGMA * sigma_rad)
+    within = options.ransac_sigmas * sigma_rad
+    essential, inlier = cv2.findEssentialMat(left, right, np.eye(3), cv2.RANSAC, 0.9999, within)
     if essential is None or essential.shape != (3, 3):
         return None
     count, rotation, translation, inlier = cv2.recoverPose(essential, left, right, np.eye(3), mask=inlier)
     good = inlier.ravel() > 0
-    if count < LEAST_COMMON:
+    if count < options.min_common:
         return None
     turned = a[good] @ rotation.T
     parallax = np.arctan2(np.linalg.norm(np.cross(turned, b[good]), axis=1), (turned * b[good]).sum(1))
-    return Pose.of(rotation, translation.ravel()), float(np.minimum(parallax, ENOUGH_PARALLAX_RAD).sum())
+    return Pose.of(rotation, translation.ravel()), float(np.minimum(parallax, options.enough_parallax_rad).sum())
 
 
 def _points(seen: Observations, poses: Pose, known: Bool[Tensor, " v"]) -> tuple[Float[Tensor, "p 3"], Bool[Tensor, " p"]]:
@@ -114,7 +117,7 @@ def _points(seen: Observations, poses: Pose, known: Bool[Tensor, " v"]) -> tuple
     return torch.linalg.solve(torch.where(found[:, None, None], normal, eye), right), found
 
 
-def _together(seen: Observations, poses: list[Pose], known: Bool[Tensor, " v"]) -> Adjusted:
+def _together(seen: Observations, poses: list[Pose], known: Bool[Tensor, " v"], options: ResectionOptions) -> Adjusted:
     """Poses that are known and the points that they see, refined."""
     start = Pose.stack(poses)
     points, found = _points(seen, start, known)
@@ -124,7 +127,7 @@ def _together(seen: Observations, poses: list[Pose], known: Bool[Tensor, " v"]) 
     inner = Observations(own.photo, own.feature, number[own.point], own.bearings, own.rows)
     frames = Frames(torch.arange(len(start)), Pose.identity(len(start)))
     try:
-        return adjust_points(inner, frames, PosesAndPoints(start, points[found]))
+        return adjust_points(inner, frames, PosesAndPoints(start, points[found]), options)
     except np.linalg.LinAlgError:
         raise GeometryError(
             "Point matches that determine the poses of their photos were expected, found some that do not; check the matches."

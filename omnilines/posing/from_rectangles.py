@@ -17,32 +17,26 @@ from camera_models import CameraEstimate, CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
-from omnilines.posing.find_rectangle import FoundRectangle, PhotoArcs, find_rectangle
+from omnilines.posing.find_rectangle import BearingArcs, FoundRectangle, find_rectangle
+from omnilines.posing.options import PosingOptions, RectangleOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import Rectangle
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
-
-WITHIN_RAD = math.radians(1.0)
-"""Of an epipolar plane: poses from a sheet are good to a tenth of that, and one match in sixty lies there by chance."""
-LEAST_BASELINE = 0.02
-"""Of the distance to the sheet, below which directions are compared and not epipolar planes."""
-CLEAR_SIGMAS = 4.0
-"""A pair votes where the matches that fit one turn only are so many standard deviations from half for either."""
-
-Progress = Callable[[str, int, int], None]
 
 
 def poses_from_rectangles(
     photos: Sequence[str],
     read: Callable[[str], np.ndarray],
-    arcs_of: Callable[[str], PhotoArcs],
+    arcs_of: Callable[[str], BearingArcs],
     cameras: Mapping[str, CameraModel],
     camera_of: Mapping[str, str],
+    *,
     estimates: Mapping[str, CameraEstimate],
     rectangle: Rectangle,
-    *,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: ProgressCallback = silent,
+    options: PosingOptions = PosingOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of the photos that show the sheet, in metres; x points to the right in the first of them.
 
@@ -50,12 +44,11 @@ def poses_from_rectangles(
     variance that all sheets together show where it is more. Photos without a sheet, and those whose half turn their features do
     not tell, are left out. Raises InputError where no photo shows the sheet.
     """
-    tell = progress or (lambda stage, done, total: None)
     found: dict[str, FoundRectangle] = {}
     lost = {}
     for done, photo in enumerate(photos):
-        tell("finding the sheet", done, len(photos))
-        outcome = find_rectangle(arcs_of(photo), rectangle)
+        progress("finding the sheet", done, len(photos))
+        outcome = find_rectangle(arcs_of(photo), rectangle, options.rectangle)
         if isinstance(outcome, str):
             lost[photo] = f"{photo} has no pose: {outcome}"
         else:
@@ -68,13 +61,13 @@ def poses_from_rectangles(
     names = list(found)
     turned = np.zeros(len(names), dtype=bool)
     if len(names) > 1:
-        find, features = feature_finder(), []
+        find, features = feature_finder(options.features), []
         for done, name in enumerate(names):
-            tell("telling its ends apart", done, len(names))
+            progress("telling its ends apart", done, len(names))
             camera = camera_of[name]
             features.append(find(read(name), cameras[camera], estimates.get(camera)))
         poses = Pose.stack([found[name].pose for name in names])
-        turned, known = half_turns(features, poses, rectangle, seed)
+        turned, known = half_turns(features, poses, rectangle, seed, options)
         for k in np.flatnonzero(~known).tolist():
             lost[names[k]] = (
                 f"{names[k]} has no pose: the sheet looks the same after half a turn, and too few features that other photos "
@@ -104,24 +97,28 @@ def poses_from_rectangles(
 
 
 def half_turns(
-    features: Sequence[Features], cam_from_sheet: Pose, rectangle: Rectangle, seed: int = 0
+    features: Sequence[Features],
+    cam_from_sheet: Pose,
+    rectangle: Rectangle,
+    seed: int = 0,
+    options: PosingOptions = PosingOptions(),
 ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Which photos have to be turned by half a turn to agree with the first that is known, and which are known.
 
     Known are the photos of the largest group that clear votes link.
     """
-    count = len(features)
+    count, its = len(features), options.rectangle
     votes, doubt = np.zeros((count, count)), np.zeros((count, count))
-    for i, j in pairs_to_compare(features, seed):
-        pairs, _ = matched(features[i], features[j])
+    for i, j in pairs_to_compare(features, seed, options.matches):
+        pairs, _ = matched(features[i], features[j], options.matches)
         a, b = features[i].bearings[pairs[:, 0]], features[j].bearings[pairs[:, 1]]
         j_from_i = cam_from_sheet[j] @ cam_from_sheet[i].inverse()
         other = cam_from_sheet[j] @ rectangle.half_turn @ cam_from_sheet[i].inverse()
         far = float(cam_from_sheet[i].translation.norm())
-        same, turned = (_agree(a, b, pose, LEAST_BASELINE * far) for pose in (j_from_i, other))
+        same, turned = (_agree(a, b, pose, far, its) for pose in (j_from_i, other))
         votes[i, j] = votes[j, i] = float((same & ~turned).sum()) - float((turned & ~same).sum())
         doubt[i, j] = doubt[j, i] = math.sqrt(float((same ^ turned).sum()))
-    clear = np.abs(votes) >= CLEAR_SIGMAS * np.maximum(doubt, 1.0)
+    clear = np.abs(votes) >= its.clear_sigmas * np.maximum(doubt, 1.0)
     best: tuple[list[int], np.ndarray] = ([], np.zeros(count, dtype=bool))
     left = set(range(count))
     while left:
@@ -151,15 +148,18 @@ def _linked(
         group.append(int(column))
 
 
-def _agree(a: Float[Tensor, "m 3"], b: Float[Tensor, "m 3"], b_from_a: Pose, least_m: float) -> Bool[Tensor, " m"]:
-    """Which matched bearings lie in one epipolar plane, on one side of the baseline."""
+def _agree(
+    a: Float[Tensor, "m 3"], b: Float[Tensor, "m 3"], b_from_a: Pose, sheet_m: float, options: RectangleOptions
+) -> Bool[Tensor, " m"]:
+    """Which matched bearings lie in one epipolar plane, on one side of the baseline; the sheet is `sheet_m` away."""
+    sine = math.sin(options.epipolar_rad)
     far = a @ b_from_a.rotation.mT
     baseline = b_from_a.translation
     length = float(baseline.norm())
-    if length < least_m:
-        return torch.linalg.cross(far, b).norm(dim=-1) < math.sin(WITHIN_RAD)
+    if length < options.min_baseline_share * sheet_m:
+        return torch.linalg.cross(far, b).norm(dim=-1) < sine
     towards = (baseline / length).expand_as(far)
     normal = torch.linalg.cross(far, towards)
     normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     side = (torch.linalg.cross(towards, normal) * b).sum(-1) * (torch.linalg.cross(towards, normal) * far).sum(-1) > 0
-    return ((normal * b).sum(-1).abs() < math.sin(WITHIN_RAD)) & side
+    return ((normal * b).sum(-1).abs() < sine) & side

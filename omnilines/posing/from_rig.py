@@ -7,11 +7,9 @@ import torch
 
 from camera_models import Calibration, InputError
 from camera_models.pose import Pose
+from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses, image_poses
 from omnilines.records import ImagePoses
-
-CONTRADICTS_RAD = math.radians(5.0)
-"""Photos of one frame whose poses differ from what the rig says by more are not of that rig, or of other instants."""
 
 
 def poses_from_rig(
@@ -42,6 +40,8 @@ def complete_from_rig(
     photos: Sequence[str],
     camera_of: Mapping[str, str],
     frame_of: Mapping[str, str],
+    *,
+    options: GivenOptions = GivenOptions(),
 ) -> PhotoPoses:
     """Known poses, and those that follow from them for the other cameras of the rig at the same instants.
 
@@ -55,7 +55,8 @@ def complete_from_rig(
     in_frame: dict[str, list[str]] = {}
     for name in known:
         in_frame.setdefault(frame_of[name], []).append(name)
-    rig_from_world = {frame: _rig_at(calibration, names, known, camera_of) for frame, names in in_frame.items()}
+    most_rad = options.rig_contradicts_rad
+    rig_from_world = {frame: _rig_at(calibration, names, known, camera_of, most_rad) for frame, names in in_frame.items()}
     kept, found = [], []
     lost = {}
     for photo in photos:
@@ -71,13 +72,15 @@ def complete_from_rig(
     return PhotoPoses(image_poses(kept, found, [camera_of[p] for p in kept], [frame_of[p] for p in kept]), lost)
 
 
-def _rig_at(calibration: Calibration, names: Sequence[str], known: Mapping[str, Pose], camera_of: Mapping[str, str]) -> Pose:
-    """rig_from_world of one instant: the mean on SE(3) of what its photos say."""
+def _rig_at(
+    calibration: Calibration, names: Sequence[str], known: Mapping[str, Pose], camera_of: Mapping[str, str], most_rad: float
+) -> Pose:
+    """rig_from_world of one instant: the mean on SE(3) of what its photos say, who differ by `most_rad` at most."""
     said = Pose.stack([calibration.rig[camera_of[name]].cam_from_rig.inverse() @ known[name] for name in names])
     first = said[0]
     apart = (said @ Pose.stack([first.inverse()] * len(said))).log()
     turned = apart[:, :3].norm(dim=-1)
-    if float(turned.max()) > CONTRADICTS_RAD:
+    if float(turned.max()) > most_rad:
         worst = int(turned.argmax())
         raise InputError(
             f"Photos of one instant were expected to be turned as the rig says, found {names[worst]} "

@@ -19,11 +19,12 @@ from camera_models.pose import Pose
 from omnilines.posing.bearing_residual import across, bearing_residual, placed
 from omnilines.posing.feature_matches import matched_near
 from omnilines.posing.features import Features
+from omnilines.posing.options import PosingOptions
 from omnilines.posing.point_adjustment import Frames, PosesAndPoints, adjust_points
-from omnilines.posing.resection import INLIER_SIGMA, resect
+from omnilines.posing.resection import resect
 from omnilines.posing.tracks import Observations, compact, triangulated_tracks
+from omnilines.progress import ProgressCallback, silent
 
-Progress = Callable[[str, int, int], None]
 PairMatches = Mapping[tuple[int, int], Int[Tensor, "_ 2"]]
 
 
@@ -36,17 +37,7 @@ class Matches:
     """These, and others that are less clear."""
 
 
-TOLERANCES = (20.0, 10.0, 6.0)
-"""Half width of the epipolar circles of every round, in standard deviations of a keypoint."""
-LEAST_LIMIT = 4.0
-"""Residuals up to which an observation counts in the end, in standard deviations as they turn out to be."""
-LEAST_RESECTED, LEAST_SHARE = 12, 0.15
-"""Points that must agree on the pose of a resected photo, and their share."""
-CLEARLY_MORE = 1.3
-"""Times as many points must agree with another pose of a photo than with the one it has."""
-LEAST_FRAMES, MOST_RESECTIONS = 2, 5
-RESECTION_SIGMAS = 3.0
-"""Poses and points are still uncertain when photos are resected: bearings are taken as so many times less certain."""
+MIN_FRAMES, MAX_RESECTIONS = 2, 5
 
 
 @dataclass(frozen=True)
@@ -97,25 +88,27 @@ def grow(
     start: Grown,
     features: Sequence[Features],
     matches: Matches,
+    *,
     seed: int,
-    progress: Progress | None = None,
+    progress: ProgressCallback = silent,
+    options: PosingOptions = PosingOptions(),
 ) -> Grown:
     """Poses refined over all rounds, photos without one resected where their features allow it.
 
     Raises GeometryError where no points are left.
     """
     grown, sigma = start, _typical_sigma(features)
-    tell = progress or (lambda stage, done, total: None)
-    for number, tolerance in enumerate(TOLERANCES):
+    tolerances = options.growth.tolerances_sigmas
+    for number, tolerance in enumerate(tolerances):
         refine = partial(
-            _refined, features=features, matches=matches, limit=tolerance, tolerance_rad=tolerance * sigma,
-            tell=partial(tell, f"matching again and refining poses, round {number + 1} of {len(TOLERANCES)}"),
+            _refined, features=features, matches=matches, limit=tolerance, tolerance_rad=tolerance * sigma, options=options,
+            tell=partial(progress, f"matching again and refining poses, round {number + 1} of {len(tolerances)}"),
         )  # fmt: skip
         grown = refine(grown)
-        if number < len(TOLERANCES) - 1:
-            grown = refine(_checked(grown, features, matches, seed, tell))
-            for _ in range(MOST_RESECTIONS):
-                more = _resected(grown, features, matches, seed, tell)
+        if number < len(tolerances) - 1:
+            grown = refine(_checked(_Points(grown, features, matches, options), seed, progress))
+            for _ in range(MAX_RESECTIONS):
+                more = _resected(_Points(grown, features, matches, options), seed, progress)
                 if int(more.known.sum()) == int(grown.known.sum()):
                     break
                 grown = refine(more)
@@ -133,6 +126,7 @@ def _refined(
     matches: Matches,
     limit: float,
     tolerance_rad: float,
+    options: PosingOptions,
     tell: Callable[[int, int], None],
 ) -> Grown:
     """New guided matches, points from them, and two adjustments: with all, and without what does not fit."""
@@ -140,20 +134,23 @@ def _refined(
     pairs, guided = [(i, j) for i, j in matches.clear if known[i] and known[j]], {}
     for done, (i, j) in enumerate(pairs):
         tell(done, len(pairs))
-        guided[i, j] = matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad)
+        guided[i, j] = matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad, options.matches)
     tell(len(pairs), len(pairs))
-    seen, points = triangulated_tracks(features, guided, poses, limit)
+    parallax = options.growth.min_parallax_rad
+    seen, points = triangulated_tracks(features, guided, poses, limit, parallax)
     plain = _keys(features, matches.faint)
     seen, points = _vouched(seen, points, features, plain)
     if not len(points):
         raise GeometryError("Points seen in several photos were expected, found none; give photos that overlap more.")
-    first = adjust_points(seen, grown.frames, PosesAndPoints(grown.rig_from_world, points))
-    good = first.residual < LEAST_LIMIT * max(first.scale, 1.0)
+    first = adjust_points(seen, grown.frames, PosesAndPoints(grown.rig_from_world, points), options.resection)
+    good = first.residual < options.resection.gross_sigmas * max(first.scale, 1.0)
     seen, points = compact(seen.chosen(torch.nonzero(good).flatten()), first.state.points)
     seen, points = _vouched(seen, points, features, plain)
-    final = adjust_points(seen, grown.frames, replace(first.state, points=points)) if len(points) else first
+    final = first
+    if len(points):
+        final = adjust_points(seen, grown.frames, replace(first.state, points=points), options.resection)
     moved = replace(grown, rig_from_world=final.state.rig_from_world)
-    every_seen, every_point = triangulated_tracks(features, guided, moved.cam_from_world, limit)
+    every_seen, every_point = triangulated_tracks(features, guided, moved.cam_from_world, limit, parallax)
     return replace(
         moved,
         points=final.state.points,
@@ -191,9 +188,9 @@ def _vouched(
     return compact(seen.chosen(torch.nonzero(sure[seen.point]).flatten()), points)
 
 
-def _resected(grown: Grown, features: Sequence[Features], matches: Matches, seed: int, tell: Progress) -> Grown:
+def _resected(points: "_Points", seed: int, tell: ProgressCallback) -> Grown:
     """Frames without a pose placed by the photo of theirs that most points agree on."""
-    points = _Points(grown, features, matches)
+    grown = points.grown
     poses, known = list(grown.rig_from_world[k] for k in range(len(grown.known))), grown.known.copy()
     lost = np.flatnonzero(~grown.known).tolist()
     for done, frame in enumerate(lost):
@@ -204,21 +201,21 @@ def _resected(grown: Grown, features: Sequence[Features], matches: Matches, seed
     return replace(grown, rig_from_world=Pose.stack(poses), known=known)
 
 
-def _checked(grown: Grown, features: Sequence[Features], matches: Matches, seed: int, tell: Progress) -> Grown:
+def _checked(points: "_Points", seed: int, tell: ProgressCallback) -> Grown:
     """Every frame resected from points that the others know: placed anew where clearly more of them then agree, and left without
     a pose where too few agree with any. A photo that was joined by a few chance matches does not stay."""
-    points = _Points(grown, features, matches)
+    grown, its = points.grown, points.options.growth
     poses, known = list(grown.rig_from_world[k] for k in range(len(grown.known))), grown.known.copy()
     placed_frames = np.flatnonzero(grown.known).tolist()
     for done, frame in enumerate(placed_frames):
         tell("checking poses", done, len(placed_frames))
         agree = points.agreeing(frame)
         found = points.resected(frame, seed)
-        if found is not None and found[0] > CLEARLY_MORE * agree:
+        if found is not None and found[0] > its.clearly_more * agree:
             poses[frame] = found[1]
-        elif found is None and agree < LEAST_RESECTED:
+        elif found is None and agree < its.min_resected:
             known[frame] = False
-    if int(known.sum()) < LEAST_FRAMES:
+    if int(known.sum()) < MIN_FRAMES:
         return grown
     return replace(grown, rig_from_world=Pose.stack(poses), known=known)
 
@@ -226,9 +223,9 @@ def _checked(grown: Grown, features: Sequence[Features], matches: Matches, seed:
 class _Points:
     """Points for the resection of photos: which of them each feature's matches lead to."""
 
-    def __init__(self, grown: Grown, features: Sequence[Features], matches: Matches) -> None:
-        self.grown, self.features, self.matches = grown, features, matches.clear
-        self.sigmas = RESECTION_SIGMAS * max(grown.scale, 1.0)
+    def __init__(self, grown: Grown, features: Sequence[Features], matches: Matches, options: PosingOptions) -> None:
+        self.grown, self.features, self.matches, self.options = grown, features, matches.clear, options
+        self.sigmas = options.growth.resection_sigmas * max(grown.scale, 1.0)
         self.point_of = [torch.full((len(f),), -1) for f in features]
         for photo in torch.unique(grown.every_seen.photo).tolist():
             mine = grown.every_seen.photo == photo
@@ -259,21 +256,22 @@ class _Points:
             bearings, sigma = own.bearings[pairs[:, 0]], self.sigmas * own.sigma_rad[pairs[:, 0]]
             seen = placed(poses[[photo] * len(pairs)], self.grown.every_point[pairs[:, 1]])
             residual, _ = bearing_residual(bearings, across(bearings) / sigma[:, None, None], seen)
-            best = max(best, int((residual.norm(dim=-1) < INLIER_SIGMA).sum()))
+            best = max(best, int((residual.norm(dim=-1) < self.options.resection.inlier_sigmas).sum()))
         return best
 
     def resected(self, frame: int, seed: int) -> tuple[int, Pose] | None:
         """Points that agree and rig_from_world, by the best of a frame's photos; None where they are too few."""
         best: tuple[int, Pose] | None = None
+        its = self.options.growth
         for photo in self._photos(frame):
             pairs, own = self._candidates(photo), self.features[photo]
-            if len(pairs) < LEAST_RESECTED:
+            if len(pairs) < its.min_resected:
                 continue
             sigma = (self.sigmas * own.sigma_rad[pairs[:, 0]]).numpy()
-            least = max(LEAST_RESECTED, int(LEAST_SHARE * len(pairs)))
+            least = max(its.min_resected, int(its.min_resected_share * len(pairs)))
             seen, points = own.bearings[pairs[:, 0]].numpy(), self.grown.every_point[pairs[:, 1]].numpy()
             try:
-                found = resect(seen, points, sigma, least_inliers=least, seed=seed)
+                found = resect(seen, points, sigma, least_inliers=least, seed=seed, options=self.options.resection)
             except GeometryError:
                 continue
             count = int(found.inliers.sum())

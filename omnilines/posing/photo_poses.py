@@ -9,7 +9,7 @@ import torch
 from camera_models import GeometryError
 from camera_models.pose import Pose
 from camera_models.rotations import nearest_rotation
-from omnilines.records import ImagePoses
+from omnilines.records import ImagePoses, LengthUnit
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,9 @@ class PhotoPoses:
     """Of each photo without a pose one sentence: its name and the reason."""
     notes: tuple[str, ...] = ()
     """What a person should know of the poses, one sentence each."""
+    source: str = "table"
+    """What they come from: table, colmap, rig, boards, rectangle or sfm. The world of sfm is the frame of a photo."""
+    unit: LengthUnit = LengthUnit.METRES
 
 
 def image_poses(

@@ -21,12 +21,11 @@ from omnilines.least_squares.pattern import narrower_order, pair_pattern
 from omnilines.least_squares.reduced_system import ReducedSystem
 from omnilines.posing.kernels import point as point_kernel
 from omnilines.posing.kernels.point import FrameSums, PointBlocks, Sightings
+from omnilines.posing.options import ResectionOptions
 from omnilines.posing.tracks import Observations
 from omnilines.progress import in_shares, threads_for
 
-BEND = 2.0
-GROSS = 4.0
-MOST_ITERATIONS = 40
+MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
 
 
@@ -75,7 +74,7 @@ class PointEngine:
     """An `Engine` (least_squares) of one problem. Frames that observe nothing are held; the others have places, in an order that
     makes the band of the reduced system narrow. Observations are sorted by point and place."""
 
-    def __init__(self, seen: Observations, frames: Frames, points: int) -> None:
+    def __init__(self, seen: Observations, frames: Frames, points: int, loss_scale: float) -> None:
         self.frames, self.points, self.residuals = frames, points, 2 * len(seen)
         frame, point = frames.of_photo[seen.photo].numpy(), seen.point.numpy()
         self.free = np.unique(frame)
@@ -98,7 +97,7 @@ class PointEngine:
         bearings = (own.rotation.mT @ seen.bearings[self.order, :, None])[..., 0]
         rows = seen.rows[self.order] @ own.rotation
         b, p, arm = (np.ascontiguousarray(array.numpy()) for array in (bearings, rows, own.centre))
-        self.seen = Sightings(start, places, b, p, arm, BEND)
+        self.seen = Sightings(start, places, b, p, arm, loss_scale)
         work = np.concatenate([[0], np.cumsum(np.diff(start) * (np.diff(start) + 8))])
         threads = threads_for(points)
         self.shares = np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()
@@ -189,12 +188,14 @@ class Adjusted:
     converged: bool
 
 
-def adjust_points(seen: Observations, frames: Frames, start: PosesAndPoints) -> Adjusted:
+def adjust_points(
+    seen: Observations, frames: Frames, start: PosesAndPoints, options: ResectionOptions = ResectionOptions()
+) -> Adjusted:
     """Poses and points with the least robust cost near a start; every point needs two observations."""
-    engine = PointEngine(seen, frames, len(start.points))
-    found = minimise(engine, start, MOST_ITERATIONS, tolerance=TOLERANCE)
+    engine = PointEngine(seen, frames, len(start.points), options.loss_scale)
+    found = minimise(engine, start, MAX_ITERATIONS, tolerance=TOLERANCE)
     norm = engine.norms(found.state)
-    scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free))
+    scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free), options.gross_sigmas)
     covariance = np.full((len(start.rig_from_world), 6, 6), np.nan)
     end = engine.reduce(found.state, 0.0)
     if end is not None:
@@ -203,8 +204,8 @@ def adjust_points(seen: Observations, frames: Frames, start: PosesAndPoints) -> 
     return Adjusted(found.state, norm, scale, covariance, good)
 
 
-def _scale(norm: Float[Tensor, " n"], unknowns: int) -> float:
-    """sqrt(sum |r|^2 / freedom) over what lies within GROSS times the median's estimate (the median of |r|^2 is 2 ln 2)."""
+def _scale(norm: Float[Tensor, " n"], unknowns: int, gross: float) -> float:
+    """sqrt(sum |r|^2 / freedom) over what lies within `gross` times the median's estimate (the median of |r|^2 is 2 ln 2)."""
     typical = norm.median() / math.sqrt(2 * math.log(2)) * math.sqrt(2 * len(norm) / max(1, 2 * len(norm) - unknowns))
-    fair = norm[norm <= GROSS * typical]
+    fair = norm[norm <= gross * typical]
     return float((fair.square().sum() / max(1, 2 * len(fair) - unknowns)).sqrt())

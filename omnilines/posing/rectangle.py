@@ -23,9 +23,9 @@ from camera_models import InputError
 from camera_models.pose import Pose, hat
 
 PREFIX = "rectangle:"
-LEAST_M, MOST_M = 0.005, 50.0
+MIN_M, MAX_M = 0.005, 50.0
 """Sides outside of this are taken for a wrong unit."""
-LEAST_UNEQUAL = 1.05
+MIN_UNEQUAL = 1.05
 """Ratio of the sides from which on they can be told apart."""
 STEPS, SETTLED = 20, 1e-10
 
@@ -59,9 +59,9 @@ def parse_rectangle(text: str) -> Rectangle:
         )
     width, unit, height, last = match.groups()
     sides = [parse_length(f"{number}{own}", text) for number, own in ((width, unit or last), (height, last))]
-    if not all(LEAST_M <= side <= MOST_M for side in sides):
+    if not all(MIN_M <= side <= MAX_M for side in sides):
         raise InputError(f"Sides of 5 mm to 50 m were expected, found {sides[0]:g} x {sides[1]:g} m in '{text}'; check the unit.")
-    if max(sides) < LEAST_UNEQUAL * min(sides):
+    if max(sides) < MIN_UNEQUAL * min(sides):
         raise InputError(
             f"A rectangle with sides 5 percent apart or more was expected, found {sides[0]:g} x {sides[1]:g} m: after a quarter "
             "turn it looks nearly the same; take a sheet of paper."

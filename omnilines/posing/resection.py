@@ -2,7 +2,7 @@
 
 1. Poses of random triples (p3p.py), scored by sum min(angle^2, limit^2) over all points (MSAC: P. Torr, A. Zisserman, MLESAC,
    CVIU 2000), until a better one is improbable.
-2. The best few are refined (camera_models/pose_fit.py) with the loss log(1 + r^2 / LOSS_SIGMAS^2) of the residuals in standard
+2. The best few are refined (camera_models/pose_fit.py) with the loss log(1 + r^2 / b^2) of the residuals in standard
    deviations (bearing_residual.py), over all points; the one with the least cost is taken.
 3. Its covariance is that of least squares over the inliers.
 """
@@ -16,15 +16,14 @@ from torch import Tensor
 
 from camera_models import GeometryError
 from camera_models.pose import Pose
-from camera_models.pose_fit import LOSS_SIGMAS, PoseFit, Residuals, by_pose, fit_pose
+from camera_models.pose_fit import PoseFit, Residuals, by_pose, fit_pose
 from omnilines.posing.bearing_residual import across, bearing_residual, placed
+from omnilines.posing.options import ResectionOptions
 from omnilines.posing.p3p import p3p
 
-INLIER_SIGMA = 3.5
-"""A point counts when its residual is below so many standard deviations: 0.998 of those with normal noise in two directions."""
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Three leave up to four poses."""
-BATCH, MOST_BATCHES = 256, 40
+BATCH, MAX_BATCHES = 256, 40
 CONFIDENCE = 1e-4
 """Probability of having missed a triple without a wrong point at which the search ends."""
 REFINED = 4
@@ -47,8 +46,9 @@ def resect(
     points: Float[np.ndarray, "n 3"],
     sigma_rad: float | Float[np.ndarray, " n"] = 1e-3,
     *,
-    least_inliers: int = LEAST_POINTS,
+    least_inliers: int = MIN_POINTS,
     seed: int = 0,
+    options: ResectionOptions = ResectionOptions(),
 ) -> Resection:
     """The pose cam_from_world that sees world `points` along unit `bearings` (camera frame, any angle off axis).
 
@@ -56,20 +56,21 @@ def resect(
     Raises GeometryError for fewer than four points, where fewer than `least_inliers` points agree on a pose, and where those that
     do leave it open (all on one line, all in one direction).
     """
-    if len(bearings) < LEAST_POINTS:
-        raise GeometryError(f"At least {LEAST_POINTS} points were expected for a pose, found {len(bearings)}; give more.")
+    if len(bearings) < MIN_POINTS:
+        raise GeometryError(f"At least {MIN_POINTS} points were expected for a pose, found {len(bearings)}; give more.")
     b, x = torch.as_tensor(bearings), torch.as_tensor(points)
     sigma = torch.as_tensor(np.broadcast_to(np.asarray(sigma_rad, dtype=np.float64), len(b)).copy())
     middle, size = x.median(0).values, float((x - x.median(0).values).norm(dim=-1).median().clamp_min(1e-12))
     local = (x - middle) / size
-    starts = _best_of_triples(b, local, sigma, seed)
+    starts = _best_of_triples(b, local, sigma, seed, options.inlier_sigmas)
     rows = across(b) / sigma[:, None, None]
-    pose = min((_refined(b, rows, local, starts[k]) for k in range(len(starts))), key=lambda fit: fit.cost).pose
+    fits = [_refined(b, rows, local, starts[k], options.loss_scale) for k in range(len(starts))]
+    pose = min(fits, key=lambda fit: fit.cost).pose
     residual, by_point = bearing_residual(b, rows, placed(pose, local))
-    inliers = residual.norm(dim=-1) < INLIER_SIGMA
-    if int(inliers.sum()) < max(least_inliers, LEAST_POINTS):
+    inliers = residual.norm(dim=-1) < options.inlier_sigmas
+    if int(inliers.sum()) < max(least_inliers, MIN_POINTS):
         raise GeometryError(
-            f"At least {max(least_inliers, LEAST_POINTS)} points that agree on a pose were expected, found {int(inliers.sum())} "
+            f"At least {max(least_inliers, MIN_POINTS)} points that agree on a pose were expected, found {int(inliers.sum())} "
             f"of {len(b)}; give more points or better ones."
         )
     jacobian = by_pose(by_point, placed(pose, local))[inliers]
@@ -79,13 +80,15 @@ def resect(
     return Resection(whole, inliers.numpy(), (covariance * unit[:, None] * unit).numpy())
 
 
-def _best_of_triples(bearings: Float[Tensor, "n 3"], points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"], seed: int) -> Pose:
+def _best_of_triples(
+    bearings: Float[Tensor, "n 3"], points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"], seed: int, inlier_sigmas: float
+) -> Pose:
     """The poses of the best few triples; raises GeometryError where no triple has one."""
     rng = np.random.default_rng(seed)
     count = len(bearings)
-    limit = (2.0 * torch.tan(0.5 * (INLIER_SIGMA * sigma).clamp_max(1.0))).square()
+    limit = (2.0 * torch.tan(0.5 * (inlier_sigmas * sigma).clamp_max(1.0))).square()
     best_cost, best = torch.zeros(0, dtype=torch.float64), Pose.identity(0)
-    for batch in range(1, MOST_BATCHES + 1):
+    for batch in range(1, MAX_BATCHES + 1):
         triples = torch.as_tensor(rng.random((BATCH, count)).argpartition(2, axis=1)[:, :3].copy())
         poses, found = p3p(bearings[triples], points[triples])
         poses = poses[found]
@@ -110,7 +113,9 @@ def _best_of_triples(bearings: Float[Tensor, "n 3"], points: Float[Tensor, "n 3"
     return best
 
 
-def _refined(bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], start: Pose) -> PoseFit:
+def _refined(
+    bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], points: Float[Tensor, "n 3"], start: Pose, loss_scale: float
+) -> PoseFit:
     """The pose near a start with the least robust cost, and that cost."""
 
     def residuals_at(pose: Pose) -> Residuals:
@@ -118,7 +123,7 @@ def _refined(bearings: Float[Tensor, "n 3"], rows: Float[Tensor, "n 2 3"], point
         residual, by_point = bearing_residual(bearings, rows, seen)
         return residual, by_pose(by_point, seen), None
 
-    return fit_pose(start, residuals_at, LOSS_SIGMAS, steps=_STEPS, least_gain=_LEAST_GAIN)
+    return fit_pose(start, residuals_at, loss_scale, steps=_STEPS, least_gain=_LEAST_GAIN)
 
 
 def _inverse(normal: Float[Tensor, "6 6"]) -> Float[Tensor, "6 6"]:

@@ -6,7 +6,6 @@ pairs that contradict the others count no more (A. Chatterjee, V. M. Govindu, Ef
 ICCV 2013).
 """
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,17 +14,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
-BEND_RAD = math.radians(2.0)
-"""Where the loss bends: several times the error of the relative rotation of a pair of few matches."""
-LARGEST_RAD = math.radians(6.0)
-"""Between the relative rotation of a pair and that of its photos: pairs beyond it are dropped."""
+from omnilines.posing.options import MapperOptions
+
 _ROUNDS = 30
 
 Pairs = Mapping[tuple[int, int], tuple[Float[np.ndarray, "3 3"], int]]
 """Of a pair (i, j) of photos j_from_i and the matches that agree with it."""
 
 
-def agreeing_pairs(pairs: Pairs, photos: int) -> list[tuple[int, int]]:
+def agreeing_pairs(pairs: Pairs, photos: int, options: MapperOptions = MapperOptions()) -> list[tuple[int, int]]:
     """The pairs whose relative rotation is that of the averaged rotations of their photos."""
     if not pairs:
         return []
@@ -35,13 +32,13 @@ def agreeing_pairs(pairs: Pairs, photos: int) -> list[tuple[int, int]]:
     turned = Rotation.from_matrix(_along_strongest(ends, relative.as_matrix(), strength, photos))
     for _ in range(_ROUNDS):
         error = _error(ends, relative, turned)
-        weight = strength / (1.0 + np.square(error).sum(1) / BEND_RAD**2) ** 2
+        weight = strength / (1.0 + np.square(error).sum(1) / options.rotation_loss_scale_rad**2) ** 2
         step = _solved(ends, error, weight, photos)
         turned = turned * Rotation.from_rotvec(step)
         if np.abs(step).max() < 1e-6:
             break
     off = np.linalg.norm(_error(ends, relative, turned), axis=1)
-    return [pair for pair, far in zip(pairs, off.tolist(), strict=True) if far < LARGEST_RAD]
+    return [pair for pair, far in zip(pairs, off.tolist(), strict=True) if far < options.max_rotation_rad]
 
 
 def _error(ends: Int[np.ndarray, "n 2"], relative: Rotation, turned: Rotation) -> Float[np.ndarray, "n 3"]:

@@ -5,13 +5,12 @@ matches, resection of what COLMAP could not place, and a last adjustment of all 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from os import cpu_count
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose, adjoint
@@ -20,21 +19,15 @@ from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.growth import Grown, Matches, grow, start_from
+from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
-from omnilines.progress import one_torch_thread
+from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
 from omnilines.records import ImagePoses
 
-Progress = Callable[[str, int, int], None]
-MOST_LEFT_OUT = 0.25
-"""Share of the photos without a pose from which on those of the others are called doubtful: they share too few features for
-residuals to tell a wrong pose."""
 OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
 """The note of poses whose unit nothing tells."""
-LEAST_SEEN = 10
-"""Points that a photo must see in the end."""
-LEAST_FEATURES = 20
-MOST_TABLES = 4
+MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
 
 
@@ -46,8 +39,9 @@ def sfm_poses(
     work_folder: Path,
     *,
     frame_of: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback = silent,
     seed: int = 0,
+    options: PosingOptions = PosingOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of photos from what they have in common, with covariances (left perturbation, rad and world units).
 
@@ -67,20 +61,21 @@ def sfm_poses(
     frame = [order[name] for name in frame_names]
     names = [camera_of[photo] for photo in photos]
     rig = cam_from_rig_of(calibration, names) if rigid else Pose.identity(len(photos))
-    features = _features(photos, read, calibration, names, progress)
-    matches = _matches(features, seed, progress)
+    features = _features(photos, read, calibration, names, progress, options.features)
+    matches = _matches(features, seed, progress, options)
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts = map_photos(given, Path(work_folder) / "colmap", seed, progress)
+    parts = map_photos(given, Path(work_folder) / "colmap", seed, progress, options)
     if not parts:
         raise GeometryError(
             f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
             "take more photos with smaller steps between them, or give poses."
         )
     with one_torch_thread():
-        grown = grow(start_from(Frames(torch.tensor(frame), rig), parts[0]), features, matches, seed, progress)
-    return _result(photos, names, frame_names if rigid else None, features, grown, parts)
+        start = start_from(Frames(torch.tensor(frame), rig), parts[0])
+        grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
+    return _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
 
 
 def _features(
@@ -88,31 +83,25 @@ def _features(
     read: Callable[[str], np.ndarray],
     calibration: Calibration,
     names: Sequence[str],
-    progress: Progress | None,
+    progress: ProgressCallback,
+    options: FeatureOptions,
 ) -> list[Features]:
     def look(k: int) -> Features:
-        return feature_finder()(read(photos[k]), calibration[names[k]], calibration.estimates.get(names[k]))
+        return feature_finder(options)(read(photos[k]), calibration[names[k]], calibration.estimates.get(names[k]))
 
-    found = []
-    with ThreadPoolExecutor(cpu_count() or 1) as pool:
-        for done, features in enumerate(pool.map(look, range(len(photos)))):
-            if progress is not None:
-                progress("finding features", done + 1, len(photos))
-            found.append(features)
-    return found
+    return on_all_cores(look, range(len(photos)), "finding features", progress)
 
 
-def _matches(features: Sequence[Features], seed: int, progress: Progress | None) -> Matches:
-    pairs = pairs_to_compare(features, seed)
-    clear, faint = {}, {}
+def _matches(features: Sequence[Features], seed: int, progress: ProgressCallback, options: PosingOptions) -> Matches:
+    pairs = pairs_to_compare(features, seed, options.matches)
+
+    def compare(pair: tuple[int, int]) -> tuple[Int[Tensor, "k 2"], Int[Tensor, "l 2"]]:
+        return matched(features[pair[0]], features[pair[1]], options.matches)
+
     # Tables of all descriptors by all: as many at once as memory takes gladly.
-    with one_torch_thread(), ThreadPoolExecutor(min(cpu_count() or 1, MOST_TABLES)) as pool:
-        results = pool.map(lambda pair: matched(features[pair[0]], features[pair[1]]), pairs)
-        for done, (pair, found) in enumerate(zip(pairs, results, strict=True)):
-            clear[pair], faint[pair] = found
-            if progress is not None:
-                progress("comparing photos", done + 1, len(pairs))
-    return Matches(clear, faint)
+    found = on_all_cores(compare, pairs, "comparing photos", progress, MAX_TABLES)
+    of_pair = list(zip(pairs, found, strict=True))
+    return Matches({pair: clear for pair, (clear, _) in of_pair}, {pair: faint for pair, (_, faint) in of_pair})
 
 
 def _result(
@@ -122,18 +111,19 @@ def _result(
     features: Sequence[Features],
     grown: Grown,
     parts: Sequence[Mapping[int, Pose]],
+    options: GrowthOptions,
 ) -> PhotoPoses:
     """The table of poses, in the frame of the first photo, and the reasons of those left out."""
     seen = torch.bincount(grown.seen.photo, minlength=len(photos)).numpy()
     in_frame = np.bincount(grown.frames.of_photo.numpy(), weights=seen, minlength=len(grown.known))
-    enough = grown.known & (in_frame >= LEAST_SEEN)
+    enough = grown.known & (in_frame >= options.min_seen)
     kept = np.flatnonzero(enough[grown.frames.of_photo.numpy()]).tolist()
     lost = {}
     for k in sorted(set(range(len(photos))) - set(kept)):
         elsewhere = next((len(part) for part in parts[1:] if k in part), 0)
         if elsewhere:
             why = f"it belongs to {elsewhere} photos that could not be joined to the others"
-        elif len(features[k]) < LEAST_FEATURES:
+        elif len(features[k]) < options.few_features:
             why = f"only {len(features[k])} features were found in it"
         else:
             why = f"too few of its {len(features[k])} features match those of the other photos"
@@ -158,9 +148,9 @@ def _result(
     )
 
 
-def doubt(lost: int, photos: int) -> tuple[str, ...]:
+def doubt(lost: int, photos: int, options: GrowthOptions = GrowthOptions()) -> tuple[str, ...]:
     """What is to be said of the poses of structure from motion where many photos have none."""
-    if lost < MOST_LEFT_OUT * photos:
+    if lost < options.doubtful_share * photos:
         return ()
     return (
         f"{lost} of {photos} photos have no pose: they share little with the others, and the poses found are doubtful too, far "

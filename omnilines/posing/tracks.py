@@ -14,9 +14,8 @@ from camera_models.pose import Pose
 from omnilines.posing.bearing_residual import bearing_residual, placed
 from omnilines.posing.features import Features
 
-MOST_PAIRS = 8
+MAX_PAIRS = 8
 """Pairs of a track, those with most parallax, that a point is tried from."""
-LEAST_PARALLAX_RAD = np.radians(1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +50,13 @@ def triangulated_tracks(
     matches: Mapping[tuple[int, int], Int[Tensor, "_ 2"]],
     cam_from_world: Pose,
     limit: float,
+    min_parallax_rad: float,
 ) -> tuple[Observations, Float[Tensor, "p 3"]]:
     """Points of features linked by matches, and the observations that agree with them to `limit` standard deviations.
 
     Tracks are what matches connect. A point is tried from the pairs of its track with most parallax, and the one that most
     observations agree with is taken (sum min(r^2, limit^2)); of several features of one photo the best is kept. Points need two
-    photos and a parallax of LEAST_PARALLAX_RAD.
+    photos and a parallax of `min_parallax_rad`.
     """
     start = torch.cumsum(torch.tensor([0, *(len(f) for f in features)]), 0)
     total = int(start[-1])
@@ -71,22 +71,22 @@ def triangulated_tracks(
     seen = observations_of(features, photo[order], (used - start[photo])[order], point[order])
     row_of = torch.full((total,), -1)
     row_of[used[order]] = torch.arange(len(used))
-    points, known = _best_points(seen, row_of[links], cam_from_world, len(tracks), limit)
+    points, known = _best_points(seen, row_of[links], cam_from_world, len(tracks), limit, min_parallax_rad)
     return _agreeing(seen, points, known, cam_from_world, limit)
 
 
 def _best_points(
-    seen: Observations, links: Int[Tensor, "l 2"], cam_from_world: Pose, count: int, limit: float
+    seen: Observations, links: Int[Tensor, "l 2"], cam_from_world: Pose, count: int, limit: float, min_parallax_rad: float
 ) -> tuple[Float[Tensor, "p 3"], Bool[Tensor, " p"]]:
     """The best point of each track among those of its pairs, and whether it has any; rows of `seen` are sorted by track."""
-    at, sound, parallax = _midpoints(seen, links, cam_from_world)
+    at, sound, parallax = _midpoints(seen, links, cam_from_world, min_parallax_rad)
     track = seen.point[links[:, 0]]
     # The pairs with most parallax of every track.
     order = torch.argsort(parallax, descending=True, stable=True)
     order = order[torch.argsort(track[order], stable=True)]
     order = order[sound[order]]
     number = torch.arange(len(order)) - torch.searchsorted(track[order], track[order])
-    tried = order[number < MOST_PAIRS]
+    tried = order[number < MAX_PAIRS]
     sizes = torch.bincount(seen.point, minlength=count)
     first = torch.cumsum(sizes, 0) - sizes
     own = sizes[track[tried]]
@@ -104,7 +104,7 @@ def _best_points(
 
 
 def _midpoints(
-    seen: Observations, links: Int[Tensor, "l 2"], cam_from_world: Pose
+    seen: Observations, links: Int[Tensor, "l 2"], cam_from_world: Pose, min_parallax_rad: float
 ) -> tuple[Float[Tensor, "l 3"], Bool[Tensor, " l"], Float[Tensor, " l"]]:
     """The points nearest to both rays of pairs of observations, whether they are before both cameras, and the rays' angle."""
     poses = [cam_from_world[seen.photo[links[:, k]]] for k in (0, 1)]
@@ -116,7 +116,7 @@ def _midpoints(
     s = (torch.linalg.cross(between, b) * normal).sum(-1) / square
     t = (torch.linalg.cross(between, a) * normal).sum(-1) / square
     parallax = torch.atan2(square.sqrt(), (a * b).sum(-1))
-    sound = (s > 0) & (t > 0) & (parallax > LEAST_PARALLAX_RAD) & (links[:, 0] != links[:, 1])
+    sound = (s > 0) & (t > 0) & (parallax > min_parallax_rad) & (links[:, 0] != links[:, 1])
     return 0.5 * (centre + s[:, None] * a + other + t[:, None] * b), sound, parallax
 
 

@@ -12,6 +12,7 @@ import plotly.offline
 from markupsafe import Markup
 
 from camera_models.errors import InputError
+from camera_models.formats.disk import write_atomically
 
 PAGE_LIMIT_BYTES = 15_000_000
 """No report is larger; photos are scaled down or left out to keep below it."""
@@ -71,12 +72,7 @@ def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Se
     page = fragment("page", title=title, parts=parts, plotly_js=Markup(plotly_js))
 
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(page, encoding="utf-8", newline="\n")
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_atomically(target, page)
     return target
 
 

@@ -16,15 +16,14 @@ from jaxtyping import Float
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.costs import COSTS
 from omnilines.evaluation.arcs import arc_scores
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pipelines.photo_arcs import find_arcs
-from omnilines.pipelines.photo_poses import photo_poses
+from omnilines.pipelines.arcs import extract, in_order, segments_of
+from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.render import RenderedScene
-from omnilines.pipelines.viewed_arcs import segments_of
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.rectangle import PREFIX, Rectangle
 from omnilines.progress import ProgressCallback, silent
@@ -76,8 +75,8 @@ class BookSetting:
     poses: ImagePoses
     segments: Segments
     figures: tuple[DistanceFigures, ...]
-    before: LineScene
-    after: LineScene
+    before: AdjustedScene
+    after: AdjustedScene
     pose_errors: Float[np.ndarray, "n 3"]
     """Of each photo: turn (degrees), shift of the camera (m), and both over what is stated, RMS of six."""
 
@@ -144,11 +143,10 @@ def _found(
     progress: ProgressCallback,
 ) -> tuple[ImagePoses, Segments]:
     """Poses from the sheet, and the arcs of the longest edges that all of these photos show, a track each."""
-    camera_of = {photo.name: "cam0" for photo in photos}
-    arcs = find_arcs(photos, cameras, camera_of, None, work, progress)
+    arcs = extract(photos, cameras, work=work, progress=progress)
     source = f"{PREFIX}{1e3 * SHEET.width_m:g}x{1e3 * SHEET.height_m:g}mm"
-    poses = photo_poses(source, photos, cameras, camera_of, work, arcs=arcs, seed=rendered.seed, progress=progress).poses
-    segments = segments_of(arcs, poses)
+    poses = estimate_poses(arcs, cameras, source, seed=rendered.seed, work=work, progress=progress).poses
+    segments = segments_of(in_order(arcs.photos, poses))
     scores = arc_scores(rendered.camera, rendered.poses, rendered.edges, rendered.stretches, segments)
     ends = segments.endpoints_px
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
@@ -223,7 +221,12 @@ def _measured(
     arcs = arcs_from_segments(segments, poses, cameras).arcs
     seen_from = poses.cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(
-        arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, arcs.covariance_px2 if arcs.sigma_known else None
+        arcs.bearings,
+        seen_from,
+        arcs.track,
+        arcs.tracks,
+        arcs.by_pixel,
+        covariance_px2=arcs.covariance_px2 if arcs.sigma_known else None,
     )
     methods: list[tuple[str, str, dict[str, Any]]] = [(method, method, {}) for method, _ in TRIANGULATIONS]
     methods += [(f"dual, {weights} weights", "dual", method_options("dual", weights=weights)) for weights in WEIGHTS[1:]]

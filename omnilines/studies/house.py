@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.costs import COSTS
 from omnilines.files import read_vgg_lines, read_vgg_points
 from omnilines.files.vgg_house import MatchedLines, MatchedPoints
@@ -40,11 +40,11 @@ class HouseStudy:
 
     house: MatchedLines
     figures: tuple[DistanceFigures, ...]
-    scenes: Mapping[str, LineScene]
+    scenes: Mapping[str, AdjustedScene]
     """As each cost adjusts it."""
 
     @property
-    def shown(self) -> LineScene:
+    def shown(self) -> AdjustedScene:
         """Whose lines and poses are written."""
         return self.scenes[SHOWN]
 
@@ -76,7 +76,7 @@ def house_study(
     figures = _triangulations(FROM_MATRICES, house, house.poses, averaging)
     progress("finding poses from point matches", 0, 0)
     figures += _triangulations(FROM_MATCHES, house, poses_of_matches(house, read_vgg_points(data)), averaging)
-    scenes: dict[str, LineScene] = {}
+    scenes: dict[str, AdjustedScene] = {}
     for done, (cost, _) in enumerate(COSTS):
         progress("adjusting lines and poses", done, len(COSTS))
         scenes[cost] = reconstruct_lines(house.segments, house.poses, house.cameras, cost=cost, refine_poses=True)

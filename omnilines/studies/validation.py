@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from calib_patterns import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
-from omnilines.adjustment.scene import LineScene, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
 from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
@@ -45,7 +45,7 @@ class Validation:
     calibration: Calibration
     corners: Corners
     board: BoardLines
-    scene: LineScene
+    scene: AdjustedScene
     bearings: BearingErrors
     bearing_limit_deg: float
     parameters: ParameterErrors
@@ -128,7 +128,7 @@ def _at_most(name: str, value: float | int, limit: float | int, unit: str) -> Ch
     return Check(name, float(value), float(limit), unit, bool(value <= limit))
 
 
-def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners) -> tuple[BoardLines, LineScene, int]:
+def _rebuild(calibration: Calibration, truth: RenderedTargets, corners: Corners) -> tuple[BoardLines, AdjustedScene, int]:
     """The lines of the board from the corners of all photos with a pose, and how many corners were set aside.
 
     Every end point has the accuracy that the detector states for it. A corner is set aside where it does not agree with what the
@@ -177,7 +177,7 @@ def _board_segments(corners: Corners, kept: Bool[np.ndarray, " n"]) -> tuple[Boa
     return replace(board, segments=replace(board.segments, covariance_px2=covariance)), ends
 
 
-def _require_all(scene: LineScene, pattern: Pattern) -> None:
+def _require_all(scene: AdjustedScene, pattern: Pattern) -> None:
     """Raise GeometryError unless every row and column of the pattern has become a line."""
     places = np.round(pattern.points_m / SAME_LINE_M)
     expected = len(np.unique(places[:, 0])) + len(np.unique(places[:, 1]))

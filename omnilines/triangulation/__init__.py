@@ -54,20 +54,20 @@ def method_options(
     Raises InputError for an option that the method does not have, or a value that it does not take.
     """
     check_triangulation(method)
-    given = {"--subset": subset is not None, "--bandwidth": bandwidth is not None, "--weights": weights is not None}
-    takes = {"averaging": ("--subset", "--bandwidth"), "dual": ("--weights",)}
+    given = {"subset": subset is not None, "bandwidth": bandwidth is not None, "weights": weights is not None}
+    takes = {"averaging": ("subset", "bandwidth"), "dual": ("weights",)}
     for option in (name for name, is_given in given.items() if is_given):
         owner = next(name for name, options in takes.items() if option in options)
         if method != owner:
             raise InputError(
-                f"{option} was expected with --triangulation {owner} and only there, found {method}; correct the options."
+                f"`{option}` was expected with `triangulation` {owner} and only there, found {method}; correct the options."
             )
     if weights not in (None, *WEIGHTS):
-        raise InputError(f"--weights was expected among {', '.join(WEIGHTS)}, found '{weights}'; give one of these.")
+        raise InputError(f"`weights` was expected among {', '.join(WEIGHTS)}, found '{weights}'; give one of these.")
     if subset is not None and subset < 2:
-        raise InputError(f"--subset was expected to be 2 planes or more, found {subset}; correct the option.")
+        raise InputError(f"`subset` was expected to be 2 planes or more, found {subset}; correct the option.")
     if bandwidth is not None and not 0 < bandwidth < math.inf:
-        raise InputError(f"--bandwidth was expected in radians above 0, found {bandwidth}; correct the option.")
+        raise InputError(f"`bandwidth` was expected in radians above 0, found {bandwidth}; correct the option.")
     found: dict[str, Any] = {"subset": subset, "bandwidth": bandwidth, "weights": weights}
     if weights == "published":
         found["origin"] = "file"

@@ -199,6 +199,7 @@ def assess(
     lines: PlueckerLines,
     sigma_rad: float | None = None,
     unsolved: Bool[Tensor, " t"] | None = None,
+    *,
     options: DegeneracyOptions = DegeneracyOptions(),
 ) -> Triangulation:
     """Lines with their status; degenerate ones become NaN. `unsolved` are tracks that the method itself could not solve for.

@@ -69,7 +69,7 @@ def triangulate(
     for _ in range(iterations if weights == "most-likely" else 0):
         deviation = _row_deviation(observations, lines, frames, in_file_frame)
         lines, unsolved = dual_lines(observations, frames, 0, in_file_frame, 1 / deviation)
-    return assess(observations, frames, lines, sigma_rad, unsolved, options.degeneracy)
+    return assess(observations, frames, lines, sigma_rad, unsolved, options=options.degeneracy)
 
 
 def frames_and_lines(observations: PlaneObservations) -> tuple[TrackFrames, PlueckerLines, Bool[Tensor, " t"]]:

@@ -49,7 +49,7 @@ def triangulate(
     frames, start, unsolved = frames_and_lines(observations)
     far = options.consensus.candidate_chi_square
     lines = _restarted(observations, refine(observations, start, iterations), iterations, far)
-    return assess(observations, frames, lines, sigma_rad, unsolved, options.degeneracy)
+    return assess(observations, frames, lines, sigma_rad, unsolved, options=options.degeneracy)
 
 
 def _restarted(observations: PlaneObservations, lines: PlueckerLines, iterations: int, far: float) -> PlueckerLines:

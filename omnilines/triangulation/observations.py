@@ -55,6 +55,7 @@ class PlaneObservations:
         track: Int[Tensor, " n"],
         tracks: int,
         by_pixel: Float[Tensor, "n 2 3 2"] | None = None,
+        *,
         covariance_px2: Float[Tensor, "n 2 2 2"] | None = None,
     ) -> "PlaneObservations":
         """Planes of arcs given by end bearings (unit, camera frame) and the pose of each row: n = R' (V1 x V2) / |V1 x V2|.

@@ -169,7 +169,7 @@ def bench_triangulation_of_many_tracks() -> None:
         for _ in range(1 + REPEATS):
             start, own = time.perf_counter(), time.process_time()
             planes = PlaneObservations.from_arcs(
-                arcs.bearings, poses[arcs.image], arcs.track, arcs.tracks, arcs.by_pixel, arcs.covariance_px2
+                arcs.bearings, poses[arcs.image], arcs.track, arcs.tracks, arcs.by_pixel, covariance_px2=arcs.covariance_px2
             )
             found = triangulate("dual", planes)
             known = torch.isfinite(found.covariance).all(-1).all(-1)

@@ -53,7 +53,9 @@ def seconds_of(world: LineWorld, segments: Segments, method: str, cost: str) -> 
     arcs = arcs_from_segments(segments, given, {"cam0": world.camera}).arcs
     start = time.perf_counter()
     poses = world.cam_from_world[arcs.image]
-    planes = PlaneObservations.from_arcs(arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, arcs.covariance_px2)
+    planes = PlaneObservations.from_arcs(
+        arcs.bearings, poses, arcs.track, arcs.tracks, arcs.by_pixel, covariance_px2=arcs.covariance_px2
+    )
     found = triangulate(method, planes)
     middle = time.perf_counter()
     inner, tracks = drop_unknown(arcs, found.known)

@@ -83,8 +83,6 @@ def ridge_points(
             if here <= before or here < after:
                 continue
             shift = 0.5 * (after - before) / (2.0 * here - before - after)
-            if abs(shift) > 0.75:
-                continue
             if count == room:
                 room *= 2
                 more_cells, more_points = np.empty((room, 2), dtype=np.int32), np.empty((room, 4), dtype=np.float32)

@@ -11,7 +11,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def claim(order: np.ndarray, support: np.ndarray, image: np.ndarray, images: int, least_views: int) -> tuple[np.ndarray, int]:
+def claim(order: np.ndarray, support: np.ndarray, image: np.ndarray, images: int, min_views: int) -> tuple[np.ndarray, int]:
     """The track of every arc (-1 for none) and how many there are: in this order, each free arc takes its free supporters."""
     track = np.full(len(image), -1, dtype=np.int64)
     seen = np.full(images, -1, dtype=np.int64)
@@ -28,7 +28,7 @@ def claim(order: np.ndarray, support: np.ndarray, image: np.ndarray, images: int
             if track[j] < 0 and seen[image[j]] != turn:
                 seen[image[j]] = turn
                 views += 1
-        if views < least_views:
+        if views < min_views:
             continue
         track[i] = made
         for j in support[i]:

@@ -10,28 +10,20 @@ import torch
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
-from omnilines.matching.options import PlacingOptions
+from omnilines.matching.options import MatchingOptions
 from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
-from omnilines.pipelines.arc_counts import shared_lines, weakest_link
-from omnilines.pipelines.line_scene import PhotoScene
+from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
+from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
 from omnilines.records import PhotoCount
 
-HARDLY_EXPLAINED = 0.4
-"""Of the share of arcs that lines explain in the median photo: below it a photo is named."""
-FEW_EXPLAINED = 0.3
-"""Share of the arcs of the median photo below which the scene as a whole is spoken of."""
-POOR_SLACK_PX = 0.8
-"""Slack of poses and calibration from which on they are what loses arcs."""
-STARTS_RAD = math.radians(2.5)
-"""Turns about each axis from which a better pose is looked for."""
 MOST_LOOKED_AT = 8
 """Photos whose poses are looked into."""
 NAMED = 5
 """Photos that one sentence names."""
-TO_REFINE = "--refine lines,poses"
+TO_REFINE = "`refine` lines,poses"
 
 
 @dataclass(frozen=True)
@@ -43,24 +35,31 @@ class BetterPose:
     explained: float
 
 
-def weak_photos(photos: Sequence[PhotoCount]) -> list[PhotoCount]:
+def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[PhotoCount]:
     """Those with far fewer of their arcs in lines than others: a wrong pose explains arcs by chance only."""
-    limit = HARDLY_EXPLAINED * float(np.median([photo.share for photo in photos]))
+    limit = hardly_explained * float(np.median([photo.share for photo in photos]))
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(scene: PhotoScene, refined: bool, least_views: int, progress: ProgressCallback) -> tuple[str, ...]:
+def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) -> tuple[str, ...]:
     """Few sentences on the photos and the stage at which most arcs are lost, each with what to do.
 
     Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
     pose is at fault. With poses refined that was done before.
     """
-    weak = weak_photos(scene.photos)
-    better = {} if refined else _better_poses(scene, [photo.image for photo in weak[:MOST_LOOKED_AT]], progress)
-    return (*_wrong_poses(scene, weak, better), *_apart(scene, weak, better, refined), *_whole(scene, refined, least_views))
+    weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
+    names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
+    better = {} if refined else _better_poses(scene, names, options, progress)
+    return (
+        *_wrong_poses(scene, weak, better),
+        *_apart(scene, weak, better, refined),
+        *_whole(scene, refined, options.min_views, options.advice),
+    )
 
 
-def _better_poses(scene: PhotoScene, names: Sequence[str], progress: ProgressCallback) -> dict[str, BetterPose]:
+def _better_poses(
+    scene: KeptLines, names: Sequence[str], options: SceneOptions, progress: ProgressCallback
+) -> dict[str, BetterPose]:
     if not names:
         return {}
     poses, matched = scene.scene.poses, scene.matched
@@ -70,26 +69,27 @@ def _better_poses(scene: PhotoScene, names: Sequence[str], progress: ProgressCal
     for done, name in enumerate(names):
         progress("looking into weak photos", done, len(names))
         row = poses.images.index(name)
-        better = _better_pose(arcs.of_photo(row), lines_of_others(known, arcs, matched.tracks, np.array([row])))
+        others = lines_of_others(known, arcs, matched.tracks, np.array([row]))
+        better = _better_pose(arcs.of_photo(row), others, options.advice.start_rad, options.matching)
         if better is not None:
             found[name] = better
     return found
 
 
-def _better_pose(arcs: ViewedArcs, known: KnownLines) -> BetterPose | None:
+def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float, matching: MatchingOptions) -> BetterPose | None:
     """Another pose within some degrees of that of the one photo of `arcs` that explains far more; None where there is none."""
-    turns = STARTS_RAD * torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]).to(torch.float64)
+    turns = start_rad * torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]).to(torch.float64)
     starts = Pose.exp(torch.cat([turns, torch.zeros_like(turns)], -1)) @ Pose.stack([arcs.poses[0]] * len(turns))
-    placed = [refined_by_lines(arcs.with_poses(starts[k : k + 1]), known) for k in range(len(starts))]
+    placed = [refined_by_lines(arcs.with_poses(starts[k : k + 1]), known, matching) for k in range(len(starts))]
     best: PlacedByLines | None = max((one for one in placed if one is not None), key=lambda one: one.score, default=None)
-    its = PlacingOptions()
-    if best is None or best.score < max(its.min_score, its.above_chance * explained_by_lines(arcs, known).score):
+    its = matching.placing
+    if best is None or best.score < max(its.min_score, its.above_chance * explained_by_lines(arcs, known, matching).score):
         return None
     turn = (best.pose @ arcs.poses.inverse()).log()[0, :3].norm()
     return BetterPose(float(turn), float((best.pose.centre - arcs.poses.centre).norm()), best.score)
 
 
-def _wrong_poses(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[str, ...]:
+def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[str, ...]:
     """The photos whose poses are at fault."""
     wrong = [photo for photo in weak if photo.image in better]
     if not wrong:
@@ -104,7 +104,7 @@ def _wrong_poses(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str
     return (f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere; {TO_REFINE} mends {them}.",)
 
 
-def _apart(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[str, ...]:
+def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[str, ...]:
     """The photos that share hardly any line with others, and the photos that stand nearest to them."""
     apart = [photo for photo in weak if photo.image not in better]
     if not apart:
@@ -120,7 +120,7 @@ def _apart(scene: PhotoScene, weak: Sequence[PhotoCount], better: dict[str, Bett
     )
 
 
-def _nearest(scene: PhotoScene, image: str, weak: set[str]) -> str | None:
+def _nearest(scene: KeptLines, image: str, weak: set[str]) -> str | None:
     """The photo nearest to one, of those that lines explain."""
     poses = scene.scene.poses
     away = (poses.cam_from_world.centre - poses.cam_from_world.centre[poses.images.index(image)]).norm(dim=-1)
@@ -128,10 +128,10 @@ def _nearest(scene: PhotoScene, image: str, weak: set[str]) -> str | None:
     return min(others)[1] if others else None
 
 
-def _whole(scene: PhotoScene, refined: bool, least_views: int) -> tuple[str, ...]:
+def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptions) -> tuple[str, ...]:
     """Where most arcs are lost, if lines explain few of them in most photos."""
     share = float(np.median([photo.share for photo in scene.photos]))
-    if share >= FEW_EXPLAINED:
+    if share >= options.few_explained:
         return ()
     total, matched, confirmed, enough, tracks, kept = (
         sum(getattr(photo, stage) for photo in scene.photos)
@@ -140,17 +140,17 @@ def _whole(scene: PhotoScene, refined: bool, least_views: int) -> tuple[str, ...
     losses = (
         (total - matched, "look like no arc of another photo that could show their line"),
         (matched - confirmed, "agree with one other photo only"),
-        (confirmed - enough, f"agree with fewer than {least_views} photos"),
+        (confirmed - enough, f"agree with fewer than {min_views} photos"),
         (enough - tracks, "do not fit the others of their line"),
         (tracks - kept, "are of lines that were dropped (see the stages)"),
     )
     lost, why = max(losses, key=lambda loss: loss[0])
     told = f"Lines explain {100 * kept / total:.0f} % of all arcs; {100 * lost / total:.0f} % {why}."
-    if scene.slack_px >= POOR_SLACK_PX:
+    if scene.tolerance_px >= options.poor_tolerance_px:
         do = "calibrate the camera again" if refined else f"{TO_REFINE} mends poses"
-        return (f"{told} Poses or calibration are off by {scene.slack_px:g} px: {do}.",)
+        return (f"{told} Poses or calibration are off by {scene.tolerance_px:g} px: {do}.",)
     a, b, shared = weakest_link(shared_lines(scene.segments, len(scene.scene.lines)))
-    fewer = f", or --min-views {least_views - 1}" if lost == confirmed - enough and least_views > FIRST_VIEWS else ""
+    fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
     images = scene.segments.images
     return (f"{told} Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}.",)
 

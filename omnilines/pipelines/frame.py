@@ -5,16 +5,16 @@ two photos gives metres; the families of parallel lines, and photos that were ta
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 import torch
 
-from camera_models import Calibration, InputError, load
-from camera_models.errors import OmnilinesError
+from camera_models import InputError
 from camera_models.pose import Pose
+from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
@@ -22,10 +22,7 @@ from omnilines.structure.families import Families
 from omnilines.structure.upright import photos_up, upright_from_world, vertical_family
 
 SFM = "sfm"
-UNIT_KEY = "length_unit"
-"""In the provenance of a scene's calibration.yaml, and in `--json`."""
-Z_UP_RAD = math.radians(5.0)
-"""A vertical so near to z is z."""
+"""The source whose poses are in the frame of a photo."""
 
 
 @dataclass(frozen=True)
@@ -49,32 +46,6 @@ class SceneFrame:
     notes: tuple[str, ...]
 
 
-def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
-    """What the poses of a source of `photo_poses` are in, before they are known.
-
-    A rig whose cameras stand apart gives metres, a board and a table do; a COLMAP model does not say. A poses.csv beside the
-    calibration.yaml of a scene whose unit is open is of that scene.
-    """
-    if source == SFM:
-        names = set(camera_of.values())
-        centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
-        return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
-    path = Path(source)
-    if path.is_dir():
-        return LengthUnit.OPEN
-    return unit_of_table(path) if path.is_file() else LengthUnit.METRES
-
-
-def unit_of_table(poses: Path) -> LengthUnit:
-    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open."""
-    beside = poses.parent / "calibration.yaml"
-    try:
-        known = load(beside).provenance if beside.is_file() else {}
-    except OmnilinesError:
-        return LengthUnit.METRES
-    return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
-
-
 def parse_known_distance(text: str, photos: Sequence[str], unit: LengthUnit) -> KnownDistance:
     """`a,b:2.5` as two of the photos, by name or by its end without folders and suffix, and metres.
 
@@ -82,7 +53,7 @@ def parse_known_distance(text: str, photos: Sequence[str], unit: LengthUnit) -> 
     """
     if unit is LengthUnit.METRES:
         raise InputError(
-            "--scale-from is for poses whose scale is open (--poses sfm without a rig, a COLMAP model), found poses in metres; "
+            "`scale_from` is for poses whose scale is open (`poses` sfm without a rig, a COLMAP model), found poses in metres; "
             "leave it out."
         )
     pair, _, distance = text.rpartition(":")
@@ -93,12 +64,12 @@ def parse_known_distance(text: str, photos: Sequence[str], unit: LengthUnit) -> 
     named = [tuple(_photo(part.strip(), photos) for part in (pair[:k], pair[k + 1 :])) for k, c in enumerate(pair) if c == ","]
     if not named or not (math.isfinite(metres) and metres > 0):
         raise InputError(
-            f"--scale-from was expected as PHOTO,PHOTO:METRES with a distance above 0, such as a.jpg,b.jpg:2.5, found '{text}'."
+            f"`scale_from` was expected as PHOTO,PHOTO:METRES with a distance above 0, such as a.jpg,b.jpg:2.5, found '{text}'."
         )
     first, second = next((both for both in named if None not in both), (None, None))
     if first is None or second is None or first == second:
         raise InputError(
-            f"--scale-from was expected to name two of the photos ({', '.join(photos[:3])}, ...), found '{pair}'; names are "
+            f"`scale_from` was expected to name two of the photos ({', '.join(photos[:3])}, ...), found '{pair}'; names are "
             "paths relative to the photo folder."
         )
     return KnownDistance(first, second, metres)
@@ -117,10 +88,10 @@ def require_poses(known: KnownDistance, posed: PhotoPoses) -> None:
     for name in (known.first, known.second):
         if name not in poses.images:
             why = posed.left_out.get(name, f"{name} has no pose.")
-            raise InputError(f"--scale-from was expected to name photos with poses, found {name}: {why} Name others.")
+            raise InputError(f"`scale_from` was expected to name photos with poses, found {name}: {why} Name others.")
     if not distance_and_sigma(known, poses)[0] > 0:
         raise InputError(
-            f"--scale-from was expected to name photos from two places, found {known.first} and {known.second} at one place; "
+            f"`scale_from` was expected to name photos from two places, found {known.first} and {known.second} at one place; "
             "name others."
         )
 
@@ -140,12 +111,20 @@ def distance_and_sigma(known: KnownDistance, poses: ImagePoses) -> tuple[float, 
 
 
 def scene_frame(
-    lines: Lines, poses: ImagePoses, families: Families, source: str, unit: LengthUnit, known: KnownDistance | None
+    lines: Lines,
+    poses: ImagePoses,
+    families: Families,
+    *,
+    source: str,
+    unit: LengthUnit,
+    known: KnownDistance | None,
+    options: SceneOptions,
 ) -> SceneFrame:
-    """Lines and poses in metres where a distance is known, and upright where the frame was that of a photo (`--poses sfm`).
+    """Lines and poses in metres where a distance is known, and upright where the frame was that of a photo (sfm).
 
-    Under a turn and a scale of the world a pose keeps the perturbation of its own camera, whose translation is scaled, and a
-    line its chart: S is turned from the left and perturbed from the right, and phi compares two lengths.
+    `source` and `unit` are those of `PhotoPoses`. Under a turn and a scale of the world a pose keeps the perturbation of its own
+    camera, whose translation is scaled, and a line its chart: S is turned from the left and perturbed from the right, and phi
+    compares two lengths.
     """
     notes: tuple[str, ...] = ()
     scale, turn = 1.0, torch.eye(3, dtype=torch.float64)
@@ -155,14 +134,14 @@ def scene_frame(
         notes += (_scaled(known, sigma / distance),)
     elif unit is LengthUnit.OPEN:
         notes += (_open(source),)
-    upright = vertical_family(families, poses.cam_from_world)
+    upright = vertical_family(families, poses.cam_from_world, options.structure.upright)
     up = photos_up(poses.cam_from_world) if upright is None else upright.up
     if source == SFM and upright is not None:
-        turn = upright_from_world(families, upright, poses.cam_from_world)
+        turn = upright_from_world(families, upright, poses.cam_from_world, options.structure.upright)
         up = np.array([0.0, 0.0, 1.0])
     elif source == SFM:
         notes += ("No family of parallel lines is clearly vertical: the world is the frame of the first photo.",)
-    elif (upright is None and Path(source).is_file()) or up[2] > math.cos(Z_UP_RAD):
+    elif (upright is None and source == "table") or up[2] > math.cos(options.frame.z_up_rad):
         up = np.array([0.0, 0.0, 1.0])
     return SceneFrame(
         replace(moved_lines(lines, scale, turn), unit=unit),
@@ -194,7 +173,7 @@ def _open(source: str) -> str:
     what = "one unit is the cameras' root mean square distance from their middle"
     if source != SFM:
         what = "lengths are in units of the given poses"
-    return f"The scale is not known: {what}; --scale-from PHOTO,PHOTO:METRES gives metres."
+    return f"The scale is not known: {what}; `scale_from` PHOTO,PHOTO:METRES gives metres."
 
 
 def _scaled(known: KnownDistance, share: float) -> str:

@@ -1,0 +1,185 @@
+"""Summary, JSON and report of a line scene: of lines that were matched in photos, or of a table of matched segments."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from omnilines import report
+from omnilines.adjustment.suspects import Suspect
+from omnilines.least_squares import Outcome
+from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
+from omnilines.pipelines.poses import UNIT_KEY
+from omnilines.pipelines.scene import FromPhotos, Scene
+from omnilines.records import Summary
+from omnilines.report.line_scene import (
+    families_section,
+    line_photos_section,
+    line_table_section,
+    photo_arcs_section,
+    stage_section,
+)
+from omnilines.structure.families import Families
+
+SHOWN_SUSPECTS = 5
+"""Observations named in a note; all of them are in `--json` and the report."""
+
+
+def scene_summary(scene: Scene) -> Summary:
+    """The figures that people read first."""
+    of_photos = scene.from_photos
+    return Summary("Line scene", *(_of_tables(scene) if of_photos is None else _of_photos(scene, of_photos)))
+
+
+def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+    """Rows and notes."""
+    lines = scene.lines
+    length = np.linalg.norm(lines.ends_m[:, 1] - lines.ends_m[:, 0], axis=-1)
+    rows = (
+        ("photos", f"{len(scene.segments.images)} of {of_photos.given}"),
+        *((stage.stage, _stage(stage.kept, stage.dropped)) for stage in scene.stages),
+        ("length of all lines", f"{float(length.sum()):.2f} {lines.unit.sign}"),
+        ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
+        ("rms_px", f"{scene.adjusted.rms_px():.3f}"),
+        ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
+        ("median of the largest sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
+        ("families of parallel lines", str(len(of_photos.families.members))),
+    )
+    return rows, (*_outcome(scene), *noise_notes(scene.adjusted.adjusted.noise))
+
+
+def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
+    reasons = "; ".join(f"{count} {reason}" for reason, count in dropped)
+    return f"{kept} ({reasons})" if reasons else str(kept)
+
+
+def _outcome(scene: Scene) -> tuple[str, ...]:
+    """Why the adjustment ended, where it did not converge."""
+    outcome = scene.adjusted.adjusted.outcome
+    return () if outcome is Outcome.CONVERGED else (outcome.value,)
+
+
+def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+    """Rows and notes."""
+    adjusted, lines, options = scene.adjusted, scene.lines, scene.options
+    rows = (
+        ("tracks", str(len(lines))),
+        ("lines", ", ".join(f"{count} {status}" for status, count in Counter(lines.status).most_common())),
+        ("photos", str(len(scene.poses))),
+        ("triangulation and cost", f"{options.triangulation}, {options.cost}"),
+        ("refined", ", ".join(options.refine)),
+        ("rms_px before", f"{adjusted.rms_px(before=True):.4f}"),
+        ("rms_px after", f"{adjusted.rms_px():.4f}"),
+        ("median of the largest sigma of a line's ends across it", f"{scene.median_sigma_m():.3g} {lines.unit.sign}"),
+        ("noise of the end points", noise_row(adjusted.adjusted.noise)),
+    )
+    notes = _named("do not belong to their track and were left out", adjusted.wrong)
+    notes += _named("lie farther from their line than 99.9 percent should", adjusted.suspect)
+    if "poses" in options.refine:
+        notes += (
+            "The scale, position and orientation of the scene are free with bearings alone: the poses as a whole keep those of "
+            "poses.csv, and the uncertainties are stated in that frame.",
+        )
+    return rows, (*notes, *_outcome(scene), *noise_notes(adjusted.adjusted.noise))
+
+
+def _named(what: str, found: tuple[Suspect, ...]) -> tuple[str, ...]:
+    """One sentence on observations, the first few by name."""
+    if not found:
+        return ()
+    shown = ", ".join(f"{s.track} in {s.image} ({s.distance_px:.1f} px)" for s in found[:SHOWN_SUSPECTS])
+    more = f" and {len(found) - SHOWN_SUSPECTS} more" if len(found) > SHOWN_SUSPECTS else ""
+    return (f"{len(found)} observations {what}: {shown}{more}.",)
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """What `--json` prints."""
+    return _data_of_tables(scene) if scene.from_photos is None else _data_of_photos(scene, scene.from_photos)
+
+
+def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
+    lines, adjusted = scene.lines, scene.adjusted.adjusted
+    return {
+        "photos": list(scene.segments.images),
+        UNIT_KEY: lines.unit.sign,
+        "up": list(of_photos.up),
+        "arcs": [{**asdict(photo), "share": photo.share} for photo in scene.photos],
+        "stages": [asdict(stage) for stage in scene.stages],
+        "lines": len(lines),
+        "rms_px": scene.adjusted.rms_px(),
+        "slack_px": of_photos.tolerance_px,
+        "median_sigma_m": float(np.median(lines.sigma_m)),
+        "noise": noise_data(adjusted.noise),
+        "outcome": adjusted.outcome.name.lower(),
+        **_data_of_families(of_photos.families),
+    }
+
+
+def _data_of_families(families: Families) -> dict[str, Any]:
+    angles = zip(families.right_angles.tolist(), families.angle_rad.tolist(), families.angle_sigma_rad.tolist(), strict=True)
+    return {
+        "families": [
+            {
+                "direction": families.direction[k].tolist(),
+                "sigma_deg": math.degrees(float(families.sigma_rad[k])),
+                "lines": int(families.members[k]),
+            }
+            for k in range(len(families.members))
+        ],
+        "right_angles": [
+            {"families": pair, "angle_deg": math.degrees(angle), "sigma_deg": math.degrees(sigma)}
+            for pair, angle, sigma in angles
+        ],
+    }
+
+
+def _data_of_tables(scene: Scene) -> dict[str, Any]:
+    adjusted, sigma = scene.adjusted, scene.median_sigma_m()
+    return {
+        "tracks": len(scene.lines),
+        UNIT_KEY: scene.lines.unit.sign,
+        "status": dict(Counter(scene.lines.status)),
+        "rms_px_before": adjusted.rms_px(before=True),
+        "rms_px": adjusted.rms_px(),
+        "median_sigma_m": sigma if np.isfinite(sigma) else None,
+        "noise": noise_data(adjusted.adjusted.noise),
+        "outcome": adjusted.adjusted.outcome.name.lower(),
+        "iterations": adjusted.adjusted.iterations,
+        "left_out": list(adjusted.table.left_out),
+        "wrong": [asdict(suspect) for suspect in adjusted.wrong],
+        "suspect": [asdict(suspect) for suspect in adjusted.suspect],
+        "cameras": {name: model.named_parameters() for name, model in zip(scene.cameras, adjusted.cameras, strict=False)},
+    }
+
+
+def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Section]:
+    """The sections of report.html; `remarks` are said beside the notes of the scene."""
+    summary, of_photos = scene_summary(scene), scene.from_photos
+    residual = np.abs(scene.adjusted.residual_px)
+    adjusted = residual[np.isfinite(residual)]
+    title, label = "Residuals", "orthogonal distance of an observed end (px)"
+    if of_photos is None:
+        before = np.abs(scene.adjusted.residual_before_px)
+        distances = {"triangulated": before[np.isfinite(before)], "adjusted": adjusted}
+        return [
+            report.summary_section(summary),
+            report.histogram_section(title, distances, label),
+            report.scene_section(lines=scene.lines, cameras=scene.poses),
+        ]
+    groups = [f"family {k + 1}" if k >= 0 else "no family" for k in of_photos.families.family.tolist()]
+    named = {stage.stage for stage in scene.stages}
+    rows = tuple(row for row in summary.rows if row[0] not in named)
+    photos = () if of_photos.folder is None else (of_photos.folder,)
+    return [
+        report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
+        report.scene_section(lines=scene.lines, groups=groups, cameras=scene.poses, up=of_photos.up),
+        stage_section(scene.stages),
+        photo_arcs_section(scene.photos),
+        *(line_photos_section(folder, scene.lines, scene.segments, scene.poses, scene.cameras) for folder in photos),
+        report.histogram_section(title, {"adjusted": adjusted}, label),
+        families_section(of_photos.families),
+        line_table_section(scene.lines),
+    ]

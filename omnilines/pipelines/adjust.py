@@ -1,0 +1,143 @@
+"""Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from camera_models import Calibration, CameraModel, InputError
+from camera_models.pose import Pose
+from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.scene import check_refine, reconstruct_lines
+from omnilines.least_squares import Progress
+from omnilines.least_squares.devices import usable_device
+from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.options import OF_TABLES, SceneOptions
+from omnilines.pipelines.scene import Scene, refined_calibration
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import ImagePoses, LengthUnit, Segments
+from omnilines.triangulation import check_triangulation
+from omnilines.triangulation.batches import triangulate_on
+from omnilines.triangulation.observations import PlaneObservations
+from omnilines.triangulation.result import Triangulation
+
+
+def adjust(
+    segments: Segments,
+    poses: PhotoPoses | ImagePoses | Pose,
+    camera: CameraModel | Calibration,
+    options: SceneOptions = OF_TABLES,
+    *,
+    robust: bool = False,
+    pose_sigma: tuple[float, float] | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    progress: ProgressCallback = silent,
+) -> Scene:
+    """Triangulate the tracks of matched segments and adjust their lines, and what `options.refine` names beside them.
+
+    `poses` alone (a `Pose` of n) are those of `segments.images` in their order. With `robust`, observations of other lines are
+    found by consensus and left out. `pose_sigma` (rad, m) makes the given poses a prior with these standard deviations of each
+    component; poses have to be refined then. `inputs` is what the scene says that it was made from.
+
+    Raises InputError where tables do not fit together, and GeometryError when no track determines a line.
+
+        scene = adjust(read_segments("segments.csv"), read_poses("poses.csv"), camera)
+        scene.lines.ends_m, scene.poses.covariance
+    """
+    check_refine(options.refine)
+    if pose_sigma is not None and not (min(pose_sigma) > 0 and "poses" in options.refine):
+        held = "refined" if "poses" in options.refine else "held"
+        raise InputError(
+            f"A prior on poses takes deviations above 0 and `refine` with poses, found {pose_sigma} and poses {held}."
+        )
+    cameras, table = calibration_of(camera), _table_of(poses, segments)
+
+    def tell(step: Progress) -> None:
+        progress("adjusting the scene", step.iteration, 0)
+
+    progress("triangulating", 0, 0)
+    scene = reconstruct_lines(
+        segments,
+        table,
+        cameras,
+        triangulation=options.triangulation,
+        triangulation_options=options.triangulation_options,
+        cost=options.cost,
+        refine_poses="poses" in options.refine,
+        refine_cameras="intrinsics" in options.refine,
+        refine_rig="rig" in options.refine,
+        rig=cameras.rig,
+        pose_sigma=pose_sigma,
+        robust=robust,
+        loss=options.loss,
+        options=options.adjustment,
+        device=options.device,
+        callback=tell,
+    )
+    unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
+    scene = replace(scene, lines=replace(scene.lines, unit=unit))
+    made_from = {"options": options} if inputs is None else inputs
+    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, scene.table.left_out, options=options)
+
+
+def triangulate(
+    segments: Segments,
+    poses: PhotoPoses | ImagePoses | Pose,
+    camera: CameraModel | Calibration,
+    method: str = "ml",
+    *,
+    device: str = "cpu",
+    **options: Any,
+) -> Triangulation:
+    """The lines of the tracks of matched segments, from poses and cameras as they are; `options` are those of the method.
+
+    Raises InputError where tables do not fit together, or there is no such method.
+
+        found = triangulate(segments, poses, camera)
+        found.lines.direction, found.status_names
+    """
+    check_triangulation(method)
+    table = _table_of(poses, segments)
+    arcs = arcs_from_segments(segments, table, calibration_of(camera)).arcs
+    covariance = arcs.covariance_px2 if arcs.sigma_known else None
+    seen_from = table.cam_from_world[arcs.image]
+    planes = PlaneObservations.from_arcs(
+        arcs.bearings, seen_from, arcs.track, arcs.tracks, arcs.by_pixel, covariance_px2=covariance
+    )
+    return triangulate_on(usable_device(device), method, planes, **options)
+
+
+def segments_of_arrays(
+    endpoints_px: Float[np.ndarray, "n 2 2"] | Float[torch.Tensor, "n 2 2"],
+    image: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"],
+    track: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"],
+    *,
+    sigma_px: Float[np.ndarray, " n"] | Float[torch.Tensor, " n"] | None = None,
+    covariance_px2: Float[np.ndarray, "n 2 2 2"] | Float[torch.Tensor, "n 2 2 2"] | None = None,
+) -> Segments:
+    """A table of segments from arrays: both ends of each, the number of its photo, and that of its line (-1 for none)."""
+    photo, line = np.asarray(image), np.asarray(track)
+    return Segments(
+        photo,
+        tuple(str(k) for k in range(int(photo.max()) + 1)),
+        line,
+        tuple(str(k) for k in range(int(line.max()) + 1)),
+        np.asarray(endpoints_px, dtype=np.float64),
+        None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64),
+        None if covariance_px2 is None else np.asarray(covariance_px2, dtype=np.float64),
+    )
+
+
+def _table_of(poses: PhotoPoses | ImagePoses | Pose, segments: Segments) -> ImagePoses:
+    """The poses as a table; single ones are of the photos of the segments."""
+    if isinstance(poses, PhotoPoses):
+        return poses.poses
+    if isinstance(poses, ImagePoses):
+        return poses
+    if len(poses) != len(segments.images):
+        raise InputError(f"A pose of each of {len(segments.images)} photos was expected, found {len(poses)}; give as many.")
+    return ImagePoses(segments.images, poses)

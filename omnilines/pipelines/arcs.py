@@ -1,0 +1,298 @@
+"""Arcs of many photos and the colours beside them, for lines: `extract`."""
+
+import hashlib
+import io
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from camera_models import Calibration, CameraModel, GeometryError, InputError
+from camera_models.formats.disk import write_atomically
+from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
+from omnilines.files.fingerprint import revision
+from omnilines.files.folders import output_folder
+from omnilines.matching.appearance import side_colours
+from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.options import AppearanceOptions
+from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.provenance import provenance
+from omnilines.records import ImagePoses, Segments
+
+SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
+"""Shorter arcs than by default are used for lines: other photos confirm them or not."""
+MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.files.photos")
+"""Whose source decides what the arcs of a photo are, beside this module."""
+_ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
+
+
+@dataclass(frozen=True)
+class FoundArcs:
+    """The arcs of one photo, the longest first."""
+
+    photo: Photo
+    camera: str
+    endpoints_px: Float[np.ndarray, "n 2 2"]
+    """(row, end, (u, v))."""
+    covariance_px2: Float[np.ndarray, "n 2 2 2"]
+    """Of each end point."""
+    length_px: Float[np.ndarray, " n"]
+    colours: Float[np.ndarray, "n 2 3"]
+    """Logarithms of the colours on both sides (`side_colours`); NaN where not known."""
+    reason: str | None = None
+    """Why the photo was skipped, one sentence."""
+
+    def __len__(self) -> int:
+        return len(self.length_px)
+
+
+@dataclass(frozen=True)
+class PhotoArcs:
+    """Arcs of a set of photos, for `estimate_poses` and `reconstruct`."""
+
+    photos: tuple[FoundArcs, ...]
+    """Of every photo, those that were skipped included."""
+    cameras: Calibration
+    notes: tuple[str, ...] = ()
+    """What a person should know of how they came about, one sentence each."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """What they were made from."""
+
+    def __len__(self) -> int:
+        return sum(map(len, self.photos))
+
+    @property
+    def used(self) -> tuple[FoundArcs, ...]:
+        """The photos that can be used."""
+        return tuple(arcs for arcs in self.photos if arcs.reason is None)
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Why each of the other photos cannot, by name."""
+        return {arcs.photo.name: arcs.reason for arcs in self.photos if arcs.reason is not None}
+
+    @property
+    def camera_of(self) -> dict[str, str]:
+        """The camera of each photo, by name."""
+        return {arcs.photo.name: arcs.camera for arcs in self.photos}
+
+    @property
+    def segments(self) -> Segments:
+        """All arcs as a table of segments without tracks."""
+        return segments_of(self.used)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Software, and what the arcs were made from."""
+        return provenance(self.inputs)
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write segments.csv into a folder, which is made; the files written."""
+        path = output_folder(folder) / "segments.csv"
+        write_segments(path, self.segments)
+        return (path,)
+
+
+def extract(
+    photos: Photos,
+    camera: CameraModel | Calibration,
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    options: ExtractionOptions = SHORT_ARCS,
+    appearance: AppearanceOptions = AppearanceOptions(),
+    work: str | Path | None = None,
+    progress: ProgressCallback = silent,
+) -> PhotoArcs:
+    """The arcs of straight lines in photos (a folder, files, or names with arrays), on all cores, one photo per core in memory.
+
+    Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is
+    looked at. `appearance` is which pixels beside an arc are its colours. Arcs are kept in the folder `work`, where one is given,
+    and read from there by another run that would find the same. A photo that cannot be read or has not the size of its camera is
+    skipped with its reason.
+
+    Raises InputError where there is no photo, none can be used, or the mask has not the size of the camera.
+
+        arcs = extract("scene/", camera)
+        arcs.segments.endpoints_px, arcs.segments.covariance_px2
+    """
+    cameras = calibration_of(camera)
+    refs = photos_of(photos)
+    camera_of = cameras_of_photos(refs, cameras)
+    if mask is not None:
+        check_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(Path(work) / "arcs"))
+
+    def look(photo: Photo) -> FoundArcs:
+        """The arcs of one photo, or why it has none."""
+        name = camera_of[photo.name]
+        least_rad = math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
+        try:
+            arrays = _kept_or_found(photo, cameras[name], least_rad, wanted)
+        except InputError as error:
+            return skipped(photo, name, str(error))
+        pixels, covariance, length, colours = (arrays[key] for key in _ARRAYS)
+        return FoundArcs(photo, name, pixels, covariance, length, colours)
+
+    found = on_all_cores(look, refs, "extracting arcs", progress)
+    require_any(found, "photos and calibration")
+    return PhotoArcs(tuple(found), cameras, (), {"photos": photo_folder(refs), "extraction": options})
+
+
+def calibration_of(camera: CameraModel | Calibration) -> Calibration:
+    """A camera alone as a calibration, of the name cam0."""
+    return camera if isinstance(camera, Calibration) else Calibration({"cam0": camera})
+
+
+def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str, str]:
+    """Of each photo, by name, the only camera, or the one that a folder of its path is named like; raises InputError where none
+    is."""
+    if len(cameras) == 1:
+        return dict.fromkeys((photo.name for photo in photos), next(iter(cameras)))
+    found = {}
+    for photo in photos:
+        parent = photo.path.parent if isinstance(photo, PhotoRef) else Path(photo.name).parent
+        folders = [part for part in reversed(parent.parts) if part in cameras]
+        if not folders:
+            raise InputError(
+                f"The photo {photo.name} was expected in a folder named like one of the cameras {', '.join(cameras)}, found "
+                f"{parent}; move it, or give the calibration of its camera alone."
+            )
+        found[photo.name] = folders[0]
+    return found
+
+
+def check_mask(mask: Bool[np.ndarray, "h w"], cameras: Sequence[CameraModel]) -> None:
+    """Raises InputError where a mask has not the size of the photos of all cameras."""
+    for camera in cameras:
+        if mask.shape[::-1] != camera.image_size:
+            raise InputError(
+                f"A mask of {camera.image_size[0]}x{camera.image_size[1]} px was expected, as the camera has, found "
+                f"{mask.shape[1]}x{mask.shape[0]} px; give one of that size."
+            )
+
+
+def skipped(photo: Photo, camera: str, reason: str) -> FoundArcs:
+    """A photo that cannot be used, and why."""
+    none = np.zeros((0, 2, 2))
+    return FoundArcs(photo, camera, none, np.zeros((0, 2, 2, 2)), np.zeros(0), np.zeros((0, 2, 3)), reason)
+
+
+def require_any(found: Sequence[FoundArcs], what: str) -> None:
+    """Raises InputError where every photo was skipped."""
+    if all(arcs.reason is not None for arcs in found):
+        raise InputError(f"No photo of {len(found)} can be used (first reason: {found[0].reason}); check {what}.")
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What is looked for in photos."""
+
+    mask: Bool[np.ndarray, "h w"] | None
+    options: ExtractionOptions
+    appearance: AppearanceOptions
+    folder: Path | None
+    """Where arcs are kept."""
+
+
+def _kept_or_found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
+    """The arrays of one photo, from the folder where they are there; they are kept in it."""
+    if wanted.folder is None or not isinstance(photo, PhotoRef):
+        return _found(photo, model, least_angle_rad, wanted)
+    try:
+        content = photo.path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{photo.path} cannot be read ({error.strerror}).") from error
+    path = wanted.folder / f"{_fingerprint(content, model, least_angle_rad, wanted)}.npz"
+    known = _read(path)
+    if known is None:
+        known = _found(photo, model, least_angle_rad, wanted)
+        buffer = io.BytesIO()
+        np.savez(buffer, **known)  # type: ignore[arg-type]
+        write_atomically(path, buffer.getvalue())
+    return known
+
+
+def _fingerprint(content: bytes, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> str:
+    """Of all that the arcs of a photo depend on."""
+    what = hashlib.sha256(content)
+    camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad)
+    what.update(f"{revision(*MADE_BY, __name__)} {(camera, wanted.options, wanted.appearance)!r}".encode())
+    if wanted.mask is not None:
+        what.update(np.packbits(wanted.mask).tobytes())
+    return what.hexdigest()[:32]
+
+
+def _found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
+    image = photo.read()
+    found = extract_arcs(image, model, wanted.mask, least_angle_rad, wanted.options)
+    bearings, seen = model.unproject(found.endpoints_px)
+    usable = seen.all(-1)
+    colours = side_colours(image, model, bearings[usable], wanted.appearance)
+    arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
+    return dict(zip(_ARRAYS, arrays, strict=True))
+
+
+def _read(path: Path) -> dict[str, np.ndarray] | None:
+    """The arrays of an earlier run; None where there are none, or a file that is damaged."""
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as file:
+            return {key: file[key] for key in _ARRAYS}
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+
+
+def in_order(found: Sequence[FoundArcs], poses: ImagePoses) -> list[FoundArcs]:
+    """The photos that have arcs and a pose, in the order of the poses."""
+    place = {name: k for k, name in enumerate(poses.images)}
+    posed = (arcs for arcs in found if arcs.reason is None and arcs.photo.name in place)
+    return sorted(posed, key=lambda arcs: place[arcs.photo.name])
+
+
+def viewed_arcs(found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration) -> ViewedArcs:
+    """The arcs of all photos that have a pose as bearings, photos in the order of their poses, as matching uses them.
+
+    Raises GeometryError where there are none.
+    """
+    found = in_order(found, poses)
+    if not sum(map(len, found)):
+        raise GeometryError(
+            f"Arcs of straight lines were expected, found none in {len(found)} photos with poses; see their pictures."
+        )
+    place = {name: k for k, name in enumerate(poses.images)}
+    bearings, by_pixel = [], []
+    with torch.no_grad():
+        for arcs in found:
+            ends = torch.as_tensor(arcs.endpoints_px)
+            bearings.append(cameras[arcs.camera].unproject(ends)[0].numpy())
+            by_pixel.append(cameras[arcs.camera].unproject_jacobian(ends).numpy())
+    return ViewedArcs(
+        np.repeat(np.array([place[arcs.photo.name] for arcs in found], dtype=np.int64), [len(arcs) for arcs in found]),
+        poses.cam_from_world,
+        np.concatenate(bearings),
+        np.concatenate(by_pixel),
+        np.concatenate([arcs.covariance_px2 for arcs in found]),
+        np.concatenate([arcs.colours for arcs in found]),
+    )
+
+
+def segments_of(found: Sequence[FoundArcs]) -> Segments:
+    """Arcs of photos as a table of segments without tracks."""
+    pixels = np.concatenate([arcs.endpoints_px for arcs in found])
+    return Segments(
+        np.repeat(np.arange(len(found)), [len(arcs) for arcs in found]),
+        tuple(arcs.photo.name for arcs in found),
+        np.full(len(pixels), -1),
+        (),
+        pixels,
+        covariance_px2=np.concatenate([arcs.covariance_px2 for arcs in found]),
+        cameras=tuple(arcs.camera for arcs in found),
+    )

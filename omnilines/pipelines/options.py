@@ -1,0 +1,110 @@
+"""How a line scene is made of arcs and poses."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.matching.options import MatchingOptions
+from omnilines.structure.options import StructureOptions
+
+
+class RoughPoseOptions(NamedTuple):
+    """When poses that were given are replaced by better ones before lines are matched (`better_poses`)."""
+
+    min_gain: float = 1.1
+    """Times as far that lines have to stand out under other poses for these to be taken."""
+    rough_px: float = 1.6
+    """Error of poses from which on they are rough: matching among near edges is then beyond telling apart."""
+    outlying: float = 3.0
+    """Times the median distance from the given places at which a photo has no say in where the others are."""
+
+
+class RoundOptions(NamedTuple):
+    """How often arcs are matched where poses are refined."""
+
+    min_rounds: int = 2
+    """Least number of rounds."""
+    max_rounds: int = 12
+    """Most rounds."""
+    min_gain: float = 1.01
+    """Times the arcs that tracks had a round before from which on another round is worth its time."""
+
+
+class KeptLineOptions(NamedTuple):
+    """Which lines are kept."""
+
+    max_rms_tolerances: float = 3.0
+    """A line is dropped whose arcs lie farther from it (RMS) than so many times the tolerance, or `max_rms_px`."""
+    max_rms_px: float = 1.5
+    """A line whose arcs lie nearer to it (RMS) is never dropped for that."""
+    max_chance: float = 1e-3
+    """A line is dropped that photos would show with a larger probability if it were not there."""
+    min_length_sigmas: float = 3.0
+    """A line shorter than so many standard deviations of its ends across it has no direction."""
+
+
+class FrameOptions(NamedTuple):
+    """The frame that a scene is written in."""
+
+    z_up_rad: float = math.radians(5.0)
+    """A vertical so near to z is z."""
+
+
+class AdviceOptions(NamedTuple):
+    """When photos, or the scene as a whole, are said to have few arcs that lines explain (`advice`)."""
+
+    hardly_explained: float = 0.4
+    """Of the share of arcs that lines explain in the median photo: below it a photo is named."""
+    few_explained: float = 0.3
+    """Share of the arcs of the median photo below which the scene as a whole is spoken of."""
+    poor_tolerance_px: float = 0.8
+    """Error of poses and calibration from which on they are what loses arcs."""
+    start_rad: float = math.radians(2.5)
+    """Turns about each axis from which a better pose is looked for."""
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """How a line scene is made."""
+
+    refine: tuple[str, ...] = ("lines",)
+    """What the adjustment refines: lines, with any of poses, intrinsics and rig."""
+    min_views: int = 4
+    """Photos that have to see a line (3 or more); one fewer where all of its arcs agree."""
+    tolerance_px: float | None = None
+    """Standard deviation that arcs have beyond what they state, for errors of poses and calibration; found from the arcs where it
+    is not given."""
+    triangulation: str = "ml"
+    """Method: dual, averaging, svd or ml."""
+    triangulation_options: Mapping[str, Any] = field(default_factory=dict)
+    """Those of the method's function, such as those that `omnilines.triangulation.method_options` gives."""
+    cost: str = "whitened"
+    """Cost of the adjustment: sector, whitened, taylor-kriegman or bartoli-sturm."""
+    loss: str = "cauchy"
+    """Robust loss of the adjustment: none, huber or cauchy."""
+    device: str = "cpu"
+    """Where lines are triangulated and adjusted: cpu or cuda."""
+    seed: int = 0
+    """Of everything random."""
+    matching: MatchingOptions = MatchingOptions()
+    """Which arcs show one line, and where photos stand by lines."""
+    adjustment: AdjustmentOptions = AdjustmentOptions()
+    """How lines are started, weighed and judged."""
+    structure: StructureOptions = StructureOptions()
+    """Where lines end, which are parallel, and which way is up."""
+    rough_poses: RoughPoseOptions = RoughPoseOptions()
+    """When given poses are replaced by better ones."""
+    rounds: RoundOptions = RoundOptions()
+    """How often arcs are matched."""
+    kept_lines: KeptLineOptions = KeptLineOptions()
+    """Which lines are kept."""
+    frame: FrameOptions = FrameOptions()
+    """The frame that a scene is written in."""
+    advice: AdviceOptions = AdviceOptions()
+    """What is said of photos that lines hardly explain."""
+
+
+OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")
+"""Of matched segments that a user brings: they are taken as they are."""

@@ -1,0 +1,322 @@
+"""Where the poses of photos come from: a table, a COLMAP model, a rig, a board, a sheet, or the photos themselves."""
+
+import hashlib
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import torch
+
+from calib_patterns import pattern as parse_pattern
+from camera_models import Calibration, CameraModel, InputError, load
+from camera_models.errors import OmnilinesError
+from camera_models.formats.disk import write_atomically
+from camera_models.pose import Pose
+from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
+from omnilines.files.fingerprint import fingerprint, revision
+from omnilines.files.folders import output_folder
+from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
+from omnilines.posing.find_rectangle import BearingArcs
+from omnilines.posing.from_boards import poses_from_boards
+from omnilines.posing.from_colmap import poses_from_colmap
+from omnilines.posing.from_corners import poses_from_corners
+from omnilines.posing.from_rectangles import poses_from_rectangles
+from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.rectangle import PREFIX, parse_rectangle
+from omnilines.posing.sfm import sfm_poses
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import ImagePoses, LengthUnit
+
+SOURCES = ("sfm", "rig", "boards")
+SHEET = f"{PREFIX}WIDTHxHEIGHT"
+UNIT_KEY = "length_unit"
+"""In the provenance of a scene's calibration.yaml, and in `--json`."""
+LEAST_PHOTOS = 3
+"""For structure from motion."""
+KEPT = "poses.npz"
+MADE_BY = (
+    "camera_models",
+    "calib_patterns",
+    *(f"omnilines.{part}" for part in ("geometry", "least_squares", "matching", "posing")),
+)
+"""Whose source decides what poses are found in photos, beside this module."""
+
+
+def from_photos(source: str) -> bool:
+    """Whether poses come from the photos and the calibration, not from a table or a model."""
+    return source in SOURCES or source.startswith(PREFIX)
+
+
+def check_source(
+    source: str, photos: Sequence[Photo], cameras: Calibration, camera_of: Mapping[str, str], pattern: str | None
+) -> None:
+    """Refuse what `estimate_poses` cannot work from, before any photo is looked at: tables, models and patterns are read.
+
+    Raises InputError where the source is none of those there or does not fit the photos.
+    """
+    if (pattern is not None) != (source == "boards"):
+        raise InputError(
+            f"`pattern` was expected with `poses` boards and only there, found `poses` {source}; correct the options."
+        )
+    if source == "boards":
+        parse_pattern(pattern or "")
+    elif source.startswith(PREFIX):
+        parse_rectangle(source)
+    elif source == "sfm":
+        if len(photos) < LEAST_PHOTOS:
+            raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
+    else:
+        _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+
+
+def estimate_poses(
+    photos: Photos | PhotoArcs,
+    camera: CameraModel | Calibration,
+    source: str | Path = "sfm",
+    *,
+    pattern: str | None = None,
+    seed: int = 0,
+    work: str | Path | None = None,
+    progress: ProgressCallback = silent,
+) -> PhotoPoses:
+    """Poses of photos, or of the photos that arcs were found in.
+
+    `source` is `sfm` (structure from motion), `rig`, `boards` (with a `pattern`), `rectangle:WIDTHxHEIGHT` (a sheet of that
+    size, found by its arcs), or the path of a poses.csv, a corners.csv of points of known place, or a folder with a COLMAP model.
+    Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Poses that
+    were looked for in photos are kept in the folder `work`, where one is given.
+
+    Raises InputError where the source does not fit the photos, and GeometryError where the photos give no poses.
+
+        posed = estimate_poses(arcs, camera, "sfm")
+        posed.poses.cam_from_world, posed.left_out
+    """
+    source, cameras = str(source), calibration_of(camera)
+    arcs = photos if isinstance(photos, PhotoArcs) else None
+    if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):
+        arcs = extract(photos, cameras, work=work, progress=progress)
+    refs = [one.photo for one in photos.used] if isinstance(photos, PhotoArcs) else photos_of(photos)
+    camera_of = cameras_of_photos(refs, cameras) if arcs is None else arcs.camera_of
+    if not isinstance(photos, PhotoArcs):
+        check_source(source, refs, cameras, camera_of, pattern)
+    found = _found(source, refs, arcs, cameras, camera_of, pattern, seed, work, progress)
+    return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of))
+
+
+def kind_of(source: str) -> str:
+    """The kind of a source of poses, as `PhotoPoses` names it."""
+    if from_photos(source):
+        return source.split(":")[0]
+    return "colmap" if Path(source).is_dir() else "table"
+
+
+def _found(
+    source: str,
+    photos: Sequence[Photo],
+    arcs: PhotoArcs | None,
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    pattern: str | None,
+    seed: int,
+    work: str | Path | None,
+    progress: ProgressCallback,
+) -> PhotoPoses:
+    """The poses, kept where a folder for that is given and they had to be looked for."""
+    if not from_photos(source):
+        return _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+    if work is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return _looked_for(source, photos, arcs, cameras, camera_of, pattern, seed, Path(folder), progress)
+    path = output_folder(work) / KEPT
+    made_from = _made_from(source, photos, arcs, cameras, camera_of, pattern, seed)
+    known = _read(path, made_from)
+    if known is None:
+        known = _looked_for(source, photos, arcs, cameras, camera_of, pattern, seed, Path(work), progress)
+        _write(path, made_from, known)
+    return known
+
+
+def _looked_for(
+    source: str,
+    photos: Sequence[Photo],
+    arcs: PhotoArcs | None,
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    pattern: str | None,
+    seed: int,
+    work: Path,
+    progress: ProgressCallback,
+) -> PhotoPoses:
+    names = [photo.name for photo in photos]
+    photo_of = {photo.name: photo for photo in photos}
+
+    def read(name: str) -> np.ndarray:
+        return photo_of[name].read()
+
+    if source == "sfm":
+        frames = instants(names) if cameras.rig else None
+        return sfm_poses(names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed)
+    if source == "boards":
+        return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress=progress)
+    if source == "rig":
+        return poses_from_rig(cameras, names, camera_of, instants(names))
+    assert arcs is not None
+    arcs_of = {found.photo.name: found for found in arcs.photos}
+    return poses_from_rectangles(
+        names, read, lambda name: sides_of(arcs_of[name], cameras), cameras, camera_of, estimates=cameras.estimates,
+        rectangle=parse_rectangle(source), seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def sides_of(found: FoundArcs, cameras: Calibration) -> BearingArcs:
+    """Arcs with the noise of their end bearings."""
+    camera, ends = cameras[found.camera], torch.as_tensor(found.endpoints_px)
+    with torch.no_grad():
+        bearings, _ = camera.unproject(ends)
+        by_pixel = camera.unproject_jacobian(ends)
+    noise = by_pixel @ torch.as_tensor(found.covariance_px2) @ by_pixel.mT
+    return BearingArcs(bearings.numpy(), noise.numpy(), found.colours)
+
+
+def _without_photos(source: str, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
+    """Poses from a source that does not look into the photos."""
+    if source == "rig":
+        return poses_from_rig(cameras, names, camera_of, instants(names))
+    if Path(source).is_dir():
+        return poses_from_colmap(source, names, camera_of)
+    if not Path(source).is_file():
+        raise InputError(
+            "`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, or one of "
+            f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
+        )
+    return _from_table(Path(source), names, cameras, camera_of)
+
+
+def instants(names: Sequence[str]) -> dict[str, str]:
+    """The instant of each photo of a rig: photos of one file name are of one."""
+    return {name: PurePosixPath(name).stem for name in names}
+
+
+def _from_table(path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
+    if is_corners_table(path):
+        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names})
+    return given_poses(read_poses(path), names, cameras, camera_of, str(path))
+
+
+def given_poses(
+    table: ImagePoses, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], path: str
+) -> PhotoPoses:
+    """The poses of photos that a table has, those of a rig completed; `path` is what messages call it.
+
+    Raises InputError where it has none of them.
+    """
+    known = [k for k, name in enumerate(table.images) if name in camera_of]
+    if not known:
+        raise InputError(
+            f"{path}: poses of the photos ({names[0]}, ...) were expected, found those of {', '.join(table.images[:3])}; names "
+            "are paths relative to the photo folder."
+        )
+    images = tuple(table.images[k] for k in known)
+    frames = None if table.frames is None else tuple(table.frames[k] for k in known)
+    names_of = tuple(camera_of[image] for image in images)
+    poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
+    if cameras.rig and frames is not None:
+        whole = {**instants(names), **dict(zip(images, frames, strict=True))}
+        return complete_from_rig(cameras, poses, names, camera_of, whole)
+    lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
+    return PhotoPoses(poses, lost)
+
+
+def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
+    """What the poses of a source are in, before they are known.
+
+    A rig whose cameras stand apart gives metres, a board and a table do; a COLMAP model does not say. A poses.csv beside the
+    calibration.yaml of a scene whose unit is open is of that scene.
+    """
+    if source == "sfm":
+        names = set(camera_of.values())
+        centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
+        return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
+    path = Path(source)
+    if path.is_dir():
+        return LengthUnit.OPEN
+    return unit_of_table(path) if path.is_file() else LengthUnit.METRES
+
+
+def unit_of_table(poses: Path) -> LengthUnit:
+    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open."""
+    beside = poses.parent / "calibration.yaml"
+    try:
+        known = load(beside).provenance if beside.is_file() else {}
+    except OmnilinesError:
+        return LengthUnit.METRES
+    return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
+
+
+def _made_from(
+    source: str,
+    photos: Sequence[Photo],
+    arcs: PhotoArcs | None,
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    pattern: str | None,
+    seed: int,
+) -> str:
+    """Of all that poses found in photos depend on."""
+    names = {photo.name: camera_of[photo.name] for photo in photos}
+    known = [
+        (name, model.NAME, model.image_size, model.parameters.detach().tolist(), _angles_deg(cameras, name))
+        for name, model in cameras.items()
+    ]
+    rig = [(name, one.cam_from_rig.rotation.tolist(), one.cam_from_rig.translation.tolist()) for name, one in cameras.rig.items()]
+    seen = hashlib.sha256()
+    if source.startswith(PREFIX) and arcs is not None:
+        for one in arcs.photos:
+            for values in (one.endpoints_px, one.covariance_px2, one.colours):
+                seen.update(np.ascontiguousarray(values).tobytes())
+    for photo in photos:
+        if not isinstance(photo, PhotoRef):
+            seen.update(np.ascontiguousarray(photo.read()).tobytes())
+    options = repr((source, pattern, seed, names, known, rig, seen.hexdigest()))
+    return fingerprint([photo.path for photo in photos if isinstance(photo, PhotoRef)], options, revision(*MADE_BY, __name__))
+
+
+def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
+    """Between which a camera is known."""
+    estimate = cameras.estimates.get(name)
+    return (0.0, None) if estimate is None else (estimate.min_angle_deg, estimate.max_angle_deg)
+
+
+def _read(path: Path, inputs: str) -> PhotoPoses | None:
+    """The poses in a file; None where it is absent, damaged, or of other inputs."""
+    try:
+        with np.load(path) as file:
+            words = json.loads(str(file["words"]))
+            if words["inputs"] != inputs:
+                return None
+            pose = Pose(torch.as_tensor(file["rotation"]), torch.as_tensor(file["translation"]))
+            covariance = file["covariance"] if "covariance" in file else None
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+    named = {name: None if words[name] is None else tuple(words[name]) for name in ("cameras", "frames")}
+    poses = ImagePoses(tuple(words["images"]), pose, named["cameras"], covariance, named["frames"])
+    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]))
+
+
+def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
+    poses = found.poses
+    words: dict[str, Any] = {"inputs": inputs, "left_out": dict(found.left_out), "notes": found.notes}
+    words |= {"images": poses.images, "cameras": poses.cameras, "frames": poses.frames}
+    arrays = {"rotation": poses.cam_from_world.rotation.numpy(), "translation": poses.cam_from_world.translation.numpy()}
+    if poses.covariance is not None:
+        arrays["covariance"] = poses.covariance
+    buffer = io.BytesIO()
+    np.savez(buffer, words=np.array(json.dumps(words)), **arrays)  # type: ignore[arg-type]
+    write_atomically(path, buffer.getvalue())

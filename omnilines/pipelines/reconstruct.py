@@ -1,0 +1,146 @@
+"""Arcs of photos, poses and cameras -> 3D lines with their uncertainty: `reconstruct`."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from camera_models import Calibration, CameraModel, GeometryError, InputError
+from omnilines.adjustment.scene import check_refine
+from omnilines.costs import check_cost
+from omnilines.files import photo_folder, write_poses
+from omnilines.files.folders import output_folder
+from omnilines.least_squares import Loss
+from omnilines.least_squares.devices import usable_device
+from omnilines.pipelines.adjust import adjust
+from omnilines.pipelines.advice import advice
+from omnilines.pipelines.arcs import PhotoArcs, calibration_of
+from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
+from omnilines.pipelines.kept_lines import KeptLines
+from omnilines.pipelines.lines import lines_of_arcs
+from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.poses import estimate_poses, given_poses
+from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.sfm import doubt
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import ImagePoses, Segments
+from omnilines.structure.families import line_families
+from omnilines.triangulation import check_triangulation
+
+
+def check_options(options: SceneOptions, cameras: Calibration) -> None:
+    """Refuse what cannot be done before any photo is looked at. Raises InputError."""
+    check_refine(options.refine)
+    check_triangulation(options.triangulation)
+    check_cost(options.cost)
+    Loss(options.loss)
+    usable_device(options.device)
+    if options.min_views < 3 or (options.tolerance_px is not None and not options.tolerance_px > 0):
+        raise InputError(
+            f"`min_views` of 3 or more and a `tolerance_px` above 0 were expected, found {options.min_views} and "
+            f"{options.tolerance_px}; correct the options."
+        )
+    if "rig" in options.refine and not cameras.rig:
+        raise InputError("`refine` rig was expected with the calibration of a rig, found cameras without one; leave it out.")
+
+
+def reconstruct(
+    arcs: PhotoArcs | Segments,
+    poses: PhotoPoses | ImagePoses,
+    camera: CameraModel | Calibration,
+    options: SceneOptions = SceneOptions(),
+    *,
+    distance: KnownDistance | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    work: str | Path | None = None,
+    progress: ProgressCallback = silent,
+) -> Scene:
+    """The straight lines that photos show, from their arcs (`extract`), or from a table of matched segments.
+
+    `poses` are those of `estimate_poses` or `read_poses`. With poses refined (`options.refine`), rough ones are made better
+    first, and photos that have none are placed by the lines. `distance`, known in metres, scales poses whose unit is open.
+    `inputs` is what the scene says that it was made from. Poses that have to be found in the photos are kept in the folder
+    `work`, where one is given.
+
+    Raises InputError on bad options or tables, and GeometryError naming the stage where no line is left.
+
+        scene = reconstruct(arcs, read_poses("poses.csv"), camera, SceneOptions(refine=("lines", "poses")))
+        scene.lines.ends_m, scene.lines.covariance
+        scene.save("scene/")
+        scene.report("scene/report.html")
+    """
+    if isinstance(arcs, Segments):
+        return adjust(arcs, poses, camera, options, inputs=inputs, progress=progress)
+    cameras = calibration_of(camera)
+    check_options(options, cameras)
+    posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
+    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
+        posed = better_poses(
+            arcs.used,
+            posed,
+            cameras,
+            from_photos=lambda: estimate_poses(arcs, cameras, SFM, seed=options.seed, work=work, progress=progress),
+            options=options,
+            progress=progress,
+        )
+    table = None if work is None else output_folder(work) / "poses.csv"
+    if table is not None:
+        write_poses(table, posed.poses)
+    if distance is not None:
+        require_poses(distance, posed)
+    try:
+        found = lines_of_arcs(arcs.used, posed.poses, cameras, options, progress)
+    except GeometryError as error:
+        known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
+        raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}") from None
+    made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs
+    return _scene(arcs, posed, found, cameras, options, distance, made_from, progress)
+
+
+def _of_table(arcs: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> PhotoPoses:
+    """A table's poses of the photos that can be used."""
+    return given_poses(poses, [one.photo.name for one in arcs.used], cameras, arcs.camera_of, "The table of poses")
+
+
+def _scene(
+    arcs: PhotoArcs,
+    posed: PhotoPoses,
+    found: KeptLines,
+    cameras: Calibration,
+    options: SceneOptions,
+    distance: KnownDistance | None,
+    inputs: Mapping[str, Any],
+    progress: ProgressCallback,
+) -> Scene:
+    """Lines and poses in the frame that they are written in, and what is to be said of them."""
+    progress("looking for parallel lines", 0, 0)
+    lines, poses = found.scene.lines, found.scene.poses
+    families = line_families(lines, options.structure.families)
+    frame = scene_frame(
+        lines, poses, families, source=posed.source, unit=posed.unit, known=distance, options=options
+    )  # fmt: skip
+    found = replace(found, scene=replace(found.scene, lines=frame.lines, poses=frame.poses))
+    told = (
+        *(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items()),
+        *arcs.notes,
+        *_of_poses(posed, found.scene.poses),
+        *frame.notes,
+        *advice(found, options, progress),
+    )
+    folder = photo_folder([one.photo for one in arcs.photos])
+    of_photos = FromPhotos(
+        folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, frame.families, frame.up
+    )  # fmt: skip
+    return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, of_photos, options)
+
+
+def _of_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[str, ...]:
+    """What is to be said of where photos were taken."""
+    known = set(final.images)
+    placed = sorted(name for name in final.images if name not in posed.poses.images)
+    lost = {name: why for name, why in posed.left_out.items() if name not in known}
+    by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
+    doubts = doubt(len(lost), len(known) + len(lost)) if posed.source == SFM else ()
+    return (*lost.values(), *([by_lines] if placed else []), *without_scale(posed.notes), *doubts)

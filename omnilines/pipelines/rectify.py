@@ -1,0 +1,181 @@
+"""Photos resampled into perspective, cylindrical, panoramic and cube views, with their cameras and poses: `rectify`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import UInt
+
+from camera_models import Calibration, CameraModel, InputError, save
+from camera_models.pose import Pose
+from camera_models.resampling import SamplingGrid, resample, sampling_grid
+from camera_models.views import View, axis_from_camera, views
+from omnilines.files import Photo, Photos, photos_of, write_png, write_poses
+from omnilines.files.colmap_scene import check_colmap_folder, write_colmap_scene
+from omnilines.files.folders import output_folder
+from omnilines.pipelines.arcs import calibration_of
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
+from omnilines.records import ImagePoses
+
+COLMAP_VIEWS = ("perspective", "cube")
+"""Of which a COLMAP model is written."""
+
+
+@dataclass(frozen=True)
+class OneView:
+    """A view of a photo."""
+
+    name: str
+    """The file that it is written to."""
+    photo: Photo
+    camera: str
+    """Of the photo."""
+    target: View
+
+
+@dataclass(frozen=True)
+class RectifiedViews:
+    """Views of photos; pixels are made when they are asked for, so that one photo is in memory at a time."""
+
+    view: str
+    photos: tuple[Photo, ...]
+    views: tuple[OneView, ...]
+    camera: CameraModel
+    """Of all views."""
+    grids: Mapping[tuple[str, str], SamplingGrid] = field(repr=False)
+    """Of each camera and face."""
+    poses: ImagePoses | None = None
+    """Of the views, by name, where those of the photos were given."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """What the views were made from."""
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Software, and what the views were made from."""
+        return provenance(self.inputs)
+
+    @property
+    def shown_share(self) -> dict[tuple[str, str], float]:
+        """Share of a view that the photos of a camera show, by camera and face."""
+        return {key: float(grid.valid.mean()) for key, grid in self.grids.items()}
+
+    def pixels(self, progress: ProgressCallback = silent) -> Iterator[tuple[str, UInt[np.ndarray, "h w *channels"]]]:
+        """Name and pixels of every view; what the photo does not show is black. Raises InputError where a photo is none."""
+        progress("resampling photos", 0, len(self.photos))
+        for k, photo in enumerate(self.photos):
+            image = photo.read()
+            for one in self.views:
+                if one.photo.name == photo.name:
+                    yield one.name, resample(image, self.grids[one.camera, one.target.name])
+            progress("resampling photos", k + 1, len(self.photos))
+
+    def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
+        """Write the views (PNG), calibration.yaml and, where poses are known, poses.csv and for perspective views a COLMAP model
+        into a folder, which is made; the files written. Raises InputError where the folder holds parts of another model."""
+        out = output_folder(folder)
+        colmap = self.poses is not None and self.view in COLMAP_VIEWS
+        if colmap:
+            check_colmap_folder(out / "colmap", [photo.name for photo in self.photos])
+        files = []
+        for name, pixels in self.pixels(progress):
+            files.append(out / name)
+            files[-1].parent.mkdir(parents=True, exist_ok=True)
+            write_png(files[-1], pixels)
+        files.append(out / "calibration.yaml")
+        save(files[-1], Calibration({self.view: self.camera}, provenance=self.provenance))
+        if self.poses is not None:
+            files.append(out / "poses.csv")
+            write_poses(files[-1], self.poses)
+            if colmap:
+                files += write_colmap_scene(output_folder(out / "colmap"), {self.view: self.camera}, self.poses)
+        return tuple(files)
+
+
+def rectify(
+    photos: Photos,
+    camera: CameraModel | Calibration,
+    view: str = "perspective",
+    *,
+    poses: ImagePoses | PhotoPoses | None = None,
+    fov_deg: float | None = None,
+    size: tuple[int, int] | None = None,
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+    inputs: Mapping[str, Any] | None = None,
+) -> RectifiedViews:
+    """Perspective, cylindrical, panorama or cube views of photos, and where they look from.
+
+    `view`, `size` (px), `fov_deg`, `yaw_deg` and `pitch_deg` are those of `camera_models.views.views`. Of several cameras, the
+    poses say which one a photo is of; they must name every photo. `inputs` is what the views say that they were made from.
+
+    Raises InputError on photos, poses and options that are not what they have to be.
+
+        views = rectify("photos/", camera, "cube", size=(800, 800))
+        for name, pixels in views.pixels(): ...
+    """
+    cameras, found = calibration_of(camera), photos_of(photos)
+    table = poses.poses if isinstance(poses, PhotoPoses) else poses
+    of_photo = _cameras_of_photos(found, cameras, table)
+    targets = views(view, size, fov_deg, yaw_deg, pitch_deg)
+    made = tuple(
+        OneView(_file_name(photo.name, target.name), photo, of_photo[photo.name], target) for photo in found for target in targets
+    )
+    grids = {}
+    for one in made:
+        if (one.camera, one.target.name) not in grids:
+            turn = _turn(cameras[one.camera], one.target)
+            grids[one.camera, one.target.name] = sampling_grid(one.target.camera, cameras[one.camera], turn.T)
+    its = None if table is None else _poses_of_views(view, cameras, table, made)
+    asked = {"view": view, "fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg}
+    return RectifiedViews(view, tuple(found), made, targets[0].camera, grids, its, asked if inputs is None else inputs)
+
+
+def _cameras_of_photos(photos: Sequence[Photo], cameras: Calibration, table: ImagePoses | None) -> dict[str, str]:
+    """Camera of each photo by name."""
+    only = next(iter(cameras))
+    if table is None:
+        if len(cameras) > 1:
+            raise InputError(
+                f"A calibration of one camera was expected, found {len(cameras)}; give `poses` with the camera of every photo."
+            )
+        return {photo.name: only for photo in photos}
+    named = table.cameras or ("",) * len(table)
+    known = {image: camera or only for image, camera in zip(table.images, named, strict=True)}
+    for photo in photos:
+        if photo.name not in known:
+            raise InputError(f"A pose of every photo was expected, found none of '{photo.name}'; add it or leave the photo out.")
+        if known[photo.name] not in cameras:
+            raise InputError(
+                f"A camera of the calibration was expected for '{photo.name}', found '{known[photo.name]}'; name one of "
+                f"{', '.join(cameras)}."
+            )
+    if len(cameras) > 1 and table.cameras is None:
+        raise InputError("The camera of every photo was expected in poses.csv, found none; fill in the column camera.")
+    return known
+
+
+def _turn(camera: CameraModel, target: View) -> np.ndarray:
+    """view_from_cam."""
+    return target.view_from_axis @ axis_from_camera(camera)
+
+
+def _file_name(photo: str, face: str) -> str:
+    stem = PurePosixPath(photo).with_suffix("")
+    return f"{stem}_{face}.png" if face else f"{stem}.png"
+
+
+def _poses_of_views(view: str, cameras: Calibration, table: ImagePoses, made: Sequence[OneView]) -> ImagePoses:
+    row = {image: k for k, image in enumerate(table.images)}
+    source = table.cam_from_world[[row[one.photo.name] for one in made]]
+    turn = torch.as_tensor(np.stack([_turn(cameras[one.camera], one.target) for one in made]))
+    turned = Pose(turn @ source.rotation, (turn @ source.translation[..., None])[..., 0])
+    frames = None if table.frames is None else tuple(table.frames[row[one.photo.name]] for one in made)
+    return ImagePoses(tuple(one.name for one in made), turned, (view,) * len(made), None, frames)

@@ -1,0 +1,140 @@
+"""A line scene: lines and poses with their uncertainty, what they came from, and the files that hold them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camera_models import Calibration, CameraEstimate, save
+from camera_models.formats.calibration_data import RigCamera
+from omnilines.adjustment.scene import AdjustedScene
+from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
+from omnilines.files.folders import output_folder
+from omnilines.files.obj import write_obj
+from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.poses import UNIT_KEY
+from omnilines.provenance import provenance
+from omnilines.records import ImagePoses, Lines, PhotoCount, Segments, StageCount
+from omnilines.structure.families import Families
+
+
+@dataclass(frozen=True)
+class FromPhotos:
+    """What is known of a scene whose lines were matched in photos."""
+
+    folder: Path | None
+    """That names of photos are relative to; None of photos in memory."""
+    given: int
+    """Number of photos, those that were skipped included."""
+    stages: tuple[StageCount, ...]
+    """What every stage kept and dropped."""
+    photos: tuple[PhotoCount, ...]
+    """What became of the arcs of each photo."""
+    tolerance_px: float
+    """Standard deviation that arcs were given beyond their own, for errors of poses and calibration."""
+    families: Families
+    """Of parallel lines."""
+    up: tuple[float, float, float]
+    """The direction (unit) that is up."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """3D lines with the poses and cameras that see them."""
+
+    adjusted: AdjustedScene
+    """Lines and poses with their residuals and noise, and the lines as they were triangulated."""
+    segments: Segments
+    """The arcs, with the line of each."""
+    cameras: Calibration
+    """As they were refined."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """What the scene was made from."""
+    told: tuple[str, ...] = ()
+    """What a person should know of how it was made, one sentence each."""
+    from_photos: FromPhotos | None = None
+    options: SceneOptions = SceneOptions()
+
+    @property
+    def lines(self) -> Lines:
+        """`ends_m` (n, 2, 3), `covariance` (n, 4, 4) in the line chart, `sigma_m`, `status`, ..."""
+        return self.adjusted.lines
+
+    @property
+    def poses(self) -> ImagePoses:
+        """`cam_from_world` of the photos, with `covariance` (n, 6, 6) where poses were refined."""
+        return self.adjusted.poses
+
+    @property
+    def stages(self) -> tuple[StageCount, ...]:
+        """What every stage kept and dropped; nothing where segments were matched already."""
+        return () if self.from_photos is None else self.from_photos.stages
+
+    @property
+    def photos(self) -> tuple[PhotoCount, ...]:
+        """What became of the arcs of each photo; nothing where segments were matched already."""
+        return () if self.from_photos is None else self.from_photos.photos
+
+    @property
+    def families(self) -> Families | None:
+        """Families of parallel lines, where they were looked for."""
+        return None if self.from_photos is None else self.from_photos.families
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that a person should know of the scene, one sentence each."""
+        from omnilines.pages.scene import scene_summary
+
+        return (*self.told, *scene_summary(self).notes)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Software, what the scene was made from, and the unit of its lengths."""
+        return {**provenance(self.inputs), UNIT_KEY: self.lines.unit.sign}
+
+    def median_sigma_m(self) -> float:
+        """Median of the largest standard deviation of a line's ends across it; NaN where none is known."""
+        known = self.lines.sigma_m[np.isfinite(self.lines.sigma_m)]
+        return float(np.median(known)) if len(known) else float("nan")
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write the scene folder (docs/reconstruction.md) but for the report; the files written. Raises InputError where one
+        cannot be."""
+        out = output_folder(folder)
+        names = ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv", "covariance.npz", "lines.ply")
+        paths = [out / name for name in names]
+        save(paths[0], replace(self.cameras, provenance=self.provenance))
+        write_poses(paths[1], self.poses)
+        write_segments(paths[2], self.segments)
+        write_lines(paths[3], self.lines)
+        write_covariance(paths[4], self.poses, self.lines)
+        write_ply(paths[5], self.lines, camera_centres_m=self.poses.cam_from_world.centre.numpy())
+        if self.from_photos is not None:
+            paths.append(out / "lines.obj")
+            write_obj(paths[-1], self.lines)
+        return tuple(paths)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one self-contained HTML file; its path."""
+        from omnilines.pages.scene import scene_sections
+        from omnilines.report import write_report
+
+        return write_report(path, "Line scene", scene_sections(self))
+
+
+def refined_calibration(scene: AdjustedScene, cameras: Calibration) -> Calibration:
+    """The calibration with the cameras and the rig as they were refined, and with their uncertainty."""
+    models, estimates, rig = dict(cameras.cameras), dict(cameras.estimates), dict(cameras.rig)
+    for name, model, covariance in zip(models, scene.cameras, scene.adjusted.camera_covariance, strict=False):
+        models[name] = model
+        sigma = covariance.diagonal().clamp_min(0).sqrt().tolist()
+        named = dict(zip(model.PARAMETER_NAMES, sigma, strict=True))
+        # The residuals of a calibration are those of its own corners.
+        known = replace(estimates.get(name, CameraEstimate()), rms_px_per_axis=None, rms_px_per_point=None)
+        estimates[name] = replace(known, sigma=named, covariance=covariance.numpy())
+    if scene.cam_from_rig is not None and scene.adjusted.rig_covariance is not None:
+        sigmas = scene.adjusted.rig_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt().numpy()
+        rig = {name: RigCamera(scene.cam_from_rig[k], sigmas[k]) for k, name in enumerate(rig)}
+    return Calibration(models, estimates, rig, cameras.views)

@@ -1,0 +1,213 @@
+"""From arcs to the scene in Python: objects in, objects out, what is kept on disk and when it is made anew."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from camera_models import Calibration, InputError, load
+from omnilines.commands.reconstruct import reconstruct_photos
+from omnilines.commands.resume import Stamp
+from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments
+from omnilines.files.fingerprint import content_hash, revision
+from omnilines.files.fingerprint import fingerprint as made_from
+from omnilines.pipelines import arcs as arcs_module
+from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
+from omnilines.pipelines.arcs import PhotoArcs, extract
+from omnilines.pipelines.given_arcs import given_arcs
+from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.poses import estimate_poses
+from omnilines.pipelines.reconstruct import reconstruct
+from omnilines.pipelines.rectify import rectify
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.scene import Scene
+from omnilines.progress import Cancelled
+from omnilines.records import ImagePoses, LengthUnit
+
+VIEWS, SIZE = 6, (400, 400)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of photos of a plain room, with its calibration and poses."""
+    folder = tmp_path_factory.mktemp("room") / "photos"
+    render_scene("plain-room", "opencv-fisheye", RenderOptions(views=VIEWS, size_px=SIZE, seed=4)).save(folder)
+    for name in ("calibration.yaml", "poses.csv"):
+        (folder / name).rename(folder.parent / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cameras(room: Path) -> Calibration:
+    return load(room.parent / "calibration.yaml")
+
+
+@pytest.fixture(scope="module")
+def poses(room: Path) -> ImagePoses:
+    return read_poses(room.parent / "poses.csv")
+
+
+@pytest.fixture(scope="module")
+def found(room: Path, cameras: Calibration) -> PhotoArcs:
+    return extract(room, cameras)
+
+
+@pytest.fixture(scope="module")
+def scene(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> Scene:
+    return reconstruct(found, poses, cameras["cam0"])
+
+
+def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
+    room: Path, cameras: Calibration, poses: ImagePoses, found: PhotoArcs, scene: Scene, tmp_path: Path, capfd, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    capfd.readouterr()
+    stages: list[str] = []
+    again = reconstruct(found, poses, cameras["cam0"], progress=lambda stage, *_: stages.append(stage))
+    assert capfd.readouterr() == ("", "") and not list(tmp_path.iterdir()) and "building tracks" in stages
+    np.testing.assert_array_equal(again.lines.ends_m, scene.lines.ends_m)
+    assert len(scene.lines) > 30 and scene.lines.covariance is not None
+    assert len(scene.photos) == VIEWS and scene.stages[-1].kept == len(scene.lines) and scene.families is not None
+    assert scene.provenance["inputs"]["photos"] == str(room) and "min_views=4" in scene.provenance["inputs"]["options"]
+    files = scene.save(tmp_path / "scene")
+    assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").iterdir()}
+    assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(scene.lines)
+    assert "Stages" in scene.report(tmp_path / "report.html").read_text()
+
+
+def test_the_command_gives_the_same_lines(room: Path, scene: Scene, tmp_path: Path) -> None:
+    reconstruct_photos([room], room.parent / "calibration.yaml", str(room.parent / "poses.csv"), tmp_path)
+    scene.save(tmp_path / "api")
+    assert (tmp_path / "lines.csv").read_bytes() == (tmp_path / "api" / "lines.csv").read_bytes()
+
+
+def test_photos_in_memory_give_what_files_give(room: Path, cameras: Calibration, found: PhotoArcs, tmp_path: Path) -> None:
+    photos = {ref.name: torch.as_tensor(read_photo(ref.path)) for ref in find_photos([room])[:2]}
+    arcs = extract(photos, cameras, work=tmp_path)
+    for one, other in zip(arcs.photos, found.photos, strict=False):
+        np.testing.assert_array_equal(one.endpoints_px, other.endpoints_px)
+        np.testing.assert_array_equal(one.colours, other.colours)
+    assert len(arcs.segments) == len(arcs) > 50 and not arcs.skipped
+    views = dict(rectify(photos, cameras, size=(64, 48)).pixels())
+    assert len(views) == 2 and all(pixels.shape == (48, 64, 3) for pixels in views.values())
+
+
+def test_matched_segments_take_the_place_of_arcs(scene: Scene, poses: ImagePoses, cameras: Calibration) -> None:
+    again = reconstruct(scene.segments, poses, cameras)
+    assert again.lines.tracks == scene.lines.tracks and not again.stages and again.families is None
+    adjusted = adjust(scene.segments, poses, cameras, SceneOptions(refine=("lines", "poses")))
+    assert adjusted.poses.covariance is not None and scene.poses.covariance is None
+    assert adjusted.adjusted.rms_px() <= again.adjusted.rms_px() * 1.001
+    with pytest.raises(InputError, match="`refine` with poses"):
+        adjust(scene.segments, poses, cameras, SceneOptions(), pose_sigma=(0.01, 0.01))
+
+
+def test_arrays_are_triangulated_as_tables_are(scene: Scene, poses: ImagePoses, cameras: Calibration) -> None:
+    own = scene.segments
+    rows = np.flatnonzero(own.track >= 0)
+    place = [poses.images.index(image) for image in own.images]
+    table = replace(own, image=own.image[rows], track=own.track[rows], endpoints_px=own.endpoints_px[rows],
+                    covariance_px2=own.covariance_px2[rows])  # fmt: skip
+    of_table = triangulate(table, poses, cameras, "dual")
+    arrays = segments_of_arrays(
+        torch.as_tensor(table.endpoints_px), table.image, table.track, covariance_px2=table.covariance_px2
+    )
+    of_arrays = triangulate(arrays, poses.cam_from_world[place], cameras["cam0"], "dual")
+    torch.testing.assert_close(of_arrays.lines.direction, of_table.lines.direction, equal_nan=True)
+    assert int(of_table.known.sum()) > 30
+    with pytest.raises(InputError, match="a triangulation method among"):
+        triangulate(table, poses, cameras, "best")
+    with pytest.raises(InputError, match="A pose of each"):
+        triangulate(arrays, poses.cam_from_world[:1], cameras)
+
+
+def test_segments_of_another_detector_take_the_place_of_arcs(
+    room: Path, found: PhotoArcs, poses: ImagePoses, cameras: Calibration
+) -> None:
+    given = given_arcs(replace(found.segments, covariance_px2=None), room, cameras)
+    assert len(given) == len(found) and "states no noise: 0.2 px" in given.notes[0]
+    assert len(reconstruct(given, poses, cameras).lines) > 20
+
+
+def test_poses_know_their_source_and_unit(found: PhotoArcs, room: Path, cameras: Calibration) -> None:
+    posed = estimate_poses(found, cameras, room.parent / "poses.csv")
+    assert (posed.source, posed.unit, len(posed.poses)) == ("table", LengthUnit.METRES, VIEWS)
+    with pytest.raises(InputError, match="`pattern` was expected with `poses` boards"):
+        estimate_poses(room, cameras, "sfm", pattern="checkerboard:8x6:30mm")
+    with pytest.raises(InputError, match="`min_views` of 3 or more"):
+        reconstruct(found, posed, cameras, SceneOptions(min_views=2))
+    with pytest.raises(InputError, match="`refine` was expected to be lines"):
+        reconstruct(found, posed, cameras, SceneOptions(refine=("walls",)))
+
+
+def test_a_callback_that_raises_cancels(room: Path, cameras: Calibration, found: PhotoArcs, poses: ImagePoses) -> None:
+    def stop(stage: str, done: int, total: int) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        extract(room, cameras, progress=stop)
+    with pytest.raises(Cancelled):
+        reconstruct(found, poses, cameras, progress=stop)
+
+
+def test_arcs_are_kept_until_the_photo_the_options_or_the_code_change(
+    room: Path, cameras: Calibration, found: PhotoArcs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photos = [find_photos([room])[0]]
+    extract(photos, cameras, work=tmp_path)
+    kept = set((tmp_path / "arcs").iterdir())
+    with monkeypatch.context() as patch:
+        patch.setattr(arcs_module, "extract_arcs", None)
+        again = extract(photos, cameras, work=tmp_path)
+    np.testing.assert_array_equal(again.photos[0].endpoints_px, found.photos[0].endpoints_px)
+    extract(photos, cameras, options=replace(arcs_module.SHORT_ARCS, min_length_px=40.0), work=tmp_path)
+    with_options = set((tmp_path / "arcs").iterdir())
+    assert len(kept) == 1 and len(with_options) == 2
+    monkeypatch.setattr(arcs_module, "revision", lambda *packages: "another")
+    extract(photos, cameras, work=tmp_path)
+    assert len(set((tmp_path / "arcs").iterdir())) == 3
+
+
+def test_a_revision_is_of_the_source_and_else_the_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "one" / "part"
+    package.mkdir(parents=True)
+    (package / "a.py").write_text("A = 1\n")
+    (tmp_path / "one" / "b.py").write_text("B = 1\n")
+    monkeypatch.setattr(fingerprint, "SOURCES", tmp_path)
+    seen = set()
+    for name, text in (("part/a.py", "A = 1\n"), ("part/a.py", "A = 2\n"), ("part/new.py", ""), ("b.py", "B = 2\n")):
+        (tmp_path / "one" / name).write_text(text)
+        revision.cache_clear()
+        seen.add(revision("one.part", "one.b"))
+        assert revision("one.part", "one.b") in seen
+    assert len(seen) == 4 and "0.1.0" not in seen
+    revision.cache_clear()
+    assert revision("one.absent") == "0.1.0"
+    revision.cache_clear()
+    first = made_from([tmp_path / "one" / "b.py"], "options", "1")
+    assert len({first, made_from([], "options", "1"), made_from([tmp_path / "one" / "b.py"], "options", "2")}) == 3
+    with pytest.raises(InputError, match="readable"):
+        content_hash(tmp_path / "none")
+
+
+def test_a_result_is_the_last_one_only_with_the_contents_it_had(room: Path, poses: ImagePoses, tmp_path: Path) -> None:
+    table = shutil.copy(room.parent / "poses.csv", tmp_path)
+    first = reconstruct_photos([room], room.parent / "calibration.yaml", table, tmp_path / "scene")
+    stamp = Stamp(tmp_path / "scene" / "done.json", json.loads((tmp_path / "scene" / "done.json").read_text())["inputs"])
+    known = stamp.result()
+    assert known is not None and known.data == json.loads(json.dumps(first.data)) and known.files == first.files
+    assert Stamp(stamp.path, "other").result() is None
+    lines = tmp_path / "scene" / "lines.csv"
+    content = lines.read_bytes()
+    # As many bytes, but others.
+    lines.write_bytes(content[:-2] + (b"1" if content[-2:-1] != b"1" else b"2") + content[-1:])
+    assert stamp.result() is None
+    lines.write_bytes(content)
+    assert stamp.result() is not None
+    lines.unlink()
+    assert stamp.result() is None
+    assert len(read_segments(tmp_path / "scene" / "segments.csv")) > 100
