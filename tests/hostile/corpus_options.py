@@ -16,10 +16,22 @@ BASE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "convert": (("convert", "IN/calibration.yaml", "OUT.yml"), ("omnilines",)),
     "extract": (("extract", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
     "rectify": (("rectify", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
-    "adjust": (("adjust", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT"), ("omnilines", "poses.csv", "segments.csv")),
-    "segments": (("reconstruct", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT"), ("omnilines", "poses.csv", "segments.csv")),
-    "reconstruct": (("reconstruct", "IN/photos", *LENS, "--poses", "IN/poses.csv", "--out", "OUT"), ("photos", "omnilines", "poses.csv")),
-    "targets": (("render", "targets", "--size", "64x48", "--views", "2", "--out", "OUT"), ()),
+    "adjust": (
+        ("adjust", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT"),
+        ("omnilines", "poses.csv", "segments.csv"),
+    ),
+    "segments": (
+        ("reconstruct", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT"),
+        ("omnilines", "poses.csv", "segments.csv"),
+    ),
+    "reconstruct": (
+        ("reconstruct", "IN/photos", *LENS, "--poses", "IN/poses.csv", "--out", "OUT"),
+        ("photos", "omnilines", "poses.csv"),
+    ),
+    "targets": (
+        ("render", "targets", "--pattern", "checkerboard:4x3:30mm", "--size", "320x240", "--views", "2", "--out", "OUT"),
+        (),
+    ),
     "scene": (("render", "scene", "--size", "64x48", "--views", "2", "--out", "OUT"), ()),
     "validate": (("validate", "--size", "64x48", "--out", "OUT"), ()),
     "board": (("experiment", "board", "--data", "IN/photos", "--pattern", "checkerboard:7x5:30mm", "--out", "OUT"), ("photos",)),
@@ -28,40 +40,137 @@ BASE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "room": (("experiment", "room", "--trials", "1", "--noise", "1", "--out", "OUT"), ()),
     "house": (("experiment", "house", "--data", "IN", "--out", "OUT"), ("omnilines",)),
     "book": (("experiment", "book", "--size", "64x48", "--out", "OUT"), ()),
-}  # fmt: skip
+}
 """Command -> a good command line, and the inputs that it needs."""
 SIZES = ("", "640", "0x0", "-1x5", "640x", "9999999x9999999", "1e3x1e3", "nanxnan", "640x480x3")
 FRACTIONS = ("nan", "inf", "-1", "1e300", "many")
 COUNTS = ("0", "-1", "1000000000000", "nan", "1.5", "")
 WRONG: dict[str, dict[str, tuple[str, ...]]] = {
-    "corners": {"--image-size": SIZES, "--degree": ("1000000", "-1", "1", "nan"), "--loss": ("tukey", ""), "--model": ("", "fish", "cam0=")},
-    "calibrate": {"--pattern": ("", "chess:7x5:30mm", "checkerboard:0x0:30mm", "checkerboard:7x5:nanmm", "checkerboard:99999x99999:1mm",
-                                "checkerboard:7x5:-3mm", "checkerboard:7x5:1e300m", "charuco:9x7:30mm:40mm:DICT_5X5_100", "\x1b[31m"),
-                  "--refine-board": ("everything",), "--coefficients": ("3", "-1"), "--calibration": ("nowhere.yaml",), "--boards": ("flying",)},
+    "corners": {
+        "--image-size": SIZES,
+        "--degree": ("1000000", "-1", "1", "nan"),
+        "--loss": ("tukey", ""),
+        "--model": ("", "fish", "cam0="),
+    },
+    "calibrate": {
+        "--pattern": (
+            "",
+            "chess:7x5:30mm",
+            "checkerboard:0x0:30mm",
+            "checkerboard:7x5:nanmm",
+            "checkerboard:99999x99999:1mm",
+            "checkerboard:7x5:-3mm",
+            "checkerboard:7x5:1e300m",
+            "charuco:9x7:30mm:40mm:DICT_5X5_100",
+            "\x1b[31m",
+        ),
+        "--refine-board": ("everything",),
+        "--coefficients": ("3", "-1"),
+        "--calibration": ("nowhere.yaml",),
+        "--boards": ("flying",),
+    },
     "pattern": {"--out": ("OUT/p.docx", "OUT/p.png")},
-    "convert": {"--fov": (*FRACTIONS, "0", "400"), "--image-size": SIZES, "--model": ("", "fish", "cylindrical"), "--from": ("", "bundler"), "--to": ("bundler",)},
+    "convert": {
+        "--fov": (*FRACTIONS, "0", "400"),
+        "--image-size": SIZES,
+        "--model": ("", "fish", "cylindrical"),
+        "--from": ("", "bundler"),
+        "--to": ("bundler",),
+    },
     "extract": {"--mask": ("nowhere.png", "IN/photos", "IN/calibration.yaml")},
-    "rectify": {"--size": SIZES, "--fov-deg": (*FRACTIONS, "0", "180", "400"), "--yaw-deg": ("nan", "inf"), "--pitch-deg": ("nan", "inf"),
-                "--view": ("", "fish"), "--poses": ("nowhere.csv", "IN/calibration.yaml")},
-    "adjust": {"--subset": ("2",), "--bandwidth": ("0.1",), "--weights": ("heavy",), "--refine": ("", "everything"), "--cost": ("magic",),
-               "--loss": ("tukey",), "--pose-sigma-deg": FRACTIONS, "--pose-sigma-m": FRACTIONS, "--device": ("toaster",), "--triangulation": ("magic",)},
-    "segments": {"--pattern": ("checkerboard:7x5:30mm",), "--mask": ("IN/photos/0.png",), "--min-views": ("5",), "--tolerance-px": ("2",),
-                 "--scale-from": ("0.png,1.png:2",)},
-    "reconstruct": {"--min-views": ("0", "-1", "2", "1000"), "--tolerance-px": FRACTIONS, "--pattern": ("checkerboard:7x5:30mm",),
-                    "--scale-from": ("a", "0.png,1.png:nan", "0.png,1.png:-2", "0.png,0.png:1", "x.png,y.png:1"),
-                    "--poses": ("", "nowhere.csv", "rectangle:0x0mm", "rectangle:nan", "boards"), "--seed": ("-1", "x"), "--robust": ()},
-    "targets": {"--size": SIZES, "--views": COUNTS, "--noise": FRACTIONS, "--blur": FRACTIONS, "--fov-deg": (*FRACTIONS, "0", "500"), "--seed": ("-1", "1.5", ""),
-                "--model": ("fish", "cylindrical"), "--pattern": ("checkerboard:7x5:1mm:9",)},
-    "scene": {"--size": SIZES, "--views": COUNTS, "--noise": FRACTIONS, "--blur": FRACTIONS, "--fov-deg": (*FRACTIONS, "0", "500"), "--seed": ("-1",),
-              "--scene": ("moon", ""), "--textures": ("nowhere",), "--texture-m": FRACTIONS, "--textured": ("clouds",)},
-    "validate": {"--size": SIZES[:4], "--views": COUNTS[:3], "--noise": FRACTIONS, "--blur": FRACTIONS, "--fov-deg": FRACTIONS, "--seed": ("-1",), "--scene": ("moon",)},
-    "board": {"--perturb-deg": FRACTIONS, "--perturb-m": FRACTIONS, "--seed": ("-1",), "--data": ("nowhere",), "--model": ("fish",)},
-    "wide": {"--trials": COUNTS, "--noise": (*FRACTIONS, "", "1,,2", "0"), "--perturb-deg": FRACTIONS, "--perturb-m": FRACTIONS, "--seed": ("-1",)},
+    "rectify": {
+        "--size": SIZES,
+        "--fov-deg": (*FRACTIONS, "0", "180", "400"),
+        "--yaw-deg": ("nan", "inf"),
+        "--pitch-deg": ("nan", "inf"),
+        "--view": ("", "fish"),
+        "--poses": ("nowhere.csv", "IN/calibration.yaml"),
+    },
+    "adjust": {
+        "--subset": ("2",),
+        "--bandwidth": ("0.1",),
+        "--weights": ("heavy",),
+        "--refine": ("", "everything"),
+        "--cost": ("magic",),
+        "--loss": ("tukey",),
+        "--pose-sigma-deg": FRACTIONS,
+        "--pose-sigma-m": FRACTIONS,
+        "--device": ("toaster",),
+        "--triangulation": ("magic",),
+    },
+    "segments": {
+        "--pattern": ("checkerboard:7x5:30mm",),
+        "--mask": ("IN/photos/0.png",),
+        "--min-views": ("5",),
+        "--tolerance-px": ("2",),
+        "--scale-from": ("0.png,1.png:2",),
+    },
+    "reconstruct": {
+        "--min-views": ("0", "-1", "2", "1000"),
+        "--tolerance-px": FRACTIONS,
+        "--pattern": ("checkerboard:7x5:30mm",),
+        "--scale-from": ("a", "0.png,1.png:nan", "0.png,1.png:-2", "0.png,0.png:1", "x.png,y.png:1"),
+        "--poses": ("", "nowhere.csv", "rectangle:0x0mm", "rectangle:nan", "boards"),
+        "--seed": ("-1", "x"),
+        "--robust": (),
+    },
+    "targets": {
+        "--size": SIZES,
+        "--views": COUNTS,
+        "--noise": FRACTIONS,
+        "--blur": FRACTIONS,
+        "--fov-deg": (*FRACTIONS, "0", "500"),
+        "--seed": ("-1", "1.5", ""),
+        "--model": ("fish", "cylindrical"),
+        "--pattern": ("checkerboard:7x5:1mm:9",),
+    },
+    "scene": {
+        "--size": SIZES,
+        "--views": COUNTS,
+        "--noise": FRACTIONS,
+        "--blur": FRACTIONS,
+        "--fov-deg": (*FRACTIONS, "0", "500"),
+        "--seed": ("-1",),
+        "--scene": ("moon", ""),
+        "--textures": ("nowhere",),
+        "--texture-m": FRACTIONS,
+        "--textured": ("clouds",),
+    },
+    "validate": {
+        "--size": SIZES[:4],
+        "--views": COUNTS[:3],
+        "--noise": FRACTIONS,
+        "--blur": FRACTIONS,
+        "--fov-deg": FRACTIONS,
+        "--seed": ("-1",),
+        "--scene": ("moon",),
+    },
+    "board": {
+        "--perturb-deg": FRACTIONS,
+        "--perturb-m": FRACTIONS,
+        "--seed": ("-1",),
+        "--data": ("nowhere",),
+        "--model": ("fish",),
+    },
+    "wide": {
+        "--trials": COUNTS,
+        "--noise": (*FRACTIONS, "", "1,,2", "0"),
+        "--perturb-deg": FRACTIONS,
+        "--perturb-m": FRACTIONS,
+        "--seed": ("-1",),
+    },
     "short": {"--trials": ("0", "-1"), "--noise": ("nan", "-1"), "--seed": ("-1",)},
     "room": {"--trials": ("0", "-1"), "--noise": ("nan", "-1"), "--seed": ("-1",)},
     "house": {"--data": ("nowhere", "IN")},
-    "book": {"--views": COUNTS[:3], "--noise": FRACTIONS, "--hand-px": FRACTIONS, "--lines": ("0", "-1"), "--seed": ("-1",), "--size": SIZES[:4]},
-}  # fmt: skip
+    "book": {
+        "--views": COUNTS[:3],
+        "--noise": FRACTIONS,
+        "--hand-px": FRACTIONS,
+        "--lines": ("0", "-1"),
+        "--seed": ("-1",),
+        "--size": SIZES[:4],
+    },
+}
 IGNORED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("corners", ("--pattern", "checkerboard:7x5:30mm", "--model", "opencv-fisheye")),
     ("corners", ("--model", "pinhole", "--degree", "4")),
@@ -77,7 +186,17 @@ IGNORED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rectify", ("--view", "panorama", "--fov-deg", "90")),
 )
 """Options that do nothing in the command where they stand."""
-PLACES = ("/proc/omnilines", "/dev/null", "/dev/null/x", "IN/a-file", "IN/a-file/x", "", "O" * 300, "IN/link-to-itself/x", "IN/dangling/x/y")
+PLACES = (
+    "/proc/omnilines",
+    "/dev/null",
+    "/dev/null/x",
+    "IN/a-file",
+    "IN/a-file/x",
+    "",
+    "O" * 300,
+    "IN/link-to-itself/x",
+    "IN/dangling/x/y",
+)
 
 
 def with_option(command: tuple[str, ...], option: str, value: str) -> tuple[str, ...]:
@@ -108,7 +227,9 @@ def cases() -> Iterator[Case]:
             for value in values:
                 said = option.strip("-").replace("-", "[-_ ]")
                 says = rf"{said}|{value[:12]!r}" if value.isalnum() and len(value) > 2 else f"{said}|found"
-                yield Case(f"{name}:{option[2:]}={value[:24]!r}", with_option(command, option, value), give(*given), f"(?i){says}")
+                yield Case(
+                    f"{name}:{option[2:]}={value[:24]!r}", with_option(command, option, value), give(*given), f"(?i){says}"
+                )
     for k, (name, options) in enumerate(IGNORED):
         command, given = BASE[name]
         for option in options[::2]:
@@ -117,5 +238,10 @@ def cases() -> Iterator[Case]:
     for name, (command, given) in BASE.items():
         if "--out" in command and name not in ("segments", "corners"):
             for place in PLACES:
-                yield Case(f"out:{name}:{place[:20]!r}", with_option(command, "--out", place), places(*given), "folder|written|path|out|file")
+                yield Case(
+                    f"out:{name}:{place[:20]!r}",
+                    with_option(command, "--out", place),
+                    places(*given),
+                    "folder|written|path|out|file",
+                )
         yield Case(f"unknown-option:{name}", (*command, "--colour", "red"), give(*given), "colour")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
 from hostile.case import Case
 from hostile.damage import PLACES
 from hostile.good import give
@@ -107,7 +106,12 @@ def cases() -> Iterator[Case]:
         for what, names in NAMES.items():
             yield Case(f"{name}:name-{what}", command, named(*names), "name|text|rename")
         yield Case(f"{name}:links", command, linked, "photo|image|x.png")
-        yield Case(f"{name}:absent", (command[0], *(p.replace("photos", "none") for p in command[1:])), give("omnilines", "poses.csv"), "none")
+        yield Case(
+            f"{name}:absent",
+            (command[0], *(p.replace("photos", "none") for p in command[1:])),
+            give("omnilines", "poses.csv"),
+            "none",
+        )
     for name in ("extract", "rectify", "reconstruct"):
         yield Case(f"{name}:equal-stems", COMMANDS[name], named("a.png", "a.jpg", "b.png"), "a.jpg|a.png")
     yield from over_inputs()
@@ -126,14 +130,25 @@ def over_inputs() -> Iterator[Case]:
     scene = (*LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv")
     lines = {
         "rectify": command("rectify", "IN/photos"),
-        "targets": ("render", "targets", "--views", "2", "--size", "64x48", "--out", "IN/photos"),
+        "targets": (
+            "render",
+            "targets",
+            "--pattern",
+            "checkerboard:4x3:30mm",
+            "--views",
+            "2",
+            "--size",
+            "320x240",
+            "--out",
+            "IN/photos",
+        ),
         "adjust": ("adjust", *scene, "--out", "IN"),
         "reconstruct": ("reconstruct", *scene, "--out", "IN"),
         "calibrate": ("calibrate", "IN/corners.csv", "--image-size", "646x482", "--model", "opencv-fisheye", "--out", "IN"),
         "convert": ("convert", "IN/calibration.yaml", "IN/calibration.yaml"),
         "convert-by-link": ("convert", "IN/calibration.yaml", "IN/link.yaml"),
         "pattern": ("pattern", "checkerboard:7x5:30mm", "--out", "IN/mine.pdf"),
-    }  # fmt: skip
+    }
 
     def with_own_files(folder: Path) -> None:
         own(folder)
