@@ -149,6 +149,9 @@ def test_thresholds_are_options(rendered: Path) -> None:
     strict = with_settings(default, ["calibration.robust.reject_sigma=2"], "calibration.")
     kept = [int(ol.calibrate(found, options=options).fit.kept.sum()) for options in (default, strict)]
     assert kept[1] < kept[0] - 10
+    blind = with_settings(ol.DetectionOptions(), ["detection.fit.max_sigma_px=0.0001"], "detection.")
+    with pytest.raises(ol.InputError, match="found in none"):
+        ol.detect(rendered / "board", BOARD, options=blind)
     many = with_settings(default, ["views.least_views=9"])
     with pytest.raises(ol.InputError, match="at least 9, found 8"):
         ol.calibrate(found, options=many)
@@ -226,6 +229,7 @@ def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsy
         ),
         (f"convert {rendered}/calibration.yaml {rendered}/nothing", "name the format with --to."),
         (f"{photos} --set calibration.degree=1", "omnilines: --degree was expected to be at least 2, found 1"),
+        (f"{photos} --set detection.fit.max_sigma_px=0.0001", "found in none"),
         (f"{photos} --set calibration.degre=4", "found 'calibration.degre=4', of which no option has the name; did you mean"),
     )
     camera_models.save(rendered / "large.yaml", {"cam0": camera_models.OpenCVFisheye.examples()[0]})
