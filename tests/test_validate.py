@@ -21,9 +21,10 @@ from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.files import read_corners, read_poses, write_corners
-from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
+from omnilines.pipelines.render import RenderedTargets, RenderOptions, render, render_targets
 from omnilines.records import ImagePoses
-from omnilines.studies.validation import compare
+from omnilines.studies.validate import validate
+from omnilines.studies.validation import Validation, compare
 from omnilines.synthetic.targets import board_angle_rad, example_camera, simulate_corners
 
 SIZE = (640, 480)
@@ -279,6 +280,20 @@ def test_the_whole_path_holds(model: str, fov: int, tmp_path: Path, capsys: pyte
     assert all((tmp_path / name).is_file() for name in names)
     page = (tmp_path / "report.html").read_text()
     assert "view00.png" in page and "Bearing error" in page and len(page) < 15e6
+
+
+def test_objects_in_objects_out(tmp_path: Path) -> None:
+    told = []
+    checked = validate(
+        render(SPEC, "pinhole", fov_deg=90.0, views=6, size_px=(480, 360), seed=5), progress=lambda *s: told.append(s)
+    )
+    assert isinstance(checked, Validation) and {stage for stage, _, _ in told} >= {"detecting corners", "rebuilding lines"}
+    assert len(checked.checks) == 8 and checked.holds == all(check.holds for check in checked.checks)
+    assert checked.bearings.rms_deg < 0.05 and checked.model.NAME == "pinhole"
+    assert not list(tmp_path.iterdir())
+    names = ["calibration.yaml", "corners.csv", "covariance.npz", "lines.csv", "lines.ply", "poses.csv", "segments.csv"]
+    assert sorted(path.name for path in checked.save(tmp_path / "out")) == names
+    assert "Bearing error" in checked.report(tmp_path / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -25,12 +25,14 @@ from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Lines
 from omnilines.studies.scene_validation import (
     RebuiltScene,
+    SceneValidation,
     _median,
     _pixel_at_edges,
     compare_scene,
     own_edges,
     read_rebuilt,
 )
+from omnilines.studies.validate import validate
 
 OPTIONS = RenderOptions(fov_deg=100.0, views=8, size_px=(360, 360), seed=1)
 ARGUMENTS = ("--scene", "room", "--model", "pinhole", "--fov-deg", 100, "--views", 8, "--size", "360x360", "--seed", 1)
@@ -145,6 +147,16 @@ def test_a_wrong_focal_length_is_seen_by_the_arcs(done: Done) -> None:
     wrong = replace(rebuilt.cameras, cameras={"cam0": camera.with_parameters(parameters)})
     checks = compare_scene(done.truth, replace(rebuilt, cameras=wrong)).checks
     assert ON_EDGE in [check.name for check in checks if not check.holds]
+
+
+def test_photos_in_memory_give_what_files_do(done: Done, tmp_path: Path) -> None:
+    checked = validate(done.truth)
+    assert isinstance(checked, SceneValidation) and checked.holds == done.result.holds
+    for mine, of_files in zip(checked.checks, done.result.checks, strict=True):
+        assert mine.name == of_files.name and mine.value == pytest.approx(of_files.value, rel=1e-6)
+    # A page without the photos, which are no files.
+    page = checked.report(tmp_path / "report.html").read_text()
+    assert "Precision and recall" in page and "Lines over the photos" not in page
 
 
 def test_a_second_run_reads_what_the_first_wrote(done: Done) -> None:

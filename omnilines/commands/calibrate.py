@@ -59,8 +59,5 @@ def _written(result: CalibrationResult, out: Path, progress: ProgressCallback) -
     files = result.save(out)
     progress("writing the report", 0, 0)
     report = result.report(out / "report.html")
-    warnings = tuple(f"{view.image}: {view.reason}" for view in result.views if not view.used)
-    warnings += tuple(f"{view.image}: {remark}" for view in result.views for remark in view.remarks) + result.notes
-    warnings += () if result.selection is None else (result.selection.reason,)
     summaries, data = calibration_summaries(result.fit, result.selection), calibration_data(result.fit, result.selection)
-    return CommandResult(summaries, data, files=(*files, report), report=report, warnings=warnings)
+    return CommandResult(summaries, data, files=(*files, report), report=report, warnings=result.warnings)

@@ -11,12 +11,12 @@ from typing import Any
 from omnilines.options import walk
 
 STAGES: tuple[tuple[str, str], ...] = (
+    ("detection", "calib_patterns.options:DetectionOptions"),
     ("calibration", "omnilines.calibration.options:CalibrationOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),
-    ("matching", "omnilines.matching.options:MatchingOptions"),
+    ("posing", "omnilines.posing.options:PosingOptions"),
+    ("scene", "omnilines.pipelines.options:SceneOptions"),
     ("triangulation", "omnilines.triangulation.options:TriangulationOptions"),
-    ("adjustment", "omnilines.adjustment.options:AdjustmentOptions"),
-    ("structure", "omnilines.structure.options:StructureOptions"),
     ("render", "omnilines.pipelines.render:RenderOptions"),
 )
 """(name before those of its options, "module:Class" of the options of a stage), in the order of the data flow."""

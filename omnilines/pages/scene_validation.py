@@ -124,14 +124,23 @@ def scene_validation_data(validation: SceneValidation) -> dict[str, Any]:
     }
 
 
-def scene_validation_sections(validation: SceneValidation, summaries: tuple[Summary, ...], photo_folder: Path) -> list[Section]:
-    """All sections, in reading order."""
+def write_scene_validation_page(validation: SceneValidation, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+    """Write the page of a validation on a scene and return its path."""
+    title = f"Validation on a rendered {validation.truth.name}"
+    return report.write_report(path, title, scene_validation_sections(validation, photo_folder))
+
+
+def scene_validation_sections(validation: SceneValidation, photo_folder: str | Path | None) -> list[Section]:
+    """All sections, in reading order; photos only where their folder is known."""
     truth, rebuilt = validation.truth, validation.rebuilt
+    photos = []
+    if photo_folder is not None:
+        photos = [line_photos_section(photo_folder, rebuilt.lines, rebuilt.segments, rebuilt.poses, rebuilt.cameras)]
     in_sigmas = validation.across_m / rebuilt.lines.sigma_m[:, None]
     seen = np.unique(truth.stretches.edge)
     return [
         report.checks_section(validation.checks),
-        report.summary_section(*summaries),
+        report.summary_section(*scene_validation_summaries(validation)),
         stage_section(rebuilt.stages),
         _by_distance(validation),
         report.histogram_section(
@@ -142,7 +151,7 @@ def scene_validation_sections(validation: SceneValidation, summaries: tuple[Summ
             logarithmic=True,
         ),
         report.summary_section(_photos(validation), title="Photos"),
-        line_photos_section(photo_folder, rebuilt.lines, rebuilt.segments, rebuilt.poses, rebuilt.cameras),
+        *photos,
         report.scene_section(
             lines=rebuilt.lines,
             groups=[_ON if own else _OFF for own in validation.own.tolist()],

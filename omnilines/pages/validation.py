@@ -90,12 +90,21 @@ def validation_data(validation: Validation) -> dict[str, Any]:
     }
 
 
-def validation_sections(validation: Validation, summaries: tuple[Summary, ...], photo_folder: Path) -> list[Section]:
-    """All sections, in reading order."""
+def write_validation_page(validation: Validation, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+    """Write the page of a validation and return its path."""
+    title = f"Validation of a {validation.truth.camera.NAME} camera"
+    return report.write_report(path, title, validation_sections(validation, photo_folder))
+
+
+def validation_sections(validation: Validation, photo_folder: str | Path | None) -> list[Section]:
+    """All sections, in reading order; photos only where their folder is known."""
+    photos = []
+    if photo_folder is not None:
+        photos = [report.photos_section(photo_folder, reprojections(validation), images=validation.truth.poses.images)]
     distances = {"both ends of every line": 1e3 * validation.lines.distance_m.numpy()}
     return [
         report.checks_section(validation.checks),
-        report.summary_section(*summaries),
+        report.summary_section(*validation_summaries(validation)),
         report.curve_section(
             "Bearing error",
             _error_by_angle(validation),
@@ -104,7 +113,7 @@ def validation_sections(validation: Validation, summaries: tuple[Summary, ...], 
             "Angle between estimated and true bearings over a uniform grid of pixels, after the best common rotation.",
         ),
         report.histogram_section("Distance of the lines from the truth", distances, "distance (mm)"),
-        report.photos_section(photo_folder, reprojections(validation), images=validation.truth.poses.images),
+        *photos,
         _scene(validation),
     ]
 

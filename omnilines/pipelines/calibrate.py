@@ -64,6 +64,13 @@ class CalibrationResult:
         return self.fit.notes
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Every sentence on the views, those of `notes`, and why the model was chosen."""
+        left_out = (f"{view.image}: {view.reason}" for view in self.views if not view.used)
+        remarks = (f"{view.image}: {remark}" for view in self.views for remark in view.remarks)
+        return (*left_out, *remarks, *self.notes, *(() if self.selection is None else (self.selection.reason,)))
+
+    @property
     def rms_px_per_axis(self) -> float:
         """Root mean square of the residuals' components (px)."""
         return self.fit.rms_px_per_axis

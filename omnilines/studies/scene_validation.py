@@ -19,6 +19,7 @@ from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines.render import RenderedScene
+from omnilines.pipelines.scene import Scene
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
 
 TOLERANCE_PX = 1.5
@@ -58,6 +59,25 @@ class RebuiltScene:
     stages: tuple[StageCount, ...]
     slack_px: float
     rms_px: float
+
+    @staticmethod
+    def of(scene: Scene) -> "RebuiltScene":
+        """A scene that was rebuilt from photos, in memory."""
+        lines, of_photos = scene.lines, scene.from_photos
+        assert of_photos is not None and lines.covariance is not None
+        assert lines.chart_centre_m is not None and lines.chart_scale_m is not None
+        return RebuiltScene(
+            lines,
+            scene.segments,
+            scene.poses,
+            scene.cameras,
+            lines.covariance,
+            lines.chart_centre_m,
+            lines.chart_scale_m,
+            scene.stages,
+            of_photos.tolerance_px,
+            scene.adjusted.rms_px(),
+        )
 
 
 def read_rebuilt(folder: Path, said: Mapping[str, Any]) -> RebuiltScene:
@@ -99,6 +119,17 @@ class SceneValidation:
     """Distance of both ends of every line from the straight line that its edge lies on; infinite where it belongs to none."""
     mahalanobis2: Float[np.ndarray, " n"]
     """Of every line from its edge, in the metric of its covariance: chi-square of 4 degrees of freedom; infinite likewise."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether every check holds."""
+        return all(check.holds for check in self.checks)
+
+    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+        from omnilines.pages.scene_validation import write_scene_validation_page
+
+        return write_scene_validation_page(self, path, photo_folder)
 
     @property
     def tolerance_m(self) -> float:

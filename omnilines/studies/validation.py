@@ -1,7 +1,11 @@
 """What `omnilines validate` compares: the calibrated camera and the rebuilt board lines against the truth."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,8 +18,11 @@ from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
 from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
+from omnilines.files import write_corners
+from omnilines.files.folders import output_folder
 from omnilines.least_squares.variance import NORMAL_MAD
 from omnilines.pipelines.render import RenderedTargets
+from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.records import Check, Corners, ImagePoses
 
 BEARING_LIMIT_DEG = 0.02
@@ -54,6 +61,26 @@ class Validation:
     """Corners that the lines do not rest on, since the other photos disagree with them."""
     pixel_m: float
     """Mean size of a pixel at the median distance of the board."""
+    notes: tuple[str, ...] = ()
+    """What a person should know of the calibration, one sentence each."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether every check holds."""
+        return all(check.holds for check in self.checks)
+
+    def save(self, folder: str | Path, inputs: Mapping[str, Any] = MappingProxyType({})) -> tuple[Path, ...]:
+        """Write corners.csv and the line scene of the board, its calibration.yaml with `inputs` as what it was made from."""
+        out = output_folder(folder)
+        write_corners(out / "corners.csv", self.corners)
+        cameras = refined_calibration(self.scene, self.calibration)
+        return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
+
+    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+        from omnilines.pages.validation import write_validation_page
+
+        return write_validation_page(self, path, photo_folder)
 
     @property
     def model(self) -> CameraModel:

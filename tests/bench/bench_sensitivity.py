@@ -1,10 +1,11 @@
 """What the options of a stage decide: each at half and at double its value, on rendered photos with truth and on real ones.
 
-    python tests/bench/bench_sensitivity.py [extraction] [--only edges.] [--small]
+    python tests/bench/bench_sensitivity.py [extraction | detection] [--only edges.] [--small]
 
 Extraction: arcs of one photo of York Urban, one of castle30 and one of a rendered room, of which recall is the share of the
-edges' length that arcs lie on, and precision the share of the arcs that lie on an edge (`omnilines.evaluation.arcs`). The
-table is that of docs/options.md: figures at half and at double, the options that change most first.
+edges' length that arcs lie on, and precision the share of the arcs that lie on an edge (`omnilines.evaluation.arcs`). Detection:
+corners of two rendered targets, with the root mean square distance from where they are, and of two real boards. The tables are
+those of docs/options.md: figures at half and at double, the options that change most first.
 """
 
 import argparse
@@ -20,16 +21,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from courtyard import read_courtyard
 
+from calib_patterns import DetectionOptions
+from calib_patterns import pattern as parse_pattern
 from camera_models import CameraModel, Pinhole, load
 from omnilines.evaluation.arcs import arc_scores
 from omnilines.extraction import extract_arcs
 from omnilines.extraction.options import ExtractionOptions
 from omnilines.files import read_photo
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene, render_targets
 from omnilines.records import Segments
 from omnilines.studies.sensitivity import Outcome, sweep, table
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+BOARDS = (("checkerboard", "checkerboard:8x6:30mm", 3), ("tags", "aprilgrid:3x3:60mm:0.3:36h11", 1))
+"""Rendered targets: what they are called, their specification and their seed."""
+REAL_BOARDS = (("fisheye1", "checkerboard:8x6:32.5mm"), ("fisheye190", "checkerboard:7x6:30mm"))
 Stage = tuple[Any, Callable[[Any], Outcome]]
 
 
@@ -76,8 +82,40 @@ def real_photos() -> dict[str, tuple[np.ndarray, CameraModel]]:
     }
 
 
-STAGES: dict[str, Callable[[bool], Stage]] = {"extraction": extraction}
-FEW = {"extraction": "extraction.pieces."}
+def detection(small: bool) -> Stage:
+    """Options and what is made with them of rendered targets and, where they are, of photos of boards."""
+    shown = []
+    for label, spec, seed in BOARDS:
+        options = RenderOptions(150.0, 1, (480, 360) if small else (1280, 960), seed=seed)
+        rendered = render_targets(spec, "opencv-fisheye", options)
+        shown.append((label, rendered.pattern, rendered.photos[rendered.poses.images[0]], rendered.corners))
+    if DATA.is_dir() and not small:
+        for label, spec in REAL_BOARDS:
+            photo = read_photo(min((DATA / "calibration" / label / "images").iterdir()))
+            shown.append((label, parse_pattern(spec), photo, None))
+
+    def run(options: DetectionOptions) -> Outcome:
+        figures: dict[str, float] = {}
+        result = b""
+        for label, target, photo, truth in shown:
+            found, _ = target.detect(photo, options=options)
+            figures[f"{label}: corners"] = len(found)
+            result += found.ids.tobytes() + found.pixels.tobytes() + found.sigma_px.tobytes()
+            if truth is not None:
+                figures[f"{label}: off, px"] = rms_px(found.ids, found.pixels, truth.ids, truth.pixels)
+        return Outcome(figures, result)
+
+    return DetectionOptions(), run
+
+
+def rms_px(ids: np.ndarray, pixels: np.ndarray, true_ids: np.ndarray, true_pixels: np.ndarray) -> float:
+    """Root mean square of the distances of corners from where they are; NaN without any."""
+    rows = np.searchsorted(true_ids, ids)
+    return float(np.sqrt(((pixels - true_pixels[rows]) ** 2).sum(-1).mean())) if len(ids) else float("nan")
+
+
+STAGES: dict[str, Callable[[bool], Stage]] = {"extraction": extraction, "detection": detection}
+FEW = {"extraction": "extraction.pieces.", "detection": "detection.fit."}
 """Options that are swept where little is asked for."""
 
 if __name__ == "__main__":
