@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from camera_models.formats.native import Calibration, load, save
     from camera_models.pose import Pose
     from omnilines.calibration.options import CalibrationOptions
+    from omnilines.extraction import ExtractionOptions
     from omnilines.files import (
         read_corners,
         read_lines,
@@ -31,11 +32,22 @@ if TYPE_CHECKING:
         write_poses,
         write_segments,
     )
+    from omnilines.matching.options import MatchingOptions
+    from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
+    from omnilines.pipelines.arcs import PhotoArcs, extract
     from omnilines.pipelines.calibrate import CalibrationResult, calibrate
     from omnilines.pipelines.calibrate_rig import RigResult, calibrate_rig
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import PhotoCorners, detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+    from omnilines.pipelines.given_arcs import given_arcs
+    from omnilines.pipelines.options import SceneOptions
+    from omnilines.pipelines.poses import estimate_poses
+    from omnilines.pipelines.reconstruct import reconstruct
+    from omnilines.pipelines.rectify import RectifiedViews, rectify
+    from omnilines.pipelines.scene import Scene
+    from omnilines.posing.options import PosingOptions
+    from omnilines.posing.photo_poses import PhotoPoses
     from omnilines.progress import Cancelled, ProgressCallback
     from omnilines.records import Corners, ImagePoses, Lines, Segments
 
@@ -48,6 +60,19 @@ _HOMES = {
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
     "omnilines.calibration.options": ("CalibrationOptions",),
     "omnilines.pipelines.convert": ("convert", "ConversionResult"),
+    # Photos and cameras -> arcs, poses, lines.
+    "omnilines.pipelines.arcs": ("extract", "PhotoArcs"),
+    "omnilines.pipelines.given_arcs": ("given_arcs",),
+    "omnilines.extraction": ("ExtractionOptions",),
+    "omnilines.pipelines.poses": ("estimate_poses",),
+    "omnilines.posing.photo_poses": ("PhotoPoses",),
+    "omnilines.posing.options": ("PosingOptions",),
+    "omnilines.pipelines.reconstruct": ("reconstruct",),
+    "omnilines.pipelines.scene": ("Scene",),
+    "omnilines.pipelines.options": ("SceneOptions",),
+    "omnilines.matching.options": ("MatchingOptions",),
+    "omnilines.pipelines.adjust": ("adjust", "triangulate", "segments_of_arrays"),
+    "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
     # What is read, written and handed on.
     "camera_models.formats.native": ("load", "save", "Calibration"),
     "camera_models.pose": ("Pose",),
@@ -71,29 +96,45 @@ __all__ = [
     "ConversionResult",
     "Corners",
     "DetectionOptions",
+    "ExtractionOptions",
     "GeometryError",
     "ImagePoses",
     "InputError",
     "Lines",
+    "MatchingOptions",
     "OmnilinesError",
+    "PhotoArcs",
     "PhotoCorners",
+    "PhotoPoses",
     "Pose",
+    "PosingOptions",
     "ProgressCallback",
+    "RectifiedViews",
     "RigCorners",
     "RigResult",
+    "Scene",
+    "SceneOptions",
     "Segments",
+    "adjust",
     "calibrate",
     "calibrate_rig",
     "convert",
     "detect",
     "detect_rig",
+    "estimate_poses",
+    "extract",
+    "given_arcs",
     "load",
     "read_corners",
     "read_lines",
     "read_poses",
     "read_rig_corners",
     "read_segments",
+    "reconstruct",
+    "rectify",
     "save",
+    "segments_of_arrays",
+    "triangulate",
     "write_corners",
     "write_lines",
     "write_poses",

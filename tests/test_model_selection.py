@@ -199,10 +199,10 @@ def test_polynomial_of_another_degree():
     lens = Scaramuzza.examples()[0]
     rho = torch.linspace(10.0, 400.0, 50, dtype=torch.float64)
     pixels = lens.centre_px + rho[:, None] * torch.tensor([0.6, 0.8], dtype=torch.float64)
-    torch.testing.assert_close(lens.of_degree(7, rho).unproject(pixels), lens.unproject(pixels))
-    lower = lens.of_degree(7, rho).of_degree(4, rho)
+    torch.testing.assert_close(lens.of_variant({"degree": 7}, rho).unproject(pixels), lens.unproject(pixels))
+    lower = lens.of_variant({"degree": 7}, rho).of_variant({"degree": 4}, rho)
     torch.testing.assert_close(lower.parameters, lens.parameters, rtol=1e-6, atol=1e-15)
-    assert float((lens.of_degree(3, rho).unproject(pixels)[0] - lens.unproject(pixels)[0]).norm(dim=-1).max()) < 0.05
+    assert float((lens.of_variant({"degree": 3}, rho).unproject(pixels)[0] - lens.unproject(pixels)[0]).norm(dim=-1).max()) < 0.05
 
 
 def test_a_model_that_cannot_hold_the_camera_is_named_and_the_rest_goes_on():

@@ -130,7 +130,7 @@ def test_resection_refuses_what_does_not_determine_a_pose():
     with pytest.raises(GeometryError, match="line"):
         resect(seen_from(pose, line, 1e-4, rng), line, 1e-4)
     with pytest.raises(GeometryError, match="agree on a pose"):
-        resect(unit(rng.normal(size=(40, 3))), points, 1e-3, least_inliers=12)
+        resect(unit(rng.normal(size=(40, 3))), points, 1e-3, min_inliers=12)
 
 
 def scene(noise: float, rig: bool, seed: int = 0) -> tuple[Observations, Frames, PosesAndPoints]:

@@ -1,5 +1,7 @@
 """From arcs to the scene in Python: objects in, objects out, what is kept on disk and when it is made anew."""
 
+import doctest
+import inspect
 import json
 import shutil
 from dataclasses import replace
@@ -9,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 
+import omnilines as ol
 from camera_models import Calibration, InputError, load
 from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.resume import Stamp
-from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments
+from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.files.fingerprint import content_hash, revision
 from omnilines.files.fingerprint import fingerprint as made_from
 from omnilines.pipelines import arcs as arcs_module
@@ -29,6 +32,7 @@ from omnilines.progress import Cancelled
 from omnilines.records import ImagePoses, LengthUnit
 
 VIEWS, SIZE = 6, (400, 400)
+VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +81,25 @@ def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
     assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").iterdir()}
     assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(scene.lines)
     assert "Stages" in scene.report(tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_example_of_a_verb_holds(
+    verb: str, room: Path, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(room, "room")
+    for name in ("calibration.yaml", "poses.csv"):
+        shutil.copy(room.parent / name, "room")
+    scene.save("scene")
+    write_segments("unmatched.csv", replace(scene.segments, track=np.full(len(scene.segments), -1), tracks=()))
+    function = getattr(ol, verb)
+    assert "Raises " in str(inspect.getdoc(function))
+    example = doctest.DocTestParser().get_doctest(str(inspect.getdoc(function)), {"ol": ol, "np": np}, verb, None, None)
+    assert example.examples
+    told: list[str] = []
+    doctest.DocTestRunner().run(example, out=told.append)
+    assert not told, "".join(told)
 
 
 def test_the_command_gives_the_same_lines(room: Path, scene: Scene, tmp_path: Path) -> None:
@@ -190,7 +213,7 @@ def test_a_revision_is_of_the_source_and_else_the_version(tmp_path: Path, monkey
     revision.cache_clear()
     first = made_from([tmp_path / "one" / "b.py"], "options", "1")
     assert len({first, made_from([], "options", "1"), made_from([tmp_path / "one" / "b.py"], "options", "2")}) == 3
-    with pytest.raises(InputError, match="readable"):
+    with pytest.raises(InputError, match="does not exist"):
         content_hash(tmp_path / "none")
 
 

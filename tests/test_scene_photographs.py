@@ -13,14 +13,14 @@ from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.scenes import build_scene, eye, render_clean, scene_camera, scene_edges, scene_poses, visible_stretches
 from omnilines.scenes.building import Builder, Frame, colour
-from omnilines.scenes.line_scene import Lamps, LineScene, Texture
 from omnilines.scenes.photo_texture import PLACES, photo_texture, with_photographs
+from omnilines.scenes.polygon_scene import Lamps, PolygonScene, Texture
 
 EVEN_LIGHT = Lamps(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 1.0, 0.0, np.zeros(2))
 WIDTH_M = 1.6
 
 
-def one_wall() -> LineScene:
+def one_wall() -> PolygonScene:
     """A wall of 8 x 8 m, 2 m in front of the origin along y, its first corner at (-4, 2, -4)."""
     build = Builder([Texture(np.zeros((0, 2)), np.zeros(0), np.zeros(0))])
     build.wall(np.array([[-4.0, 2, -4], [4, 2, -4], [4, 2, 4], [-4, 2, 4]]), colour(100.0))

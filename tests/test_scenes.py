@@ -31,8 +31,8 @@ from omnilines.scenes import (
     visible_stretches,
 )
 from omnilines.scenes.building import Builder, Frame, colour
-from omnilines.scenes.line_scene import Lamps, LineScene, Texture
 from omnilines.scenes.plain_room import THINNEST_M
+from omnilines.scenes.polygon_scene import Lamps, PolygonScene, Texture
 from omnilines.scenes.visibility import CONTRAST_LEVELS
 
 SIZE = (640, 480)
@@ -49,7 +49,7 @@ EVEN_LIGHT = Lamps(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 1.0, 0.0, np.zero
 PLAIN = Texture(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
-def inside_out_cube(seed: int) -> LineScene:
+def inside_out_cube(seed: int) -> PolygonScene:
     """A cube of 4 m seen from inside, in even light, with turned squares painted on all six sides: every pixel has one of few
     colours, or a share of two of them."""
     rng = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def test_a_thin_thing_is_not_missed() -> None:
     assert (lost > 0.05).all()
 
 
-def brute_force(scene: LineScene, centre: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def brute_force(scene: PolygonScene, centre: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance to the first face along each ray and the face, by the intersection of Möller and Trumbore with all triangles."""
     corners = scene.corners_m[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
     owner = np.repeat(np.arange(len(scene)), 2)

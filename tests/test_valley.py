@@ -43,7 +43,7 @@ def found_from(residuals: Residuals, *starts: tuple[float, float]):
     problem = Fitted(residuals)
     solutions = [solve(problem, (torch.tensor(start, dtype=torch.float64), 0.0)) for start in starts]
     quantities = Quantities(lambda state: state[0], torch.eye(2, dtype=torch.float64))
-    return curved_intervals(problem, solutions[0], solutions[1:], quantities, 1.0, SIGMAS), solutions
+    return curved_intervals(problem, solutions[0], solutions[1:], quantities, variance=1.0, sigmas=SIGMAS), solutions
 
 
 def profile(residuals: Residuals, column: int, value: float) -> float:

@@ -138,6 +138,8 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
                     f"{file} was expected to hold at most {MOST_BYTES / 1e9:.0f} GB, found {about.st_size / 1e9:.0f}."
                 )
             return stream.read() if most is None else stream.read(most)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{file} does not exist; check the path.") from None
     except MemoryError:

@@ -150,7 +150,7 @@ def reconstruct(
     )  # fmt: skip
 
 
-PARTS = ("matching.", "adjustment.", "structure.")
+PARTS = ("posing.", "matching.", "adjustment.", "structure.")
 """Options of a scene that are also known without its name before them."""
 
 

@@ -97,7 +97,9 @@ def reconstruct_photos(
         )
     else:
         arcs = given_arcs(given, refs, cameras, appearance=options.matching.appearance, name=str(segments), progress=progress)
-    posed = estimate_poses(arcs, cameras, poses, pattern=pattern, seed=options.seed, work=work, progress=progress)
+    posed = estimate_poses(
+        arcs, cameras, poses, pattern=pattern, options=options.posing, seed=options.seed, work=work, progress=progress
+    )
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
     result = _written(folder, scene, colmap, recording, progress)

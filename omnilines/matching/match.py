@@ -18,7 +18,7 @@ from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
-from omnilines.matching.options import MatchingOptions
+from omnilines.matching.options import MatchingOptions, ToleranceOptions
 from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.progress import ProgressCallback, silent
 from omnilines.triangulation.robust import noise_level
@@ -116,7 +116,7 @@ def evidence_of_lines(
     its, tried = options.tolerance, options.tolerance.tried_px
     rng = np.random.default_rng(seed)
     chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), its.precise_share, rng)
-    turned = arcs.with_poses(_turned(arcs.poses, its.chance_turn_rad, rng))
+    turned = arcs.with_poses(_turned(arcs.poses, its, rng))
     found, chance = [], []
     for done, slack in enumerate(tried):
         progress("choosing the slack", done, len(tried))
@@ -154,11 +154,12 @@ def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
     return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
-def _turned(poses: Pose, turn_rad: tuple[float, float], rng: np.random.Generator) -> Pose:
+def _turned(poses: Pose, options: ToleranceOptions, rng: np.random.Generator) -> Pose:
     """Cameras at the same places, each turned a little about an axis of its own: arcs fit each other by chance alone, and what
     photos have in common hardly changes."""
     axis = rng.standard_normal((len(poses), 3))
-    axis *= rng.uniform(*turn_rad, (len(poses), 1)) / np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = rng.uniform(options.min_chance_turn_rad, options.max_chance_turn_rad, (len(poses), 1))
+    axis *= angle / np.linalg.norm(axis, axis=-1, keepdims=True)
     return Pose.exp(torch.as_tensor(np.concatenate([axis, np.zeros_like(axis)], -1))) @ poses
 
 

@@ -77,8 +77,10 @@ class ToleranceOptions(NamedTuple):
     """Of the most that any tolerance gains, what is enough."""
     chance_sigmas: float = 4.0
     """Standard errors by which the most that any tolerance gains has to exceed what it gains by chance."""
-    chance_turn_rad: tuple[float, float] = (math.radians(4.0), math.radians(8.0))
-    """Least and largest turn of cameras that makes arcs fit each other by chance alone."""
+    min_chance_turn_rad: float = math.radians(4.0)
+    """Cameras turned by so much or more make arcs fit each other by chance alone."""
+    max_chance_turn_rad: float = math.radians(8.0)
+    """The most that cameras are turned for that: what photos have in common hardly changes."""
 
 
 class ChanceOptions(NamedTuple):

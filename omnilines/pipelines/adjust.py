@@ -1,6 +1,6 @@
 """Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,8 +45,10 @@ def adjust(
 
     Raises InputError where tables do not fit together, and GeometryError when no track determines a line.
 
-        scene = adjust(read_segments("segments.csv"), read_poses("poses.csv"), camera)
-        scene.lines.ends_m, scene.poses.covariance
+        >>> segments, poses = ol.read_segments("scene/segments.csv"), ol.read_poses("scene/poses.csv")
+        >>> scene = ol.adjust(segments, poses, ol.load("scene/calibration.yaml"))
+        >>> scene.lines.ends_m.shape[1:], scene.poses.covariance.shape
+        ((2, 3), (6, 6, 6))
     """
     check_refine(options.refine)
     if pose_sigma is not None and not (min(pose_sigma) > 0 and "poses" in options.refine):
@@ -97,8 +99,10 @@ def triangulate(
 
     Raises InputError where tables do not fit together, or there is no such method.
 
-        found = triangulate(segments, poses, camera)
-        found.lines.direction, found.status_names
+        >>> segments, poses = ol.read_segments("scene/segments.csv"), ol.read_poses("scene/poses.csv")
+        >>> found = ol.triangulate(segments, poses, ol.load("scene/calibration.yaml"))
+        >>> len(found) == len(segments.tracks), found.status_names.count("ok") > 20
+        (True, True)
     """
     check_triangulation(method)
     table = _table_of(poses, segments)
@@ -113,14 +117,25 @@ def triangulate(
 
 def segments_of_arrays(
     endpoints_px: Float[np.ndarray, "n 2 2"] | Float[torch.Tensor, "n 2 2"],
-    image: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"],
-    track: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"],
+    image: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"] | Sequence[int],
+    track: Int[np.ndarray, " n"] | Int[torch.Tensor, " n"] | Sequence[int],
     *,
     sigma_px: Float[np.ndarray, " n"] | Float[torch.Tensor, " n"] | None = None,
     covariance_px2: Float[np.ndarray, "n 2 2 2"] | Float[torch.Tensor, "n 2 2 2"] | None = None,
 ) -> Segments:
-    """A table of segments from arrays: both ends of each, the number of its photo, and that of its line (-1 for none)."""
+    """A table of segments from arrays: both ends of each, the number of its photo, and that of its line (-1 for none).
+
+    Raises InputError where their lengths differ.
+
+        >>> ends_px = np.array([[[10.0, 10.0], [50.0, 12.0]], [[8.0, 30.0], [9.0, 70.0]]])
+        >>> ol.segments_of_arrays(ends_px, [0, 1], [0, 0]).images
+        ('0', '1')
+    """
     photo, line = np.asarray(image), np.asarray(track)
+    if not len(photo) == len(line) == len(endpoints_px):
+        raise InputError(
+            f"As many ends, `image` and `track` were expected, found {len(endpoints_px)}, {len(photo)} and {len(line)}; correct."
+        )
     return Segments(
         photo,
         tuple(str(k) for k in range(int(photo.max()) + 1)),

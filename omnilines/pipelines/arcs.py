@@ -119,8 +119,11 @@ def extract(
 
     Raises InputError where there is no photo, none can be used, or the mask has not the size of the camera.
 
-        arcs = extract("scene/", camera)
-        arcs.segments.endpoints_px, arcs.segments.covariance_px2
+        >>> arcs = ol.extract("room/", ol.load("room/calibration.yaml"))
+        >>> len(arcs.photos), arcs.skipped
+        (6, {})
+        >>> arcs.segments.endpoints_px.shape[1:], arcs.segments.covariance_px2.shape[1:]
+        ((2, 2), (2, 2, 2))
     """
     cameras = calibration_of(camera)
     refs = photos_of(photos)

@@ -39,7 +39,10 @@ def given_arcs(
 
     Raises InputError where the table is not of these photos (`check_given`), or none is left.
 
-        arcs = given_arcs(read_segments("segments.csv"), "scene/", camera)
+        >>> camera = ol.load("room/calibration.yaml")
+        >>> arcs = ol.given_arcs(ol.read_segments("unmatched.csv"), "room/", camera)
+        >>> len(arcs) == len(ol.read_segments("unmatched.csv"))
+        True
     """
     cameras, refs = calibration_of(camera), photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras)

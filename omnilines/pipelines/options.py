@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.matching.options import MatchingOptions
+from omnilines.posing.options import PosingOptions
 from omnilines.structure.options import StructureOptions
 
 
@@ -88,6 +89,8 @@ class SceneOptions:
     """Where lines are triangulated and adjusted: cpu or cuda."""
     seed: int = 0
     """Of everything random."""
+    posing: PosingOptions = PosingOptions()
+    """Poses of photos, where they are looked for in them."""
     matching: MatchingOptions = MatchingOptions()
     """Which arcs show one line, and where photos stand by lines."""
     adjustment: AdjustmentOptions = AdjustmentOptions()

@@ -6,7 +6,7 @@ import json
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -28,6 +28,7 @@ from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
+from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
 from omnilines.posing.sfm import sfm_poses
@@ -82,6 +83,7 @@ def estimate_poses(
     source: str | Path = "sfm",
     *,
     pattern: str | None = None,
+    options: PosingOptions = PosingOptions(),
     seed: int = 0,
     work: str | Path | None = None,
     progress: ProgressCallback = silent,
@@ -95,8 +97,9 @@ def estimate_poses(
 
     Raises InputError where the source does not fit the photos, and GeometryError where the photos give no poses.
 
-        posed = estimate_poses(arcs, camera, "sfm")
-        posed.poses.cam_from_world, posed.left_out
+        >>> posed = ol.estimate_poses("room/", ol.load("room/calibration.yaml"), "room/poses.csv")
+        >>> len(posed.poses), posed.left_out, posed.unit.words
+        (6, {}, 'metres')
     """
     source, cameras = str(source), calibration_of(camera)
     arcs = photos if isinstance(photos, PhotoArcs) else None
@@ -106,7 +109,7 @@ def estimate_poses(
     camera_of = cameras_of_photos(refs, cameras) if arcs is None else arcs.camera_of
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)
-    found = _found(source, refs, arcs, cameras, camera_of, pattern, seed, work, progress)
+    found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
     return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of))
 
 
@@ -117,61 +120,59 @@ def kind_of(source: str) -> str:
     return "colmap" if Path(source).is_dir() else "table"
 
 
-def _found(
-    source: str,
-    photos: Sequence[Photo],
-    arcs: PhotoArcs | None,
-    cameras: Calibration,
-    camera_of: Mapping[str, str],
-    pattern: str | None,
-    seed: int,
-    work: str | Path | None,
-    progress: ProgressCallback,
-) -> PhotoPoses:
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of photos."""
+
+    source: str
+    photos: Sequence[Photo]
+    arcs: PhotoArcs | None
+    cameras: Calibration
+    camera_of: Mapping[str, str]
+    pattern: str | None
+    options: PosingOptions
+    seed: int
+
+
+def _found(asked: _Asked, work: str | Path | None, progress: ProgressCallback) -> PhotoPoses:
     """The poses, kept where a folder for that is given and they had to be looked for."""
-    if not from_photos(source):
-        return _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+    if not from_photos(asked.source):
+        names = [photo.name for photo in asked.photos]
+        return _without_photos(asked.source, names, asked.cameras, asked.camera_of, asked.options)
     if work is None:
         with tempfile.TemporaryDirectory() as folder:
-            return _looked_for(source, photos, arcs, cameras, camera_of, pattern, seed, Path(folder), progress)
-    path = output_folder(work) / KEPT
-    made_from = _made_from(source, photos, arcs, cameras, camera_of, pattern, seed)
+            return _looked_for(asked, Path(folder), progress)
+    path, made_from = output_folder(work) / KEPT, _made_from(asked)
     known = _read(path, made_from)
     if known is None:
-        known = _looked_for(source, photos, arcs, cameras, camera_of, pattern, seed, Path(work), progress)
+        known = _looked_for(asked, Path(work), progress)
         _write(path, made_from, known)
     return known
 
 
-def _looked_for(
-    source: str,
-    photos: Sequence[Photo],
-    arcs: PhotoArcs | None,
-    cameras: Calibration,
-    camera_of: Mapping[str, str],
-    pattern: str | None,
-    seed: int,
-    work: Path,
-    progress: ProgressCallback,
-) -> PhotoPoses:
-    names = [photo.name for photo in photos]
-    photo_of = {photo.name: photo for photo in photos}
+def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoPoses:
+    names, cameras, camera_of = [photo.name for photo in asked.photos], asked.cameras, asked.camera_of
+    photo_of = {photo.name: photo for photo in asked.photos}
+    options, seed = asked.options, asked.seed
 
     def read(name: str) -> np.ndarray:
         return photo_of[name].read()
 
-    if source == "sfm":
+    if asked.source == "sfm":
         frames = instants(names) if cameras.rig else None
-        return sfm_poses(names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed)
-    if source == "boards":
-        return poses_from_boards(names, read, cameras, camera_of, parse_pattern(pattern or ""), progress=progress)
-    if source == "rig":
+        return sfm_poses(
+            names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed, options=options
+        )  # fmt: skip
+    if asked.source == "boards":
+        target = parse_pattern(asked.pattern or "")
+        return poses_from_boards(names, read, cameras, camera_of, target, progress=progress, options=options)
+    if asked.source == "rig":
         return poses_from_rig(cameras, names, camera_of, instants(names))
-    assert arcs is not None
-    arcs_of = {found.photo.name: found for found in arcs.photos}
+    assert asked.arcs is not None
+    arcs_of = {found.photo.name: found for found in asked.arcs.photos}
     return poses_from_rectangles(
         names, read, lambda name: sides_of(arcs_of[name], cameras), cameras, camera_of, estimates=cameras.estimates,
-        rectangle=parse_rectangle(source), seed=seed, progress=progress,
+        rectangle=parse_rectangle(asked.source), seed=seed, progress=progress, options=options,
     )  # fmt: skip
 
 
@@ -185,7 +186,13 @@ def sides_of(found: FoundArcs, cameras: Calibration) -> BearingArcs:
     return BearingArcs(bearings.numpy(), noise.numpy(), found.colours)
 
 
-def _without_photos(source: str, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
+def _without_photos(
+    source: str,
+    names: Sequence[str],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    options: PosingOptions = PosingOptions(),
+) -> PhotoPoses:
     """Poses from a source that does not look into the photos."""
     if source == "rig":
         return poses_from_rig(cameras, names, camera_of, instants(names))
@@ -196,7 +203,7 @@ def _without_photos(source: str, names: Sequence[str], cameras: Calibration, cam
             "`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, or one of "
             f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
         )
-    return _from_table(Path(source), names, cameras, camera_of)
+    return _from_table(Path(source), names, cameras, camera_of, options)
 
 
 def instants(names: Sequence[str]) -> dict[str, str]:
@@ -204,14 +211,22 @@ def instants(names: Sequence[str]) -> dict[str, str]:
     return {name: PurePosixPath(name).stem for name in names}
 
 
-def _from_table(path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str]) -> PhotoPoses:
+def _from_table(
+    path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], options: PosingOptions
+) -> PhotoPoses:
     if is_corners_table(path):
-        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names})
-    return given_poses(read_poses(path), names, cameras, camera_of, str(path))
+        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names}, options)
+    return given_poses(read_poses(path), names, cameras, camera_of, path=str(path), options=options)
 
 
 def given_poses(
-    table: ImagePoses, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], path: str
+    table: ImagePoses,
+    names: Sequence[str],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    *,
+    path: str,
+    options: PosingOptions = PosingOptions(),
 ) -> PhotoPoses:
     """The poses of photos that a table has, those of a rig completed; `path` is what messages call it.
 
@@ -229,7 +244,7 @@ def given_poses(
     poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
     if cameras.rig and frames is not None:
         whole = {**instants(names), **dict(zip(images, frames, strict=True))}
-        return complete_from_rig(cameras, poses, names, camera_of, whole)
+        return complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given)
     lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
     return PhotoPoses(poses, lost)
 
@@ -260,32 +275,29 @@ def unit_of_table(poses: Path) -> LengthUnit:
     return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
 
 
-def _made_from(
-    source: str,
-    photos: Sequence[Photo],
-    arcs: PhotoArcs | None,
-    cameras: Calibration,
-    camera_of: Mapping[str, str],
-    pattern: str | None,
-    seed: int,
-) -> str:
+def _made_from(asked: _Asked) -> str:
     """Of all that poses found in photos depend on."""
-    names = {photo.name: camera_of[photo.name] for photo in photos}
+    names = {photo.name: asked.camera_of[photo.name] for photo in asked.photos}
     known = [
-        (name, model.NAME, model.image_size, model.parameters.detach().tolist(), _angles_deg(cameras, name))
-        for name, model in cameras.items()
+        (name, model.NAME, model.image_size, model.parameters.detach().tolist(), _angles_deg(asked.cameras, name))
+        for name, model in asked.cameras.items()
     ]
-    rig = [(name, one.cam_from_rig.rotation.tolist(), one.cam_from_rig.translation.tolist()) for name, one in cameras.rig.items()]
+    rig = [
+        (name, one.cam_from_rig.rotation.tolist(), one.cam_from_rig.translation.tolist())
+        for name, one in asked.cameras.rig.items()
+    ]
     seen = hashlib.sha256()
-    if source.startswith(PREFIX) and arcs is not None:
-        for one in arcs.photos:
+    if asked.source.startswith(PREFIX) and asked.arcs is not None:
+        for one in asked.arcs.photos:
             for values in (one.endpoints_px, one.covariance_px2, one.colours):
                 seen.update(np.ascontiguousarray(values).tobytes())
-    for photo in photos:
+    for photo in asked.photos:
         if not isinstance(photo, PhotoRef):
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
-    options = repr((source, pattern, seed, names, known, rig, seen.hexdigest()))
-    return fingerprint([photo.path for photo in photos if isinstance(photo, PhotoRef)], options, revision(*MADE_BY, __name__))
+    options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, known, rig, seen.hexdigest()))
+    return fingerprint(
+        [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)], options, revision(*MADE_BY, __name__)
+    )
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:

@@ -22,6 +22,7 @@ from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import estimate_poses, given_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
+from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
@@ -66,10 +67,13 @@ def reconstruct(
 
     Raises InputError on bad options or tables, and GeometryError naming the stage where no line is left.
 
-        scene = reconstruct(arcs, read_poses("poses.csv"), camera, SceneOptions(refine=("lines", "poses")))
-        scene.lines.ends_m, scene.lines.covariance
-        scene.save("scene/")
-        scene.report("scene/report.html")
+        >>> camera = ol.load("room/calibration.yaml")["cam0"]
+        >>> arcs, poses = ol.extract("room/", camera), ol.read_poses("room/poses.csv")
+        >>> scene = ol.reconstruct(arcs, poses, camera, ol.SceneOptions(refine=("lines", "poses")))
+        >>> scene.lines.ends_m.shape[1:], scene.lines.covariance.shape[1:], scene.poses.covariance.shape
+        ((2, 3), (4, 4), (6, 6, 6))
+        >>> len(scene.save("rebuilt/")), scene.report("rebuilt/report.html").name
+        (7, 'report.html')
     """
     if isinstance(arcs, Segments):
         return adjust(arcs, poses, camera, options, inputs=inputs, progress=progress)
@@ -81,7 +85,9 @@ def reconstruct(
             arcs.used,
             posed,
             cameras,
-            from_photos=lambda: estimate_poses(arcs, cameras, SFM, seed=options.seed, work=work, progress=progress),
+            from_photos=lambda: estimate_poses(
+                arcs, cameras, SFM, options=options.posing, seed=options.seed, work=work, progress=progress
+            ),
             options=options,
             progress=progress,
         )
@@ -101,7 +107,7 @@ def reconstruct(
 
 def _of_table(arcs: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> PhotoPoses:
     """A table's poses of the photos that can be used."""
-    return given_poses(poses, [one.photo.name for one in arcs.used], cameras, arcs.camera_of, "The table of poses")
+    return given_poses(poses, [one.photo.name for one in arcs.used], cameras, arcs.camera_of, path="The table of poses")
 
 
 def _scene(
@@ -125,7 +131,7 @@ def _scene(
     told = (
         *(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items()),
         *arcs.notes,
-        *_of_poses(posed, found.scene.poses),
+        *_of_poses(posed, found.scene.poses, options.posing),
         *frame.notes,
         *advice(found, options, progress),
     )
@@ -136,11 +142,11 @@ def _scene(
     return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, of_photos, options)
 
 
-def _of_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[str, ...]:
+def _of_poses(posed: PhotoPoses, final: ImagePoses, options: PosingOptions) -> tuple[str, ...]:
     """What is to be said of where photos were taken."""
     known = set(final.images)
     placed = sorted(name for name in final.images if name not in posed.poses.images)
     lost = {name: why for name, why in posed.left_out.items() if name not in known}
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
-    doubts = doubt(len(lost), len(known) + len(lost)) if posed.source == SFM else ()
+    doubts = doubt(len(lost), len(known) + len(lost), options.growth) if posed.source == SFM else ()
     return (*lost.values(), *([by_lines] if placed else []), *without_scale(posed.notes), *doubts)

@@ -118,8 +118,9 @@ def rectify(
 
     Raises InputError on photos, poses and options that are not what they have to be.
 
-        views = rectify("photos/", camera, "cube", size=(800, 800))
-        for name, pixels in views.pixels(): ...
+        >>> views = ol.rectify("room/", ol.load("room/calibration.yaml"), "cube", size=(100, 100))
+        >>> len(views), {pixels.shape for _, pixels in views.pixels()}
+        (36, {(100, 100, 3)})
     """
     cameras, found = calibration_of(camera), photos_of(photos)
     table = poses.poses if isinstance(poses, PhotoPoses) else poses

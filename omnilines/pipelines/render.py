@@ -25,7 +25,7 @@ from omnilines.records import Corners, ImagePoses
 from omnilines.scenes import (
     PHOTO_WIDTH_M,
     PLACES,
-    LineScene,
+    PolygonScene,
     build_scene,
     default_fov_deg,
     eye,
@@ -198,7 +198,7 @@ class RenderedScene(Rendered):
 
     name: str
     """Of the scene."""
-    scene: LineScene
+    scene: PolygonScene
     circle_rad: float
     """Half the angle across the image circle; pi where there is none."""
     edges: TrueEdges
@@ -215,7 +215,7 @@ class RenderedScene(Rendered):
 
 
 def render(
-    shown: str | Pattern | LineScene,
+    shown: str | Pattern | PolygonScene,
     model: str | CameraModel = MODEL,
     options: RenderOptions = RenderOptions(),
     *,
@@ -292,7 +292,7 @@ def render_targets(
 
 
 def render_scene(
-    scene: str | LineScene = "room",
+    scene: str | PolygonScene = "room",
     model: str | CameraModel = MODEL,
     options: RenderOptions = RenderOptions(),
     *,

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.features import Features
@@ -56,6 +57,11 @@ def map_photos(
     make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs and without those whose rotation
     contradicts the others (rotations.py); that is taken whose largest part explains most matches.
     """
+    limits, inliers = options.mapper.resection_px, options.mapper.resection_inliers
+    if not limits or len(limits) != len(inliers):
+        raise InputError(
+            f"As many `resection_inliers` as `resection_px` were expected, one or more, found {inliers} and {limits}; give both."
+        )
     module = pycolmap()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -65,7 +71,7 @@ def map_photos(
     contradicting = [pair for pair, one in rays.items() if not one.agrees]
     best: list[dict[int, Pose]] = []
     most = -1
-    resections = list(zip(options.mapper.resection_px, options.mapper.resection_inliers, strict=True))
+    resections = list(zip(limits, inliers, strict=True))
     for number, (all_pairs, (error_px, least)) in enumerate(itertools.product((True, False), resections)):
         if not all_pairs and not contradicting:
             break

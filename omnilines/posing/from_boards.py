@@ -134,6 +134,6 @@ def _resected(model: CameraModel, pattern: Pattern, found: Detection, options: P
     least = max(min_corners, int(options.given.min_corner_share * valid.sum()))
     try:
         points = pattern.points_m[found.ids[valid]]
-        return resect(bearings[valid], points, sigma, least_inliers=least, options=options.resection).pose
+        return resect(bearings[valid], points, sigma, min_inliers=least, options=options.resection).pose
     except GeometryError:
         return None

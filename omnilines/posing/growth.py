@@ -271,7 +271,7 @@ class _Points:
             least = max(its.min_resected, int(its.min_resected_share * len(pairs)))
             seen, points = own.bearings[pairs[:, 0]].numpy(), self.grown.every_point[pairs[:, 1]].numpy()
             try:
-                found = resect(seen, points, sigma, least_inliers=least, seed=seed, options=self.options.resection)
+                found = resect(seen, points, sigma, min_inliers=least, seed=seed, options=self.options.resection)
             except GeometryError:
                 continue
             count = int(found.inliers.sum())

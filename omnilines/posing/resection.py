@@ -46,14 +46,14 @@ def resect(
     points: Float[np.ndarray, "n 3"],
     sigma_rad: float | Float[np.ndarray, " n"] = 1e-3,
     *,
-    least_inliers: int = MIN_POINTS,
+    min_inliers: int = MIN_POINTS,
     seed: int = 0,
     options: ResectionOptions = ResectionOptions(),
 ) -> Resection:
     """The pose cam_from_world that sees world `points` along unit `bearings` (camera frame, any angle off axis).
 
     `sigma_rad` is the standard deviation of each bearing in either direction across it. Half of the points or more may be wrong.
-    Raises GeometryError for fewer than four points, where fewer than `least_inliers` points agree on a pose, and where those that
+    Raises GeometryError for fewer than four points, where fewer than `min_inliers` points agree on a pose, and where those that
     do leave it open (all on one line, all in one direction).
     """
     if len(bearings) < MIN_POINTS:
@@ -68,9 +68,9 @@ def resect(
     pose = min(fits, key=lambda fit: fit.cost).pose
     residual, by_point = bearing_residual(b, rows, placed(pose, local))
     inliers = residual.norm(dim=-1) < options.inlier_sigmas
-    if int(inliers.sum()) < max(least_inliers, MIN_POINTS):
+    if int(inliers.sum()) < max(min_inliers, MIN_POINTS):
         raise GeometryError(
-            f"At least {max(least_inliers, MIN_POINTS)} points that agree on a pose were expected, found {int(inliers.sum())} "
+            f"At least {max(min_inliers, MIN_POINTS)} points that agree on a pose were expected, found {int(inliers.sum())} "
             f"of {len(b)}; give more points or better ones."
         )
     jacobian = by_pose(by_point, placed(pose, local))[inliers]

@@ -12,10 +12,10 @@ from omnilines.scenes.books import books, sheet_from_world
 from omnilines.scenes.cameras import default_fov_deg, largest_angle, scene_camera
 from omnilines.scenes.edges import scene_edges
 from omnilines.scenes.flat import flat
-from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.photo import Eye, eye, render_clean, render_photo
 from omnilines.scenes.photo_texture import PHOTO_WIDTH_M, PLACES, with_photographs
 from omnilines.scenes.plain_room import plain_room
+from omnilines.scenes.polygon_scene import PolygonScene
 from omnilines.scenes.poses import scene_poses
 from omnilines.scenes.room import furnished_room
 from omnilines.scenes.street import street
@@ -29,7 +29,7 @@ __all__ = [
     "PLACES",
     "SCENES",
     "Eye",
-    "LineScene",
+    "PolygonScene",
     "books",
     "build_scene",
     "default_fov_deg",
@@ -51,7 +51,7 @@ __all__ = [
 ]
 
 
-def build_scene(name: str, seed: int) -> LineScene:
+def build_scene(name: str, seed: int) -> PolygonScene:
     """The scene of a name; raises InputError on an unknown one."""
     if name not in SCENES:
         raise InputError(f"A scene is one of {', '.join(SCENES)}, found '{name}'; choose one of these.")

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnilines.scenes.line_scene import LineScene, PhotoTexture, Texture
 from omnilines.scenes.photo_texture import photo_factor
+from omnilines.scenes.polygon_scene import PhotoTexture, PolygonScene, Texture
 from omnilines.scenes.viewpoint import NO_FACE, Viewpoint
 
 _FOOTPRINT_SIGMA = 0.5
@@ -15,7 +15,7 @@ _FAINT = 5e-4
 """Relative amplitude below which a filtered wave is left out: under a tenth of a grey level."""
 
 
-def light(scene: LineScene, normal: Float[np.ndarray, "n 3"], points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+def light(scene: PolygonScene, normal: Float[np.ndarray, "n 3"], points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     """The light on faces of those unit normals at those points (`Lamps`)."""
     lamps = scene.lamps
     total = lamps.ambient + normal @ np.append(lamps.side, lamps.up).astype(normal.dtype)
@@ -27,7 +27,7 @@ def light(scene: LineScene, normal: Float[np.ndarray, "n 3"], points_m: Float[np
     return total
 
 
-def sky_colour(scene: LineScene, up: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+def sky_colour(scene: PolygonScene, up: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
     """RGB grey levels of the sky for unit rays of that vertical component."""
     height = np.clip(up, 0.0, 1.0)[:, None]
     return scene.sky[0] + height * (scene.sky[1] - scene.sky[0])
@@ -64,7 +64,7 @@ def colours(
 
 
 def _texture(
-    scene: LineScene,
+    scene: PolygonScene,
     faces: Int[np.ndarray, " n"],
     points_m: Float[np.ndarray, "n 3"],
     footprint_m: Float[np.ndarray, " n"],
@@ -87,7 +87,7 @@ def _texture(
     return factor
 
 
-def _texture_axes(scene: LineScene) -> Float[np.ndarray, "p 2 3"]:
+def _texture_axes(scene: PolygonScene) -> Float[np.ndarray, "p 2 3"]:
     """Unit vectors along the first side of each face and across it.
 
     Pieces of one surface have parallel sides: measured from the world's origin, their texture runs on across the seams.

@@ -12,7 +12,7 @@ import numpy as np
 from camera_models.pose import Pose
 from omnilines.scenes.building import Builder, Colour, Frame, colour
 from omnilines.scenes.furniture import FABRIC, PLAIN, STONE, WOOD, tone, wood
-from omnilines.scenes.line_scene import Dome, Lamps, LineScene
+from omnilines.scenes.polygon_scene import Dome, Lamps, PolygonScene
 from omnilines.scenes.room import room_textures
 from omnilines.synthetic.targets import generator
 
@@ -26,7 +26,7 @@ LOWEST_DEG, HIGHEST_DEG, ASIDE_DEG = 38.0, 65.0, 70.0
 """Heights of the cameras above the table, and how far round they go to either side of -y."""
 
 
-def books(seed: int) -> LineScene:
+def books(seed: int) -> PolygonScene:
     """Rows of books behind and beside the sheet, a stack, a ruler and a box before it."""
     rng = generator(seed, "books")
     build = Builder(room_textures(rng))

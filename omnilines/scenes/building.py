@@ -1,4 +1,4 @@
-"""Faces, walls with openings, boxes and paint put together into a `LineScene`."""
+"""Faces, walls with openings, boxes and paint put together into a `PolygonScene`."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnilines.scenes.line_scene import GREY_WEIGHTS, Boxes, Lamps, LineScene, Texture
+from omnilines.scenes.polygon_scene import GREY_WEIGHTS, Boxes, Lamps, PolygonScene, Texture
 
 Colour = Float[np.ndarray, "3"]
 Opening = tuple[float, float, float, float]
@@ -245,11 +245,11 @@ class Builder:
         sky: Float[np.ndarray, "2 3"],
         low_m: Float[np.ndarray, "3"],
         high_m: Float[np.ndarray, "3"],
-    ) -> LineScene:
+    ) -> PolygonScene:
         """The faces so far; cameras stand between the two corners."""
         faces = self._faces
         numbers = np.array([[f.plane, f.layer, f.surface, f.texture] for f in faces], dtype=np.int64)
-        return LineScene(
+        return PolygonScene(
             corners_m=np.stack([f.corners_m for f in faces]),
             plane=numbers[:, 0],
             layer=numbers[:, 1],

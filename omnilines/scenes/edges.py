@@ -6,14 +6,14 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from omnilines.scenes.line_scene import LineScene
+from omnilines.scenes.polygon_scene import PolygonScene
 
 SAME_M = 1e-6
 """Points nearer than this are one, and sides nearer than this to a line lie on it."""
 SHORTEST_M = 0.005
 
 
-def scene_edges(scene: LineScene) -> Float[np.ndarray, "e 2 3"]:
+def scene_edges(scene: PolygonScene) -> Float[np.ndarray, "e 2 3"]:
     """End points (m) of all edges, none overlapping another: where sides of faces overlap or touch on one line they are one edge.
 
     The order follows from the scene. Seams inside a surface are no edges; edges shorter than SHORTEST_M are left out.

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from omnilines.scenes.building import Builder, Frame, Opening, colour
 from omnilines.scenes.flat_rooms import FURNISHED, Room
 from omnilines.scenes.furniture import PLAIN, PLASTER, STONE, WOOD, other_hue, tone, window, wood
-from omnilines.scenes.line_scene import Lamps, LineScene, Texture
+from omnilines.scenes.polygon_scene import Lamps, PolygonScene, Texture
 from omnilines.scenes.room import room_textures, room_walls
 from omnilines.synthetic.targets import generator
 
@@ -52,7 +52,7 @@ class _Doorway:
         return self.wall, (self.wall + 2) % 4
 
 
-def flat(seed: int) -> LineScene:
+def flat(seed: int) -> PolygonScene:
     """A flat of about 11 x 8 m with a corner at the origin, z up."""
     rng = generator(seed, "flat")
     textures = room_textures(rng)

@@ -6,7 +6,7 @@ A frame on the floor has its origin in the middle of the piece. All draws come f
 import numpy as np
 
 from omnilines.scenes.building import Builder, Colour, Frame, Opening, colour
-from omnilines.scenes.line_scene import GREY_WEIGHTS
+from omnilines.scenes.polygon_scene import GREY_WEIGHTS
 
 PLAIN, PLASTER, WOOD, FABRIC, STONE = range(5)
 """Index of each texture."""

@@ -17,8 +17,8 @@ from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.scenes.appearance import colours
 from omnilines.scenes.coverage import fragments
-from omnilines.scenes.line_scene import LineScene
 from omnilines.scenes.pixel_rays import PixelRays, pixel_rays, tile_cones, tile_grid, tile_sides
+from omnilines.scenes.polygon_scene import PolygonScene
 from omnilines.scenes.viewpoint import NO_FACE, Cones, Pairs, Viewpoint, faces_in_cones
 
 DARK_GREY = 4.0
@@ -86,7 +86,7 @@ def faces_of_tiles(view: Viewpoint, camera: Eye) -> TileFaces:
     return TileFaces(pairs, whole)
 
 
-def render_clean(scene: LineScene, camera: Eye, cam_from_world: Pose) -> Float[np.ndarray, "h w 3"]:
+def render_clean(scene: PolygonScene, camera: Eye, cam_from_world: Pose) -> Float[np.ndarray, "h w 3"]:
     """RGB grey levels (single precision) before vignetting, blur and noise."""
     view = Viewpoint(scene, cam_from_world)
     tiles = faces_of_tiles(view, camera)
@@ -163,7 +163,7 @@ def vignette(camera: Eye, strength: float) -> Float[np.ndarray, "h w"]:
 
 
 def render_photo(
-    scene: LineScene,
+    scene: PolygonScene,
     camera: Eye,
     cam_from_world: Pose,
     *,

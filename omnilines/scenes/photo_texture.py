@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt
 
 from camera_models import InputError
-from omnilines.scenes.line_scene import LineScene, PhotoTexture
+from omnilines.scenes.polygon_scene import PhotoTexture, PolygonScene
 from omnilines.synthetic.targets import generator
 
 PLACES = ("walls", "floors", "ceilings", "furniture")
@@ -47,12 +47,12 @@ def photo_texture(photo: UInt[np.ndarray, "h w *channels"], width_m: float) -> P
 
 
 def with_photographs(
-    scene: LineScene,
+    scene: PolygonScene,
     photos: Sequence[UInt[np.ndarray, "..."]],
     seed: int,
     width_m: float = PHOTO_WIDTH_M,
     places: Sequence[str] = PLACES,
-) -> LineScene:
+) -> PolygonScene:
     """The scene with a photograph, drawn from the seed, on every surface of some of PLACES; its edges stay as they are.
 
     The colour of such a face in tables of contrast is the mean of its photograph. Raises InputError for an unknown place,
@@ -74,7 +74,7 @@ def with_photographs(
     return replace(scene, textures=(*scene.textures, *textures), texture=texture, albedo=albedo)
 
 
-def _places_of(scene: LineScene) -> Int[np.ndarray, " surfaces"]:
+def _places_of(scene: PolygonScene) -> Int[np.ndarray, " surfaces"]:
     """Index of each surface into PLACES, by its size and where it faces, or -1."""
     first = scene.corners_m[:, 0]
     # Half the cross product of the diagonals of a quadrangle is its area.

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from omnilines.scenes.building import Builder, Colour, Frame, Opening, colour
 from omnilines.scenes.furniture import FABRIC, LEAF_HUE_DEG, PLAIN, PLASTER, SKY_HUE_DEG, STONE, WOOD, other_hue, tone, wood
-from omnilines.scenes.line_scene import LineScene
+from omnilines.scenes.polygon_scene import PolygonScene
 from omnilines.scenes.room import FROM_WALLS_M, ROOM_M, Wall, checked_size, room_lamps, room_textures, room_walls
 from omnilines.synthetic.targets import generator
 
@@ -17,7 +17,7 @@ THINNEST_M = 0.1
 """Least distance between two parallel edges of one piece."""
 
 
-def plain_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> LineScene:
+def plain_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> PolygonScene:
     """A room between the origin and `size_m`, z up. Raises InputError for a size that the furniture does not fit."""
     size = checked_size(size_m)
     rng = generator(seed, "plain room")

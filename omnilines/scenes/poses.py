@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.views import axis_from_camera
-from omnilines.scenes.line_scene import Dome, LineScene
+from omnilines.scenes.polygon_scene import Dome, PolygonScene
 from omnilines.synthetic.targets import generator
 
 CLEARANCE_M = 0.3
@@ -27,7 +27,7 @@ LEVEL_DEG = 5.0
 """The same of both along a way."""
 
 
-def scene_poses(scene: LineScene, views: int, seed: int, camera: CameraModel | None = None) -> Pose:
+def scene_poses(scene: PolygonScene, views: int, seed: int, camera: CameraModel | None = None) -> Pose:
     """cam_from_world of a batch of views: positions as far apart as free space allows, each looking across the scene, or those of
     a walk where the scene has one.
 
@@ -70,7 +70,7 @@ def _from_dome(dome: Dome, views: int, rng: np.random.Generator, camera: CameraM
     return Pose.of(rotation, -np.einsum("nij,nj->ni", rotation, places))
 
 
-def _scattered(scene: LineScene, views: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+def _scattered(scene: PolygonScene, views: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     """Places in free space, as far apart as it allows."""
     free = rng.uniform(scene.low_m, scene.high_m, (_TRIES, 3))
     free = free[~scene.boxes.near(free, CLEARANCE_M)]
@@ -81,7 +81,9 @@ def _scattered(scene: LineScene, views: int, rng: np.random.Generator) -> Float[
     return _spread(free, views)
 
 
-def _walked(scene: LineScene, way_m: Float[np.ndarray, "k 3"], views: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+def _walked(
+    scene: PolygonScene, way_m: Float[np.ndarray, "k 3"], views: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
     """Places along a way, one step apart, each a little beside it where that is free."""
     leg = np.diff(way_m, axis=0)
     reached = np.append(0.0, np.cumsum(np.linalg.norm(leg, axis=-1)))

@@ -25,7 +25,7 @@ from omnilines.scenes.furniture import (
     window,
     wood,
 )
-from omnilines.scenes.line_scene import Lamps, LineScene, Texture
+from omnilines.scenes.polygon_scene import Lamps, PolygonScene, Texture
 from omnilines.synthetic.targets import generator
 
 ROOM_M = (5.0, 4.0, 3.0)
@@ -35,7 +35,7 @@ FROM_WALLS_M = 0.45
 """Least distance of a camera from walls, floor and ceiling."""
 
 
-def furnished_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> LineScene:
+def furnished_room(seed: int, size_m: tuple[float, float, float] = ROOM_M) -> PolygonScene:
     """A room between the origin and `size_m`, z up. Raises InputError for a size that the furniture does not fit."""
     size = checked_size(size_m)
     rng = generator(seed, "room")

@@ -5,7 +5,7 @@ import numpy as np
 from omnilines.scenes.appearance import texture
 from omnilines.scenes.building import Builder, Colour, Frame, Opening, colour
 from omnilines.scenes.furniture import PLAIN, PLASTER, SKY_HUE_DEG, STONE, WOOD, other_hue, tone, wood
-from omnilines.scenes.line_scene import Lamps, LineScene
+from omnilines.scenes.polygon_scene import Lamps, PolygonScene
 from omnilines.synthetic.targets import generator
 
 LENGTH_M, WIDTH_M = 40.0, 12.0
@@ -15,7 +15,7 @@ LOWEST_M, HIGHEST_M = 1.3, 4.0
 FLOOR_M = 3.1
 
 
-def street(seed: int) -> LineScene:
+def street(seed: int) -> PolygonScene:
     """Houses along the x axis on both sides of y = 0, z up, the road at z = 0."""
     rng = generator(seed, "street")
     build = Builder(

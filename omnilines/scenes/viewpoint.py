@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from camera_models.pose import Pose
-from omnilines.scenes.line_scene import LineScene
+from omnilines.scenes.polygon_scene import PolygonScene
 
 NO_FACE = -1
 """Index of what a ray meets where it meets no face: the sky."""
@@ -49,7 +49,7 @@ class Pairs:
 class Viewpoint:
     """The front faces of a scene as linear functions of a ray in the frame of a camera. Faces are numbered as in the scene."""
 
-    def __init__(self, scene: LineScene, cam_from_world: Pose) -> None:
+    def __init__(self, scene: PolygonScene, cam_from_world: Pose) -> None:
         self.scene = scene
         self.world_from_cam: Float[np.ndarray, "3 3"] = cam_from_world.rotation.detach().numpy().T
         self.centre_m: np.ndarray = cam_from_world.centre.detach().numpy()

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 from camera_models.pose import Pose
 from omnilines.files.true_edges import Stretches
 from omnilines.scenes.appearance import colours
-from omnilines.scenes.line_scene import GREY_WEIGHTS, LineScene
 from omnilines.scenes.photo import Eye, TileFaces, faces_of_tiles, vignette
+from omnilines.scenes.polygon_scene import GREY_WEIGHTS, PolygonScene
 from omnilines.scenes.viewpoint import NO_FACE, Viewpoint, first_faces
 
 BESIDE_PX = (0.05, 1.0)
@@ -76,7 +76,9 @@ class _Arcs:
 class _Look:
     """One photo of a scene: answers what is seen at points of edges."""
 
-    def __init__(self, scene: LineScene, camera: Eye, pose: Pose, ends_m: Float[np.ndarray, "e 2 3"], vignetting: float) -> None:
+    def __init__(
+        self, scene: PolygonScene, camera: Eye, pose: Pose, ends_m: Float[np.ndarray, "e 2 3"], vignetting: float
+    ) -> None:
         self.scene, self.camera = scene, camera
         self.view = Viewpoint(scene, pose)
         self.tiles: TileFaces = faces_of_tiles(self.view, camera)
@@ -175,7 +177,7 @@ def _differences(colour: Float[np.ndarray, "2 n 3"]) -> Float[np.ndarray, "n 2"]
 
 
 def visible_stretches(
-    scene: LineScene, camera: Eye, cam_from_world: Pose, ends_m: Float[np.ndarray, "e 2 3"], vignetting: float = 0.0
+    scene: PolygonScene, camera: Eye, cam_from_world: Pose, ends_m: Float[np.ndarray, "e 2 3"], vignetting: float = 0.0
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Stretches of the edges that one photo sees: edge, (t1, t2), length in pixels, and (grey, rgb) contrast in grey levels.
 

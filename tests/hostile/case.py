@@ -16,7 +16,7 @@ from pathlib import Path
 
 from omnilines import cli
 
-TIME_S = 10.0
+TIME_S = 60.0
 """Of one command."""
 MEMORY_BYTES = 2 * 1024**3
 """By which the process may grow."""
@@ -123,7 +123,7 @@ def _alone(case: Case, folder: Path) -> tuple[int, str, str]:
         [sys.executable, "-c", START, *case.arguments],
         cwd=folder,
         capture_output=True,
-        timeout=6 * TIME_S,
+        timeout=TIME_S,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (4 * MEMORY_BYTES,) * 2),
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(cli.__file__).parents[2]), os.environ.get("PYTHONPATH", "")])},

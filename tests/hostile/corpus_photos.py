@@ -130,14 +130,25 @@ def over_inputs() -> Iterator[Case]:
     scene = (*LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv")
     lines = {
         "rectify": command("rectify", "IN/photos"),
-        "targets": ("render", "targets", "--views", "2", "--size", "64x48", "--out", "IN/photos"),
+        "targets": (
+            "render",
+            "targets",
+            "--pattern",
+            "checkerboard:4x3:30mm",
+            "--views",
+            "2",
+            "--size",
+            "320x240",
+            "--out",
+            "IN/photos",
+        ),
         "adjust": ("adjust", *scene, "--out", "IN"),
         "reconstruct": ("reconstruct", *scene, "--out", "IN"),
         "calibrate": ("calibrate", "IN/corners.csv", "--image-size", "646x482", "--model", "opencv-fisheye", "--out", "IN"),
         "convert": ("convert", "IN/calibration.yaml", "IN/calibration.yaml"),
         "convert-by-link": ("convert", "IN/calibration.yaml", "IN/link.yaml"),
         "pattern": ("pattern", "checkerboard:7x5:30mm", "--out", "IN/mine.pdf"),
-    }  # fmt: skip
+    }
 
     def with_own_files(folder: Path) -> None:
         own(folder)

@@ -16,21 +16,63 @@ Change = Callable[[Rows], Rows]
 SCENE = ("omnilines", "poses.csv", "segments.csv")
 LENS = ("--calibration", "IN/calibration.yaml")
 COMMANDS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
-    "corners": ("corners.csv", ("corners.csv",), (
-        "calibrate", "IN/corners.csv", "--image-size", "646x482", "--model", "opencv-fisheye", "--out", "OUT",
-    )),
-    "poses": ("poses.csv", SCENE, (
-        "reconstruct", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT",
-    )),
-    "segments": ("segments.csv", SCENE, (
-        "adjust", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT",
-    )),
-}  # fmt: skip
+    "corners": (
+        "corners.csv",
+        ("corners.csv",),
+        (
+            "calibrate",
+            "IN/corners.csv",
+            "--image-size",
+            "646x482",
+            "--model",
+            "opencv-fisheye",
+            "--out",
+            "OUT",
+        ),
+    ),
+    "poses": (
+        "poses.csv",
+        SCENE,
+        (
+            "reconstruct",
+            *LENS,
+            "--poses",
+            "IN/poses.csv",
+            "--segments",
+            "IN/segments.csv",
+            "--out",
+            "OUT",
+        ),
+    ),
+    "segments": (
+        "segments.csv",
+        SCENE,
+        (
+            "adjust",
+            *LENS,
+            "--poses",
+            "IN/poses.csv",
+            "--segments",
+            "IN/segments.csv",
+            "--out",
+            "OUT",
+        ),
+    ),
+}
 """Table -> its file, the good inputs, the command that reads it."""
 CELLS = {
-    "empty": "", "nan": "nan", "inf": "-inf", "beyond-doubles": "1e999", "beyond-reason": "1e300", "word": "left",
-    "underscore": "1_000", "5000-digits": "1" * 5000, "escape": "\x1b[31m7", "comma": "12,5", "hex": "0x1F",
-}  # fmt: skip
+    "empty": "",
+    "nan": "nan",
+    "inf": "-inf",
+    "beyond-doubles": "1e999",
+    "beyond-reason": "1e300",
+    "word": "left",
+    "underscore": "1_000",
+    "5000-digits": "1" * 5000,
+    "escape": "\x1b[31m7",
+    "comma": "12,5",
+    "hex": "0x1F",
+}
 NAMES = {
     "outside": "../../secret.png",
     "absolute": "/etc/passwd",
@@ -49,7 +91,7 @@ def changed(kind: str, change: Change) -> Callable[[Path], None]:
     def prepare(folder: Path) -> None:
         give(*given)(folder)
         path = folder / "IN" / name
-        rows = list(csv.reader(path.open(newline="")))
+        rows = list(csv.reader(path.read_text().splitlines()))
         header, *others = change(rows)
         table(path, tuple(header), [list(row) for row in others])
 
@@ -175,14 +217,17 @@ def of_corners() -> Iterator[Case]:
     """Corners that say nothing of a camera."""
     _, _, command = COMMANDS["corners"]
     changes: dict[str, tuple[Change, str]] = {
-        "all-one-pixel": (lambda rows: column("u_px", lambda k: "3")(column("v_px", lambda k: "4")(rows)), "pixel|corner|board|view"),
+        "all-one-pixel": (
+            lambda rows: column("u_px", lambda k: "3")(column("v_px", lambda k: "4")(rows)),
+            "pixel|corner|board|view",
+        ),
         "all-one-board-point": (lambda rows: column("board_x_m", lambda k: "0")(rows), "corner|board|view"),
         "outside-the-image": (column("u_px", lambda k: str(9000 + k)), "image-size"),
         "two-cameras": (column("camera", lambda k: f"cam{k % 2}"), "camera"),
         "millimetres-of-light-years": (column("board_x_m", lambda k: str(k * 1e12)), "board_x_m"),
         "one-view": (lambda rows: [rows[0], *(row for row in rows[1:] if row[0] == "v0")], "view"),
         "ids-of-words": (column("id", lambda k: "first"), "id"),
-    }  # fmt: skip
+    }
     for what, (change, says) in changes.items():
         yield Case(f"corners:{what}", command, changed("corners", change), says)
 
@@ -209,28 +254,43 @@ def of_scenes() -> Iterator[Case]:
     _, _, command = COMMANDS["poses"]
     poses: dict[str, tuple[Change, str]] = {
         "inverted": (_inverted, "inver|world_from"),
-        "xyzw": (lambda rows: [rows[0], *([*row[:2], *row[3:6], row[2], *row[6:]] for row in rows[1:])], "qw|order|xyzw|inver|poses"),
-        "millimetres": (lambda rows: [rows[0], *([*row[:6], *(str(1e3 * float(c)) for c in row[6:9])] for row in rows[1:])], "poses|metre|unit"),
+        "xyzw": (
+            lambda rows: [rows[0], *([*row[:2], *row[3:6], row[2], *row[6:]] for row in rows[1:])],
+            "qw|order|xyzw|inver|poses",
+        ),
+        "millimetres": (
+            lambda rows: [rows[0], *([*row[:6], *(str(1e3 * float(c)) for c in row[6:9])] for row in rows[1:])],
+            "poses|metre|unit",
+        ),
         "of-another-scene": (_by_hand, "poses"),
-        "all-in-one-place": (lambda rows: [rows[0], *([*row[:6], "0", "0", "0"] for row in rows[1:])], "poses|place|centre|baseline|track|apart"),
-        "quaternions-of-zero": (lambda rows: [rows[0], *([*row[:2], "0", "0", "0", "0", *row[6:]] for row in rows[1:])], "poses.*qw"),
+        "all-in-one-place": (
+            lambda rows: [rows[0], *([*row[:6], "0", "0", "0"] for row in rows[1:])],
+            "poses|place|centre|baseline|track|apart",
+        ),
+        "quaternions-of-zero": (
+            lambda rows: [rows[0], *([*row[:2], "0", "0", "0", "0", *row[6:]] for row in rows[1:])],
+            "poses.*qw",
+        ),
         "far-away": (lambda rows: [rows[0], *([*row[:6], "1e200", "0", "0"] for row in rows[1:])], "poses.*tx"),
         "unknown-camera": (column("camera", lambda k: "cam9"), "cam9"),
         "of-other-photos": (column("image", lambda k: f"other{k}.png"), "No segment|photo|pose"),
         "of-one-photo": (lambda rows: rows[:2], "photo|pose|view|track|segment"),
-    }  # fmt: skip
+    }
     for what, (change, says) in poses.items():
         yield Case(f"poses:{what}", command, changed("poses", change), says, status=(1, 2))
     _, _, command = COMMANDS["segments"]
     segments: dict[str, tuple[Change, str]] = {
         "one-pixel-long": (lambda rows: [rows[0], *([*row[:2], "5", "6", "5", "6"] for row in rows[1:])], "segments"),
-        "far-outside": (lambda rows: column("u1_px", lambda k: "9e6")(column("u2_px", lambda k: "-9e6")(rows)), "segment|pixel|image|track"),
+        "far-outside": (
+            lambda rows: column("u1_px", lambda k: "9e6")(column("u2_px", lambda k: "-9e6")(rows)),
+            "segment|pixel|image|track",
+        ),
         "all-one-track": (column("track", lambda k: "one"), "track|segment|line|explain"),
         "no-track": (column("track", lambda k: ""), "track|segment"),
         "every-one-its-own": (column("track", lambda k: str(k)), "track|segment|photo"),
         "mixed": (column("track", lambda k: str((7 * k + k // 9) % 10)), "track|segment|explain|consist|line"),
         "unknown-camera": (column("camera", lambda k: "cam9"), "cam9"),
-    }  # fmt: skip
+    }
     for what, (change, says) in segments.items():
         yield Case(f"segments:{what}", command, changed("segments", change), says, status=(1, 2))
 

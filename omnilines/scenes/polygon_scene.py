@@ -74,7 +74,7 @@ class Dome:
 
 
 @dataclass(frozen=True)
-class LineScene:
+class PolygonScene:
     """p convex faces of four corners (a triangle repeats one), each seen from its front only; +z is up."""
 
     corners_m: Float[np.ndarray, "p 4 3"]
