@@ -45,11 +45,15 @@ if TYPE_CHECKING:
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
     from omnilines.pipelines.rectify import RectifiedViews, rectify
+    from omnilines.pipelines.render import RenderedScene, RenderedTargets, RenderOptions, render
     from omnilines.pipelines.scene import Scene
     from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
     from omnilines.progress import Cancelled, ProgressCallback
     from omnilines.records import Corners, ImagePoses, Lines, Segments
+    from omnilines.studies.scene_validation import SceneValidation
+    from omnilines.studies.validate import validate
+    from omnilines.studies.validation import Validation
 
 _HOMES = {
     # Photos of a target -> cameras.
@@ -73,6 +77,11 @@ _HOMES = {
     "omnilines.matching.options": ("MatchingOptions",),
     "omnilines.pipelines.adjust": ("adjust", "triangulate", "segments_of_arrays"),
     "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
+    # A known truth -> photos, and what becomes of them.
+    "omnilines.pipelines.render": ("render", "RenderOptions", "RenderedTargets", "RenderedScene"),
+    "omnilines.studies.validate": ("validate",),
+    "omnilines.studies.validation": ("Validation",),
+    "omnilines.studies.scene_validation": ("SceneValidation",),
     # What is read, written and handed on.
     "camera_models.formats.native": ("load", "save", "Calibration"),
     "camera_models.pose": ("Pose",),
@@ -110,11 +119,16 @@ __all__ = [
     "PosingOptions",
     "ProgressCallback",
     "RectifiedViews",
+    "RenderOptions",
+    "RenderedScene",
+    "RenderedTargets",
     "RigCorners",
     "RigResult",
     "Scene",
     "SceneOptions",
+    "SceneValidation",
     "Segments",
+    "Validation",
     "adjust",
     "calibrate",
     "calibrate_rig",
@@ -132,9 +146,11 @@ __all__ = [
     "read_segments",
     "reconstruct",
     "rectify",
+    "render",
     "save",
     "segments_of_arrays",
     "triangulate",
+    "validate",
     "write_corners",
     "write_lines",
     "write_poses",

@@ -24,10 +24,11 @@ from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.options import with_settings
 
-VERBS = "detect detect_rig calibrate calibrate_rig convert".split()
+VERBS = "detect detect_rig calibrate calibrate_rig convert render validate".split()
 RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions DetectionOptions".split()
 SCENE_VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
 SCENE_RESULTS = "PhotoArcs PhotoPoses Scene RectifiedViews ExtractionOptions PosingOptions MatchingOptions SceneOptions".split()
+TRUTH_RESULTS = "RenderOptions RenderedTargets RenderedScene Validation SceneValidation".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
     *("load", "save", "read_corners", "read_rig_corners", "read_poses", "read_segments", "read_lines"),
@@ -40,7 +41,9 @@ LENS = camera_models.OpenCVFisheye([150.0, 150.0, 319.5, 239.5, 0.02, -0.004, 0.
 
 def test_exported_names_are_these() -> None:
     """A name that goes, or comes, is a decision: it stands here, in the changelog and in the documents."""
-    assert sorted(ol.__all__) == sorted([*VERBS, *RESULTS, *SCENE_VERBS, *SCENE_RESULTS, *TABLES, *FILES, *OTHERS])
+    assert sorted(ol.__all__) == sorted(
+        [*VERBS, *RESULTS, *SCENE_VERBS, *SCENE_RESULTS, *TRUTH_RESULTS, *TABLES, *FILES, *OTHERS]
+    )
     assert dir(ol) == sorted(ol.__all__) and dir(camera_models) == sorted(camera_models.__all__)
 
 
@@ -149,6 +152,9 @@ def test_thresholds_are_options(rendered: Path) -> None:
     strict = with_settings(default, ["calibration.robust.reject_sigma=2"], "calibration.")
     kept = [int(ol.calibrate(found, options=options).fit.kept.sum()) for options in (default, strict)]
     assert kept[1] < kept[0] - 10
+    blind = with_settings(ol.DetectionOptions(), ["detection.fit.max_sigma_px=0.0001"], "detection.")
+    with pytest.raises(ol.InputError, match="found in none"):
+        ol.detect(rendered / "board", BOARD, options=blind)
     many = with_settings(default, ["views.least_views=9"])
     with pytest.raises(ol.InputError, match="at least 9, found 8"):
         ol.calibrate(found, options=many)
@@ -226,6 +232,7 @@ def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsy
         ),
         (f"convert {rendered}/calibration.yaml {rendered}/nothing", "name the format with --to."),
         (f"{photos} --set calibration.degree=1", "omnilines: --degree was expected to be at least 2, found 1"),
+        (f"{photos} --set detection.fit.max_sigma_px=0.0001", "found in none"),
         (f"{photos} --set calibration.degre=4", "found 'calibration.degre=4', of which no option has the name; did you mean"),
     )
     camera_models.save(rendered / "large.yaml", {"cam0": camera_models.OpenCVFisheye.examples()[0]})

@@ -234,8 +234,8 @@ def test_detect_takes_a_calibration(photo_set: Set, monkeypatch: pytest.MonkeyPa
     original = type(BOARD).detect
     calls = []
 
-    def few(self: Pattern, image: np.ndarray, *, mirrored: bool, options: DetectionOptions) -> tuple[Detection, str | None]:
-        found, reason = original(self, image, mirrored=mirrored, options=options)  # type: ignore[arg-type]
+    def few(self: Pattern, image: np.ndarray, **given: object) -> tuple[Detection, str | None]:
+        found, reason = original(self, image, **given)  # type: ignore[arg-type]
         calls.append(image.shape)
         return Detection(found.ids[:9], found.pixels[:9], found.sigma_px[:9]), reason
 

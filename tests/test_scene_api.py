@@ -213,7 +213,7 @@ def test_a_revision_is_of_the_source_and_else_the_version(tmp_path: Path, monkey
     revision.cache_clear()
     first = made_from([tmp_path / "one" / "b.py"], "options", "1")
     assert len({first, made_from([], "options", "1"), made_from([tmp_path / "one" / "b.py"], "options", "2")}) == 3
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="none does not exist"):
         content_hash(tmp_path / "none")
 
 

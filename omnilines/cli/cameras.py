@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from calib_patterns import DetectionOptions
 from camera_models.errors import InputError
 from camera_models.formats import FORMATS
 from omnilines.calibration.options import CalibrationOptions
@@ -36,6 +37,13 @@ DEFAULT = CalibrationOptions
 """Its defaults."""
 EACH = "; of a rig also by camera, as in cam0=...,cam1=..."
 FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
+
+
+class Stages(NamedTuple):
+    """The options of what `calibrate` does, as --set names them."""
+
+    detection: DetectionOptions
+    calibration: CalibrationOptions
 
 
 @app.command()
@@ -93,16 +101,16 @@ def calibrate(
             mirror=mirror,
             refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
         )
-        options = with_settings(options, settings or (), "calibration.")
+        detection, options = with_settings(Stages(DetectionOptions(), options), settings or ())
         if not rig and tables:
             return calibrate_corners(tables[0], sizes[""], out, options, progress=progress)
         if not rig:
-            return calibrate_photos(photos, pattern or "", out, options, progress=progress)
+            return calibrate_photos(photos, pattern or "", out, options, detection=detection, progress=progress)
         setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
         if tables:
             return calibrate_rig_corners(tables[0], sizes, out, setup, progress=progress)
         patterns = [text.strip() for text in (pattern or "").split(",")]
-        return calibrate_rig_photos(photos[0], patterns, out, setup, progress=progress)
+        return calibrate_rig_photos(photos[0], patterns, out, setup, detection=detection, progress=progress)
 
     run(command, as_json)
 

@@ -16,6 +16,7 @@ from omnilines.cli._shared import (
     PatternSpec,
     Photos,
     Seed,
+    Settings,
     Size,
     Views,
     app,
@@ -23,6 +24,7 @@ from omnilines.cli._shared import (
     render_app,
     run,
 )
+from omnilines.options import with_settings
 
 if TYPE_CHECKING:
     pass
@@ -49,13 +51,18 @@ def detect(
         Path | None, typer.Option("--calibration", help="calibration.yaml of the camera, which leads to more corners.")
     ] = None,
     mirror: Mirror = False,
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Find target corners in photos -> corners.csv."""
+    from calib_patterns import DetectionOptions
     from omnilines.commands.detect import detect as command
 
+    options = with_settings(DetectionOptions(), settings or (), "detection.")
     run(
-        lambda progress: command(photos, pattern, out, calibration=calibration, mirror=mirror, progress=progress),
+        lambda progress: command(
+            photos, pattern, out, calibration=calibration, mirror=mirror, options=options, progress=progress
+        ),
         as_json,
     )
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
@@ -19,6 +20,7 @@ def calibrate_photos(
     out: Path,
     options: CalibrationOptions = CalibrationOptions(),
     *,
+    detection: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate one camera from photos of a target, and write calibration, corners and report into `out`.
@@ -27,7 +29,7 @@ def calibrate_photos(
     """
     check_output_folder(out)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
-    found = detect(photos, pattern_spec, mirrored=options.mirror, progress=progress)
+    found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, progress=progress)
     return _written(calibrate(found, options=options, progress=progress), out, progress)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from calib_patterns import DetectionOptions
 from omnilines.commands.calibrate import photos_beside
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_rig_corners
@@ -14,7 +15,13 @@ from omnilines.progress import ProgressCallback, silent
 
 
 def calibrate_rig_photos(
-    folder: Path, pattern_specs: Sequence[str], out: Path, setup: RigSetup, *, progress: ProgressCallback = silent
+    folder: Path,
+    pattern_specs: Sequence[str],
+    out: Path,
+    setup: RigSetup,
+    *,
+    detection: DetectionOptions = DetectionOptions(),
+    progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate a rig from a folder with one sub-folder of photos per camera; photos of the same name are of the same instant.
 
@@ -25,7 +32,14 @@ def calibrate_rig_photos(
     cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
     setup.require_cameras(cameras)
     perhaps = [name for name in cameras if setup.axis_sign_open(name)]
-    found = detect_rig(folder, pattern_specs, mirrored=setup.options.mirror, perhaps_mirrored=perhaps, progress=progress)
+    found = detect_rig(
+        folder,
+        pattern_specs,
+        mirrored=setup.options.mirror,
+        perhaps_mirrored=perhaps,
+        options=detection,
+        progress=progress,
+    )
     return _written(found, setup, out, progress)
 
 

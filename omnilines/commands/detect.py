@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib_patterns import DetectionOptions
 from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
 from omnilines.files.folders import check_output_folder
@@ -20,6 +21,7 @@ def detect(
     *,
     calibration: Path | None = None,
     mirror: bool = False,
+    options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write the corners of a target seen in photos to `out/corners.csv`; a `calibration` of the camera leads to more of them.
@@ -29,7 +31,7 @@ def detect(
     """
     camera = None if calibration is None else _one_camera(calibration)
     check_output_folder(out)
-    found = pipeline.detect(photos, pattern_spec, camera=camera, mirrored=mirror, progress=progress)
+    found = pipeline.detect(photos, pattern_spec, camera=camera, mirrored=mirror, options=options, progress=progress)
     files = found.save(out)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
