@@ -21,7 +21,6 @@ from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.files import read_corners, read_poses, write_corners
-from omnilines.pages.validation import write_validation_page
 from omnilines.pipelines.render import RenderedTargets, RenderOptions, render, render_targets
 from omnilines.records import ImagePoses
 from omnilines.studies.validate import validate
@@ -294,7 +293,7 @@ def test_objects_in_objects_out(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     names = ["calibration.yaml", "corners.csv", "covariance.npz", "lines.csv", "lines.ply", "poses.csv", "segments.csv"]
     assert sorted(path.name for path in checked.save(tmp_path / "out")) == names
-    assert "Bearing error" in write_validation_page(checked, tmp_path / "report.html").read_text()
+    assert "Bearing error" in checked.report(tmp_path / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ from omnilines.commands.result import CommandResult
 from omnilines.files import read_poses, write_poses
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
-from omnilines.pages.scene_validation import write_scene_validation_page
 from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Lines
@@ -156,7 +155,7 @@ def test_photos_in_memory_give_what_files_do(done: Done, tmp_path: Path) -> None
     for mine, of_files in zip(checked.checks, done.result.checks, strict=True):
         assert mine.name == of_files.name and mine.value == pytest.approx(of_files.value, rel=1e-6)
     # A page without the photos, which are no files.
-    page = write_scene_validation_page(checked, tmp_path / "report.html").read_text()
+    page = checked.report(tmp_path / "report.html").read_text()
     assert "Precision and recall" in page and "Lines over the photos" not in page
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from omnilines.commands.result import CommandResult
 from omnilines.files.folders import output_folder
-from omnilines.pages.validation import validation_data, validation_summaries, write_validation_page
+from omnilines.pages.validation import validation_data, validation_summaries
 from omnilines.pipelines.render import MODEL, RenderOptions, render_targets
 from omnilines.progress import ProgressCallback, silent
 from omnilines.studies.validate import validate_targets
@@ -37,6 +37,6 @@ def validate(
     asked = {"fov_deg": truth.fov_deg, "views": options.views, "noise": options.noise_grey, "blur": options.blur_px}
     tables = validation.save(folder, {"photos": shown, "model": model, **asked, "seed": options.seed})
     progress("writing the report", 0, 0)
-    page = write_validation_page(validation, folder / "report.html", shown)
+    page = validation.report(folder / "report.html", shown)
     summaries, data = validation_summaries(validation), validation_data(validation)
     return CommandResult(summaries, data, validation.checks, (*files, *tables, page), page, validation.notes)

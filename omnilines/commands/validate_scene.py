@@ -6,7 +6,7 @@ from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PHOTOS
 from omnilines.files.folders import output_folder
-from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries, write_scene_validation_page
+from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
 from omnilines.progress import ProgressCallback, silent
@@ -41,6 +41,6 @@ def validate_scene(
     done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, SceneOptions(seed=truth.seed), progress=progress)
     progress("comparing with the truth", 0, 0)
     validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
-    page = write_scene_validation_page(validation, folder / "report.html", folder / PHOTOS)
+    page = validation.report(folder / "report.html", folder / PHOTOS)
     summaries, data = scene_validation_summaries(validation), scene_validation_data(validation)
     return CommandResult(summaries, data, validation.checks, (*shown, *done.files, page), page, done.warnings)

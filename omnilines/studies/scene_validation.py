@@ -125,6 +125,12 @@ class SceneValidation:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
 
+    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+        from omnilines.pages.scene_validation import write_scene_validation_page
+
+        return write_scene_validation_page(self, path, photo_folder)
+
     @property
     def tolerance_m(self) -> float:
         """Within which a line is right."""

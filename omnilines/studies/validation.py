@@ -76,6 +76,12 @@ class Validation:
         cameras = refined_calibration(self.scene, self.calibration)
         return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
 
+    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+        from omnilines.pages.validation import write_validation_page
+
+        return write_validation_page(self, path, photo_folder)
+
     @property
     def model(self) -> CameraModel:
         """The calibrated camera."""
