@@ -86,7 +86,7 @@ def detection(small: bool) -> Stage:
     """Options and what is made with them of rendered targets and, where they are, of photos of boards."""
     shown = []
     for label, spec, seed in BOARDS:
-        options = RenderOptions(150.0, 1, (480, 360) if small else (1280, 960), seed=seed)
+        options = RenderOptions(150.0, 1, (800, 600) if small else (1280, 960), seed=seed)
         rendered = render_targets(spec, "opencv-fisheye", options)
         shown.append((label, rendered.pattern, rendered.photos[rendered.poses.images[0]], rendered.corners))
     if DATA.is_dir() and not small:
