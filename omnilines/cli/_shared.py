@@ -74,12 +74,18 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
 
 
+LARGEST_SIDE_PX = 100_000
+
+
 def parse_size(text: str, option: str) -> tuple[int, int]:
     """(width, height) of a text such as 1280x960; raises InputError otherwise."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
         raise InputError(f"{option} was expected as WIDTHxHEIGHT in pixels, such as 1280x960, found '{text}'.")
-    return int(parts[0]), int(parts[1])
+    width, height = (int(part) if len(part) < 10 else LARGEST_SIDE_PX + 1 for part in parts)
+    if max(width, height) > LARGEST_SIDE_PX:
+        raise InputError(f"{option} was expected to have sides of at most {LARGEST_SIDE_PX} px, found '{text[:40]}'.")
+    return width, height
 
 
 def parse_each(text: str, option: str) -> dict[str, str]:

@@ -7,6 +7,23 @@ from typing import Any
 import typer
 import typer.core
 
+from camera_models.errors import InputError
+
+MOST = 2**63 - 1
+RANGES: dict[str, tuple[float, float]] = {
+    "seed": (0, MOST),
+    "views": (1, 10_000),
+    "trials": (1, 1_000_000),
+    "degree": (2, 30),
+    "noise": (0, 255),
+    "blur": (0, 1000),
+    "perturb_deg": (0, 180),
+    "perturb_m": (0, 1e6),
+    "hand_px": (0, 1000),
+    "texture_m": (1e-3, 1e6),
+    "tolerance_px": (0, 1000),
+}
+"""Of options with numbers, by their parameter, where a command would otherwise run for days or end in arithmetic."""
 ALIASES = {
     "camera": "calibration",
     "start": "calibration",
@@ -25,9 +42,20 @@ def with_flags(text: str) -> str:
 
 
 class _Command(typer.core.TyperCommand):
-    """A command whose options are known while it runs."""
+    """A command whose options are known while it runs, and within reason before."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if "" in args:
+            after = f" after {args[args.index('') - 1]}" if args.index("") else ""
+            raise InputError(f"A value was expected{after}, found an empty one; fill it in, or leave the option out.")
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            low, high = RANGES.get(parameter.name or "", (-MOST, MOST))
+            if isinstance(value, int | float) and not isinstance(value, bool) and not low <= value <= high:
+                raise InputError(f"{parameter.opts[0]} was expected to be a number from {low:g} to {high:g}, found {value:g}.")
         _flags.clear()
         _flags.update({parameter.name: parameter.opts[0] for parameter in self.params if parameter.name})
         return super().invoke(ctx)

@@ -69,7 +69,6 @@ WRONG: dict[str, dict[str, tuple[str, ...]]] = {
         "--calibration": ("nowhere.yaml",),
         "--boards": ("flying",),
     },
-    "pattern": {"--out": ("OUT/p.docx", "OUT/p.png")},
     "convert": {
         "--fov": (*FRACTIONS, "0", "400"),
         "--image-size": SIZES,
@@ -154,7 +153,7 @@ WRONG: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "wide": {
         "--trials": COUNTS,
-        "--noise": (*FRACTIONS, "", "1,,2", "0"),
+        "--noise": (*FRACTIONS, ""),
         "--perturb-deg": FRACTIONS,
         "--perturb-m": FRACTIONS,
         "--seed": ("-1",),
@@ -171,6 +170,17 @@ WRONG: dict[str, dict[str, tuple[str, ...]]] = {
         "--size": SIZES[:4],
     },
 }
+SAID = {
+    "--fov": "field of view",
+    "--fov-deg": "field of view",
+    "--perturb-deg": "perturbation|disturbance",
+    "--perturb-m": "perturbation|disturbance",
+    "--mask": "nowhere|IN/",
+    "--poses": "nowhere|IN/",
+    "--data": "nowhere|IN",
+    "--textures": "nowhere",
+}
+"""How the sentence may put what the option is of."""
 IGNORED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("corners", ("--pattern", "checkerboard:7x5:30mm", "--model", "opencv-fisheye")),
     ("corners", ("--model", "pinhole", "--degree", "4")),
@@ -225,7 +235,7 @@ def cases() -> Iterator[Case]:
         command, given = BASE[name]
         for option, values in options.items():
             for value in values:
-                said = option.strip("-").replace("-", "[-_ ]")
+                said = f"{option.strip('-').replace('-', '[-_ ]')}|{SAID.get(option, 'found')}"
                 says = rf"{said}|{value[:12]!r}" if value.isalnum() and len(value) > 2 else f"{said}|found"
                 yield Case(
                     f"{name}:{option[2:]}={value[:24]!r}", with_option(command, option, value), give(*given), f"(?i){says}"
@@ -234,7 +244,8 @@ def cases() -> Iterator[Case]:
         command, given = BASE[name]
         for option in options[::2]:
             command = tuple(part for at, part in enumerate(command) if option not in (part, command[at - 1]))
-        yield Case(f"ignored:{name}:{k}", (*command, *options), give(*given), options[-2 if len(options) > 1 else -1].strip("-"))
+        said = options[-2 if len(options) > 1 else -1]
+        yield Case(f"ignored:{name}:{k}", (*command, *options), give(*given), f"{said.strip('-')}|{SAID.get(said, 'nothing')}")
     for name, (command, given) in BASE.items():
         if "--out" in command and name not in ("segments", "corners"):
             for place in PLACES:

@@ -223,7 +223,6 @@ def of_corners() -> Iterator[Case]:
         ),
         "all-one-board-point": (lambda rows: column("board_x_m", lambda k: "0")(rows), "corner|board|view"),
         "outside-the-image": (column("u_px", lambda k: str(9000 + k)), "image-size"),
-        "two-cameras": (column("camera", lambda k: f"cam{k % 2}"), "camera"),
         "millimetres-of-light-years": (column("board_x_m", lambda k: str(k * 1e12)), "board_x_m"),
         "one-view": (lambda rows: [rows[0], *(row for row in rows[1:] if row[0] == "v0")], "view"),
         "ids-of-words": (column("id", lambda k: "first"), "id"),
