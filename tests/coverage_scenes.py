@@ -11,7 +11,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs, Observed
+from omnilines.adjustment.arcs import MatchedArcs, Observed
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import Rig
@@ -46,7 +46,7 @@ class Truth:
     def lines(self) -> PlueckerLines:
         return PlueckerLines.from_points(self.ends_m[:, 0], self.ends_m[:, 1])
 
-    def arcs(self, noise: str, seed: int) -> Arcs:
+    def arcs(self, noise: str, seed: int) -> MatchedArcs:
         """Noise of NOISE_PX on every coordinate; of arcs that are outliers both ends move across by so many pixels more."""
         rng = np.random.default_rng([seed, len(self.image)])
         pixels = self.ends_px.numpy() + NOISE_PX * rng.standard_normal(self.ends_px.shape)
@@ -59,7 +59,7 @@ class Truth:
         covariance = (NOISE_PX if stated else 1.0) ** 2 * torch.eye(2, dtype=torch.float64).expand(len(pixels), 2, 2, 2)
         empty = torch.zeros(len(pixels), 2, 3, dtype=torch.float64)
         images, observed = len(self.camera), Observed(torch.as_tensor(pixels), self.camera[self.image])
-        plain = Arcs(
+        plain = MatchedArcs(
             self.image,
             self.track,
             images,

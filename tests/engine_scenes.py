@@ -6,7 +6,7 @@ import torch
 
 from camera_models import OpenCVFisheye
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.geometry.line import PlueckerLines
 
 CAMERA = OpenCVFisheye([320.0, 322.0, 510.0, 390.0, 0.02, -0.01, 0.002, 0.0], (1032, 778))
@@ -16,7 +16,7 @@ CAMERA = OpenCVFisheye([320.0, 322.0, 510.0, 390.0, 0.02, -0.01, 0.002, 0.0], (1
 class Row:
     """Noisy arcs with a disturbed start."""
 
-    arcs: Arcs
+    arcs: MatchedArcs
     lines: PlueckerLines
     poses: Pose
 
@@ -51,7 +51,7 @@ def row(cameras: int = 10, lines: int = 60, reach: int = 5, seed: int = 0, noise
     bearings, _ = CAMERA.unproject(pixels)
     spread = 0.3 * torch.rand(len(track), 2, generator=generator, dtype=torch.float64)
     covariance = torch.diag_embed(noise_px**2 * (1 + torch.stack([spread, spread.flip(-1)], -1)))
-    arcs = Arcs(image, track, cameras, lines, bearings, CAMERA.unproject_jacobian(pixels), covariance, True)
+    arcs = MatchedArcs(image, track, cameras, lines, bearings, CAMERA.unproject_jacobian(pixels), covariance, True)
     start = ends + 0.02 * normal(lines, 2, 3)
     poses = Pose.exp(normal(cameras, 6) * torch.tensor([0.003] * 3 + [0.02] * 3)) @ true
     return Row(arcs, PlueckerLines.from_points(start[:, 0], start[:, 1]), poses)

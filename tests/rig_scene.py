@@ -7,7 +7,7 @@ import torch
 
 from camera_models import CameraModel, OpenCVFisheye, Scaramuzza
 from camera_models.pose import Pose, rotation_from_vector
-from omnilines.adjustment.arcs import Arcs, Observed
+from omnilines.adjustment.arcs import MatchedArcs, Observed
 from omnilines.adjustment.state import Rig
 from omnilines.geometry.line import PlueckerLines
 
@@ -57,12 +57,12 @@ class RigScene:
         number = torch.cumsum(often.long(), 0) - 1
         self.image, self.track, self.pixels = image[keep], number[track[keep]], pixels[keep]
 
-    def arcs(self, noise_px: float = 0.0, seed: int = 0, models: tuple[CameraModel, ...] | None = None) -> Arcs:
+    def arcs(self, noise_px: float = 0.0, seed: int = 0, models: tuple[CameraModel, ...] | None = None) -> MatchedArcs:
         random = torch.randn(self.pixels.shape, generator=torch.Generator().manual_seed(500 + seed), dtype=torch.float64)
         n = len(self.image)
         covariance = max(noise_px, 0.1) ** 2 * torch.eye(2, dtype=torch.float64).expand(n, 2, 2, 2)
         empty = torch.zeros(n, 2, 3, dtype=torch.float64)
-        plain = Arcs(
+        plain = MatchedArcs(
             self.image,
             self.track,
             len(self.cam_from_world),

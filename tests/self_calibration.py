@@ -7,7 +7,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, OpenCVFisheye, Pinhole
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs, Observed
+from omnilines.adjustment.arcs import MatchedArcs, Observed
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.geometry.line import PlueckerLines
 
@@ -45,11 +45,11 @@ class SelfCalibration:
         self.pixels, self.ends = pixels[keep], ends[often]
         self.lines = PlueckerLines.from_points(self.ends[:, 0], self.ends[:, 1])
 
-    def arcs(self, noise_px: float, seed: int) -> Arcs:
+    def arcs(self, noise_px: float, seed: int) -> MatchedArcs:
         """Every coordinate of every end with independent noise, stated."""
         random = torch.randn(self.pixels.shape, generator=torch.Generator().manual_seed(900 + seed), dtype=torch.float64)
         n = len(self.image)
-        blind = Arcs(
+        blind = MatchedArcs(
             self.image,
             self.track,
             len(self.cam_from_world),

@@ -9,7 +9,7 @@ from torch import Tensor
 from camera_models import GeometryError, InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
-from omnilines.adjustment.arcs import Arcs, Observed
+from omnilines.adjustment.arcs import MatchedArcs, Observed
 from omnilines.adjustment.lines import Adjusted, adjust_lines, end_sigma_m
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
@@ -42,7 +42,7 @@ class Scene:
         keep = valid.all(-1) & (torch.rand(len(image), generator=generator) < 0.9)
         self.image, self.track, self.pixels = image[keep], track[keep], seen[keep]
 
-    def arcs(self, noise_px: float = 0.0, seed: int = 0, stated_px: float | None = None) -> Arcs:
+    def arcs(self, noise_px: float = 0.0, seed: int = 0, stated_px: float | None = None) -> MatchedArcs:
         random = torch.randn(self.pixels.shape, generator=torch.Generator().manual_seed(1000 + seed), dtype=torch.float64)
         pixels = self.pixels + noise_px * random
         bearings, valid = CAMERA.unproject(pixels)
@@ -50,7 +50,7 @@ class Scene:
         covariance = (stated_px or 1.0) ** 2 * torch.eye(2, dtype=torch.float64).expand(len(pixels), 2, 2, 2)
         jacobian = CAMERA.unproject_jacobian(pixels)
         observed = Observed(pixels, torch.zeros_like(self.image))
-        plain = Arcs(
+        plain = MatchedArcs(
             self.image,
             self.track,
             len(self.poses),
@@ -68,7 +68,7 @@ class Scene:
         return Pose.exp(random * torch.tensor([math.radians(angle_deg)] * 3 + [shift_m] * 3)) @ self.poses
 
 
-def state_of(scene: Scene, arcs: Arcs, poses: Pose | None = None) -> LinesAndPoses:
+def state_of(scene: Scene, arcs: MatchedArcs, poses: Pose | None = None) -> LinesAndPoses:
     poses = poses or scene.poses
     return LinesAndPoses(poses, LineChart.about_cameras(scene.lines, poses.centre[arcs.image], arcs.track))
 
@@ -236,7 +236,7 @@ def test_held_poses_do_not_move_and_only_lines_are_refined_when_asked() -> None:
         adjust_lines(arcs, scene.lines, start, cost="huber")
 
 
-def adjusted_runs(scene: Scene, seeds: int, cost: str, held: Tensor) -> list[tuple[Arcs, Adjusted]]:
+def adjusted_runs(scene: Scene, seeds: int, cost: str, held: Tensor) -> list[tuple[MatchedArcs, Adjusted]]:
     runs = []
     for seed in range(seeds):
         arcs = scene.arcs(NOISE_PX, seed, stated_px=NOISE_PX)

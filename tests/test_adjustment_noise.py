@@ -8,7 +8,7 @@ import torch
 from coverage_scenes import NOISE_PX, Truth, adjusted, rig_of, world_of
 
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import Adjusted, adjust_lines
 from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import PosePrior
@@ -21,7 +21,7 @@ from omnilines.pages.noise_notes import noise_notes, noise_row
 NAMES = [name for name, _ in COSTS]
 
 
-def disturbed_with_prior(truth: Truth, cost: str, noise: str) -> tuple[Arcs, Adjusted]:
+def disturbed_with_prior(truth: Truth, cost: str, noise: str) -> tuple[MatchedArcs, Adjusted]:
     """Poses off by 0.6 degrees and 3 cm, with a prior that says 1 degree and 5 cm."""
     arcs, frames = truth.arcs(noise, 1), len(truth.rig_from_world)
     sigma = torch.tensor([math.radians(0.6)] * 3 + [0.03] * 3, dtype=torch.float64)
@@ -32,7 +32,7 @@ def disturbed_with_prior(truth: Truth, cost: str, noise: str) -> tuple[Arcs, Adj
     return arcs, adjust_lines(arcs, truth.lines, start, cost=cost, prior=prior)
 
 
-def rms_px(arcs: Arcs, found: Adjusted) -> float:
+def rms_px(arcs: MatchedArcs, found: Adjusted) -> float:
     return float(arcs.orthogonal_px(found.state.normals(arcs)).square().mean().sqrt())
 
 

@@ -8,7 +8,7 @@ import torch
 
 from camera_models import CameraModel, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs, arcs_from_segments
+from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
 from omnilines.costs import COSTS, IN_PIXELS, WHITENED, cost_function, cost_named, sector
 from omnilines.costs._cost import by_bearings
 from omnilines.geometry.sphere import points_on_arc
@@ -23,7 +23,7 @@ CAMERAS: dict[str, CameraModel] = {
 NAMES = [name for name, _ in COSTS]
 
 
-def observed(camera: CameraModel, count: int = 30, seed: int = 0, stated: bool = True) -> Arcs:
+def observed(camera: CameraModel, count: int = 30, seed: int = 0, stated: bool = True) -> MatchedArcs:
     """Segments anywhere in the image, 40 to 400 px long, with a covariance of their own each."""
     rng = np.random.default_rng(seed)
     first = rng.uniform([150, 120], [1130, 840], (count, 2))
@@ -37,7 +37,7 @@ def observed(camera: CameraModel, count: int = 30, seed: int = 0, stated: bool =
     return arcs_from_segments(segments, ImagePoses(("a",), Pose.identity(1)), {"cam0": camera}).arcs
 
 
-def normals_near(arcs: Arcs, angle_rad: float, seed: int = 1) -> torch.Tensor:
+def normals_near(arcs: MatchedArcs, angle_rad: float, seed: int = 1) -> torch.Tensor:
     """Normals of planes a little off those of the arcs, of any length."""
     generator = torch.Generator().manual_seed(seed)
     own = torch.linalg.cross(arcs.bearings[:, 0], arcs.bearings[:, 1])
@@ -108,7 +108,7 @@ def test_unknown_cost_is_refused():
         cost_function("huber", observed(CAMERAS["pinhole"]))
 
 
-def image_distances(camera: Pinhole, arcs: Arcs, normal: torch.Tensor) -> torch.Tensor:
+def image_distances(camera: Pinhole, arcs: MatchedArcs, normal: torch.Tensor) -> torch.Tensor:
     """Distance (px) of the observed end points from the image l = K^-T M of the line."""
     fx, fy, cx, cy, skew = camera.parameters[:5].tolist()
     matrix = torch.tensor([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
@@ -118,7 +118,7 @@ def image_distances(camera: Pinhole, arcs: Arcs, normal: torch.Tensor) -> torch.
     return (ends @ line[..., None])[..., 0] / line[:, :2].norm(dim=-1, keepdim=True)
 
 
-def pixel_sized_normals(arcs: Arcs, seed: int = 5) -> torch.Tensor:
+def pixel_sized_normals(arcs: MatchedArcs, seed: int = 5) -> torch.Tensor:
     """Normals for which end points are up to 1 px off."""
     normal = normals_near(arcs, 1e-3, seed)
     for _ in range(30):

@@ -15,7 +15,7 @@ from torch import Tensor
 from camera_models.errors import GeometryError
 from camera_models.pose import Pose, hat
 from camera_models.rotations import similarity_alignment
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import Adjusted, adjust_lines, motion_across
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
@@ -166,7 +166,7 @@ def predict_error(adjusted: Adjusted, aligned: AlignedLines) -> PredictedError:
     return PredictedError(matrix.reshape(len(chart), 2, 3, len(chart), 2, 3))
 
 
-def jackknife_error(arcs: Arcs, adjusted: Adjusted, aligned: AlignedLines, cost: str = "sector") -> PredictedError:
+def jackknife_error(arcs: MatchedArcs, adjusted: Adjusted, aligned: AlignedLines, cost: str = "sector") -> PredictedError:
     """The covariance of the aligned errors from the scatter between photos: each is left out in turn (Tukey 1958).
 
         C = (k - 1) / k sum (e_(i) - mean) (e_(i) - mean)'

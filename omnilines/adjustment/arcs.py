@@ -25,7 +25,7 @@ class Observed:
 
 
 @dataclass(frozen=True)
-class Arcs:
+class MatchedArcs:
     """n observed arcs, one row each."""
 
     image: Int[Tensor, " n"]
@@ -48,7 +48,7 @@ class Arcs:
     def __len__(self) -> int:
         return len(self.image)
 
-    def rows(self, chosen: Bool[Tensor, " n"]) -> "Arcs":
+    def rows(self, chosen: Bool[Tensor, " n"]) -> "MatchedArcs":
         """The chosen rows; images and tracks keep their numbers."""
         nodes, observed = self.nodes, self.observed
         if nodes is not None:
@@ -66,7 +66,7 @@ class Arcs:
             observed=observed,
         )
 
-    def seen_by(self, models: Sequence[CameraModel]) -> "Arcs":
+    def seen_by(self, models: Sequence[CameraModel]) -> "MatchedArcs":
         """The same pixels through cameras with other parameters. Raises InputError where the arcs do not know their pixels."""
         if self.observed is None:
             raise InputError("Arcs that know their pixels were expected to refine cameras; make them with arcs_from_segments.")
@@ -84,7 +84,7 @@ class Arcs:
 class ArcTable:
     """Arcs with the rows of the segments that they come from, and why the others were left out."""
 
-    arcs: Arcs
+    arcs: MatchedArcs
     rows: Int[np.ndarray, " n"]
     """Row of `Segments` of every arc."""
     left_out: tuple[str, ...]
@@ -121,7 +121,7 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
     kept = rows[usable]
     covariance, known = _covariance_px2(segments, kept)
     observed = Observed(observed.pixels[usable], observed.camera[usable])
-    arcs = Arcs(
+    arcs = MatchedArcs(
         image=torch.as_tensor(image[kept]),
         track=torch.as_tensor(segments.track[kept]),
         images=len(poses.images),
@@ -200,6 +200,6 @@ def _covariance_px2(segments: Segments, rows: Int[np.ndarray, " m"]) -> tuple[Te
     return eye.clone(), False
 
 
-def poses_of(arcs: Arcs, cam_from_world: Pose) -> Pose:
+def poses_of(arcs: MatchedArcs, cam_from_world: Pose) -> Pose:
     """The pose of every row."""
     return cam_from_world[arcs.image]

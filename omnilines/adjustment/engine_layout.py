@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.kernels.line import Pairs, Views
 from omnilines.adjustment.problem import LineProblem
 from omnilines.costs import cost_named
@@ -97,7 +97,7 @@ def layout(problem: LineProblem) -> Layout:
 
 
 def _sorted(
-    arcs: Arcs, order: Int[Tensor, " frames"], free: int
+    arcs: MatchedArcs, order: Int[Tensor, " frames"], free: int
 ) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t1"], Int[np.ndarray, " n"], PairPattern, Int[np.ndarray, " n"]]:
     """Lines by their first frame, the start of each, its observations by frame, the pairs and the frames' places."""
     place = np.empty(len(order), dtype=np.int64)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.costs import cost_function, cost_named
 from omnilines.costs._cost import by_bearings
 
@@ -52,7 +52,7 @@ def distance_by_parameters(
 
 
 def weights_to_hold(
-    cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"], mix: Float[Tensor, "n m 2"] | None = None
+    cost: str, arcs: MatchedArcs, normal: Float[Tensor, "n 3"], mix: Float[Tensor, "n m 2"] | None = None
 ) -> Float[Tensor, "n m 2"] | None:
     """G at one state, r = G h with the distances h (px) of both ends: of the cost, or of residuals mix @ (V . Mh) where a `mix`
     is given; None for costs that are these distances."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import Adjusted, end_sigma_m
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import segment_ends
@@ -23,7 +23,7 @@ def too_uncertain(lines: Lines, weak_share: float) -> Bool[np.ndarray, " t"]:
 
 def line_table(
     names: tuple[str, ...],
-    inner: Arcs,
+    inner: MatchedArcs,
     tracks: Int[Tensor, " k"],
     first: Triangulation,
     state: LinesAndPoses,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine import EXACT_FIT, LineEngine, is_compiled, line_convergence
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
 from omnilines.adjustment.memory import layout_that_fits, require_for_general
@@ -71,7 +71,7 @@ class Adjusted:
 
 
 def adjust_lines(
-    arcs: Arcs,
+    arcs: MatchedArcs,
     lines: PlueckerLines,
     cam_from_world: Pose,
     *,
@@ -346,7 +346,7 @@ def end_sigma_m(chart: LineChart, covariance: Float[Tensor, "t 4 4"], ends_m: Fl
     return torch.where(finite, largest.amax(-1), math.nan)
 
 
-def drop_unknown(arcs: Arcs, known: Bool[Tensor, " t"]) -> tuple[Arcs, Int[Tensor, " k"]]:
+def drop_unknown(arcs: MatchedArcs, known: Bool[Tensor, " t"]) -> tuple[MatchedArcs, Int[Tensor, " k"]]:
     """The arcs of tracks that have a line, tracks renumbered; and the old number of each new track.
 
     Raises GeometryError when no track has a line.

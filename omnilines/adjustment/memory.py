@@ -15,7 +15,7 @@ import os
 from pathlib import Path
 
 from camera_models import InputError
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.problem import LineProblem
 from omnilines.least_squares.band import band_width
@@ -95,7 +95,7 @@ def layout_that_fits(problem: LineProblem) -> Layout:
     return found
 
 
-def require_for_general(arcs: Arcs, kept: int) -> None:
+def require_for_general(arcs: MatchedArcs, kept: int) -> None:
     """Raise InputError where the general path would not fit."""
     needed, free = general_bytes(len(arcs), arcs.tracks, kept), free_bytes(arcs.bearings.device)
     require_memory(needed, len(arcs), arcs.tracks, arcs.images, free)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from camera_models import InputError
 from camera_models.pose import adjoint
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.gauge import open_similarities
 from omnilines.adjustment.intrinsics import distance_by_parameters, weights_to_hold
 from omnilines.adjustment.prior import PosePrior
@@ -41,7 +41,7 @@ class LineProblem:
 
     def __init__(
         self,
-        arcs: Arcs,
+        arcs: MatchedArcs,
         cost: str,
         freedom: Freedom,
         state: LinesAndPoses,
@@ -88,7 +88,7 @@ class LineProblem:
         """Of the arcs as they are."""
         return self._cost_of(self.arcs)
 
-    def _cost_of(self, arcs: Arcs) -> CostFunction:
+    def _cost_of(self, arcs: MatchedArcs) -> CostFunction:
         return cost_function(self.cost_name, arcs) if self.mix is None else mixed_distances(self.mix)
 
     def linearise(self, state: LinesAndPoses) -> Linearisation:
@@ -119,7 +119,7 @@ class LineProblem:
             kept.append(by_pose)
         return Linearisation(r, by_line, tuple(kept + by_cameras), self._prior(state))
 
-    def _by_cameras(self, arcs: Arcs, state: LinesAndPoses, normal: Float[Tensor, "n 3"]) -> list[Tensor]:
+    def _by_cameras(self, arcs: MatchedArcs, state: LinesAndPoses, normal: Float[Tensor, "n 3"]) -> list[Tensor]:
         """d distance / d intrinsics of each camera, of both ends (`intrinsics.py`)."""
         assert arcs.observed is not None
         found = []

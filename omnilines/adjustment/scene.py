@@ -13,7 +13,7 @@ from torch import Tensor
 from camera_models import CameraModel, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs, ArcTable, arcs_from_segments
+from omnilines.adjustment.arcs import ArcTable, MatchedArcs, arcs_from_segments
 from omnilines.adjustment.line_table import line_table, too_uncertain
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.memory import require_for_arcs
@@ -135,7 +135,7 @@ def reconstruct_lines(
 class _Rests:
     """What the lines rest on."""
 
-    inner: Arcs
+    inner: MatchedArcs
     """Arcs of tracks that have a line, which are renumbered."""
     tracks: Int[Tensor, " k"]
     """The old number of each."""
@@ -195,7 +195,7 @@ def _scattered(distance_px: Float[Tensor, "m 2"], used: Bool[Tensor, " n"]) -> F
 
 
 def _left_out(
-    arcs: Arcs,
+    arcs: MatchedArcs,
     first: Triangulation,
     member: Bool[Tensor, " n"],
     cam_from_world: Pose,

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.state import LinesAndPoses
@@ -47,7 +47,7 @@ def no_chart() -> LineChart:
 
 
 def started(
-    arcs: Arcs, state: LinesAndPoses, method: Method, rounds: int, options: AdjustmentOptions
+    arcs: MatchedArcs, state: LinesAndPoses, method: Method, rounds: int, options: AdjustmentOptions
 ) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
     """Poses refined up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
     first, member = triangulated(arcs, state.cam_from_world, method)
@@ -63,7 +63,7 @@ def started(
 
 
 def poses_by_lines(
-    arcs: Arcs,
+    arcs: MatchedArcs,
     first: Triangulation,
     state: LinesAndPoses,
     *,
@@ -84,7 +84,7 @@ def poses_by_lines(
     return replace(state, rig_from_world=adjusted.state.rig_from_world)
 
 
-def _best(arcs: Arcs, first: Triangulation, share: float) -> Bool[Tensor, " t"]:
+def _best(arcs: MatchedArcs, first: Triangulation, share: float) -> Bool[Tensor, " t"]:
     """The tracks that are among this share of the lines of some photo, those with the least residuals."""
     residual = torch.where(first.known, torch.nan_to_num(first.residual_rad, nan=math.inf), math.inf)
     # Photo by photo, the best lines first; a photo that sees few lines keeps its own share of them.
@@ -97,7 +97,7 @@ def _best(arcs: Arcs, first: Triangulation, share: float) -> Bool[Tensor, " t"]:
     return best
 
 
-def triangulated(arcs: Arcs, cam_from_world: Pose, method: Method) -> tuple[Triangulation, Bool[Tensor, " n"]]:
+def triangulated(arcs: MatchedArcs, cam_from_world: Pose, method: Method) -> tuple[Triangulation, Bool[Tensor, " n"]]:
     """Lines of all tracks, and which arcs they rest on."""
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     poses = cam_from_world[arcs.image]
@@ -116,7 +116,7 @@ def triangulated(arcs: Arcs, cam_from_world: Pose, method: Method) -> tuple[Tria
     return found.triangulation, found.inlier
 
 
-def scaled_loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses, options: AdjustmentOptions) -> Loss:
+def scaled_loss(name: str, cost: str, arcs: MatchedArcs, start: LinesAndPoses, options: AdjustmentOptions) -> Loss:
     """The loss at the scale of the stated noise or, where none is stated, of the median residual of the start, which pose errors
     and outliers leave finite."""
     if name == "none":
@@ -127,7 +127,7 @@ def scaled_loss(name: str, cost: str, arcs: Arcs, start: LinesAndPoses, options:
     return Loss(name, max(options.loss_scale * float(size), 1e-12))
 
 
-def residual_sigma(cost: str, arcs: Arcs, state: LinesAndPoses) -> float:
+def residual_sigma(cost: str, arcs: MatchedArcs, state: LinesAndPoses) -> float:
     """Standard deviation of a residual of the cost for the stated noise, or for 1 px; two residuals an arc."""
     seen = arcs.seen_by(state.models) if state.models else arcs
     return math.sqrt(weighting(cost, seen, state.normals(arcs), Loss(), 1.0).expected / (2 * len(arcs)))

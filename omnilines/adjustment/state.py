@@ -7,7 +7,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.geometry.line_chart import LineChart
 
 
@@ -46,7 +46,7 @@ class LinesAndPoses:
             return self.rig_from_world
         return self.rig.cam_from_rig[self.rig.camera] @ self.rig_from_world[self.rig.frame]
 
-    def normals(self, arcs: Arcs) -> Float[Tensor, "n 3"]:
+    def normals(self, arcs: MatchedArcs) -> Float[Tensor, "n 3"]:
         """Projection-plane normal M of every observation, camera frame."""
         return self.chart[arcs.track].projection_normal(self.cam_from_world[arcs.image])[0]
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.noise import largest_square
 from omnilines.costs import WHITENED, cost_function
 from omnilines.least_squares.variance import NORMAL_MAD
@@ -22,7 +22,7 @@ class Suspect:
     """Of the end that is farther from the line."""
 
 
-def suspect_rows(arcs: Arcs, normal: Float[Tensor, "n 3"], significance: float) -> Bool[Tensor, " n"]:
+def suspect_rows(arcs: MatchedArcs, normal: Float[Tensor, "n 3"], significance: float) -> Bool[Tensor, " n"]:
     """Arcs whose whitened residuals are too large for the noise of all, which their median tells robustly."""
     whitened, _ = cost_function(WHITENED, arcs)(arcs.bearings, normal)
     finite = torch.isfinite(whitened).all(-1)
@@ -33,7 +33,7 @@ def suspect_rows(arcs: Arcs, normal: Float[Tensor, "n 3"], significance: float) 
 
 
 def suspects(
-    arcs: Arcs, normal: Float[Tensor, "n 3"], tracks: tuple[str, ...], images: tuple[str, ...], significance: float
+    arcs: MatchedArcs, normal: Float[Tensor, "n 3"], tracks: tuple[str, ...], images: tuple[str, ...], significance: float
 ) -> tuple[Suspect, ...]:
     """The suspect observations, the farthest first."""
     rows = torch.nonzero(suspect_rows(arcs, normal, significance)).flatten()

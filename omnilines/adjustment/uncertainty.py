@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import Layout
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
@@ -31,7 +31,7 @@ LEAST_REDUNDANCY = 1e-6
 class Task:
     """What is adjusted, and how."""
 
-    arcs: Arcs
+    arcs: MatchedArcs
     cost: str
     freedom: Freedom
     loss: Loss

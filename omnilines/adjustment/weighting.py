@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.costs import cost_function, cost_named
 from omnilines.costs._cost import by_bearings
 from omnilines.least_squares import Loss
@@ -48,7 +48,7 @@ class Weighting:
     """Variance of the estimate with the loss over that without it, both for Gaussian noise."""
 
 
-def cost_weights(cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 2"]:
+def cost_weights(cost: str, arcs: MatchedArcs, normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 2"]:
     """W = A'A of every arc, from the derivative of the cost by the end bearings: column e of A is dr / dV_e . Mh sigma_e."""
     if cost_named(cost).is_whitened:
         return torch.eye(2, dtype=normal.dtype).expand(len(normal), 2, 2)
@@ -58,7 +58,7 @@ def cost_weights(cost: str, arcs: Arcs, normal: Float[Tensor, "n 3"]) -> Float[T
     return response.mT @ response
 
 
-def end_sigma_rad(arcs: Arcs, unit_normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
+def end_sigma_rad(arcs: MatchedArcs, unit_normal: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
     """Standard deviation of both ends of every arc across the plane with this normal, as stated (or for 1 px)."""
     across = arcs.by_pixel.mT @ unit_normal[:, None, :, None]
     return (across.mT @ arcs.covariance_px2 @ across)[..., 0, 0].sqrt()
@@ -66,7 +66,7 @@ def end_sigma_rad(arcs: Arcs, unit_normal: Float[Tensor, "n 3"]) -> Float[Tensor
 
 def weighting(
     cost: str,
-    arcs: Arcs,
+    arcs: MatchedArcs,
     normal: Float[Tensor, "n 3"],
     loss: Loss,
     level: float,

@@ -12,7 +12,7 @@ from torch import Tensor
 from camera_models._arrays import Array, as_tensor
 from camera_models.pose import Pose
 from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_lines, jackknife_error, predict_error
-from omnilines.adjustment.arcs import Arcs, poses_of
+from omnilines.adjustment.arcs import MatchedArcs, poses_of
 from omnilines.adjustment.lines import Adjusted
 from omnilines.calibration.board_lines import BoardLines
 from omnilines.calibration.single import CameraCalibration
@@ -92,7 +92,7 @@ class BoardExperiment:
     """cam_from_board of the photos used, disturbed."""
     status: tuple[str, ...]
     """Of each board line after triangulation."""
-    arcs: Arcs
+    arcs: MatchedArcs
     """Of the lines that are known, renumbered."""
     tracks: Int[Tensor, " t"]
     """Board line of each of these."""
@@ -149,7 +149,7 @@ class BoardExperiment:
 
 
 def measure(
-    arcs: Arcs,
+    arcs: MatchedArcs,
     lines: PlueckerLines,
     cam_from_world: Pose,
     board_ends_m: Float[Tensor, "t 2 3"],
@@ -175,7 +175,7 @@ def measure(
 
 
 def _ends_in_observed_order(
-    arcs: Arcs, lines: PlueckerLines, poses: Pose, board_ends_m: Float[Tensor, "t 2 3"]
+    arcs: MatchedArcs, lines: PlueckerLines, poses: Pose, board_ends_m: Float[Tensor, "t 2 3"]
 ) -> Float[Tensor, "t 2 3"]:
     """End points of the segments, first ends first. Where a line is in front of no photo the board's nearest points stand in."""
     ends, positions = segment_ends(lines, poses, arcs.bearings, arcs.track)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs, arcs_from_segments
+from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.start import no_chart, poses_by_lines
 from omnilines.adjustment.state import LinesAndPoses
@@ -151,7 +151,7 @@ class _Level:
     """All trials at one noise. Their arcs stand in one table, photos and tracks of trial k after those of trial k - 1."""
 
     world: LineWorld
-    arcs: Arcs
+    arcs: MatchedArcs
     noise_px: float
     trials: int
     methods: tuple[str, ...]
@@ -190,7 +190,7 @@ class _Level:
             reached = Pose(torch.cat([pose.rotation for pose in found]), torch.cat([pose.translation for pose in found]))
             yield self._measured(lines, torch.cat(known), reached, (poses, ADJUSTMENT, cost))
 
-    def _each(self, cam_from_world: Pose) -> Iterator[tuple[Arcs, Pose]]:
+    def _each(self, cam_from_world: Pose) -> Iterator[tuple[MatchedArcs, Pose]]:
         """Arcs and poses of each trial, photos and tracks numbered from 0."""
         images, tracks = self.world.images, self.world.lines
         for k in range(self.trials):
@@ -223,7 +223,7 @@ class _Level:
         )
 
 
-def _planes(arcs: Arcs, cam_from_world: Pose) -> PlaneObservations:
+def _planes(arcs: MatchedArcs, cam_from_world: Pose) -> PlaneObservations:
     return PlaneObservations.from_arcs(arcs.bearings, cam_from_world[arcs.image], arcs.track, arcs.tracks)
 
 
@@ -239,7 +239,7 @@ def _reached(done: Adjusted) -> bool:
     return done.outcome in (Outcome.CONVERGED, Outcome.STALLED)
 
 
-def refined_start(arcs: Arcs, disturbed: Pose) -> Pose:
+def refined_start(arcs: MatchedArcs, disturbed: Pose) -> Pose:
     """Disturbed poses refined by START_SHARE of the lines of each photo. Raises GeometryError where they determine no line."""
     first = triangulate(TRIANGULATIONS[0][0], _planes(arcs, disturbed))
     return poses_by_lines(arcs, first, LinesAndPoses(disturbed, no_chart()), best_share=START_SHARE).cam_from_world

@@ -7,7 +7,7 @@ import torch
 
 from camera_models import Pinhole
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.geometry.line import PlueckerLines
 
 NEIGHBOURS = 24
@@ -50,7 +50,7 @@ class Street:
         """Disturbed."""
         return PlueckerLines.from_points(torch.from_numpy(self.ends_m[:, 0]), torch.from_numpy(self.ends_m[:, 1]))
 
-    def arcs(self) -> Arcs:
+    def arcs(self) -> MatchedArcs:
         """Bearings of all observations, as `arcs_from_segments` makes them but for what integrals and refined cameras need."""
         width, height = SIZE
         camera = Pinhole.from_mapping({"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": (width - 1) / 2, "cy": (height - 1) / 2}, SIZE)
@@ -62,7 +62,7 @@ class Street:
             bearings[part], by_pixel[part] = camera.unproject(pixels[part])[0], camera.unproject_jacobian(pixels[part])
         covariance = NOISE_PX**2 * torch.eye(2).double().expand(n, 2, 2, 2)
         image, track = torch.from_numpy(self.image), torch.from_numpy(self.track)
-        return Arcs(image, track, len(self.rotation), len(self.ends_m), bearings, by_pixel, covariance, True)
+        return MatchedArcs(image, track, len(self.rotation), len(self.ends_m), bearings, by_pixel, covariance, True)
 
 
 def _determined_lines(rng: np.random.Generator, centre: np.ndarray, window: int, lines: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import cv2
 import torch
 
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import Arcs
+from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import PlueckerLines
@@ -58,7 +58,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
         print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
-def line_scene(observations: int, seed: int = 0) -> tuple[Arcs, PlueckerLines, Pose]:
+def line_scene(observations: int, seed: int = 0) -> tuple[MatchedArcs, PlueckerLines, Pose]:
     """Noisy arcs of random lines in a cube of 2 m, all seen by IMAGES cameras around it, with disturbed lines and poses."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -79,7 +79,7 @@ def line_scene(observations: int, seed: int = 0) -> tuple[Arcs, PlueckerLines, P
     eye = torch.eye(3, dtype=torch.float64)
     by_pixel = (eye - bearings[..., :, None] * bearings[..., None, :])[..., :2] / 500
     covariance = torch.eye(2, dtype=torch.float64).expand(len(track), 2, 2, 2)
-    arcs = Arcs(image, track, IMAGES, tracks, bearings, by_pixel, covariance, False)
+    arcs = MatchedArcs(image, track, IMAGES, tracks, bearings, by_pixel, covariance, False)
     start = ends + 0.02 * normal(tracks, 2, 3)
     disturbed = Pose.exp(0.01 * normal(IMAGES, 6)) @ poses
     return arcs, PlueckerLines.from_points(start[:, 0], start[:, 1]), disturbed
