@@ -14,6 +14,8 @@ use.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from omnilines.compiled_cache import provide_cache as _provide_cache
+
 if TYPE_CHECKING:
     from calib_patterns.options import DetectionOptions
     from camera_models.errors import GeometryError, InputError, OmnilinesError
@@ -54,6 +56,9 @@ if TYPE_CHECKING:
     from omnilines.studies.scene_validation import SceneValidation
     from omnilines.studies.validate import validate
     from omnilines.studies.validation import Validation
+
+# Before numba is imported, which reads it then.
+_provide_cache()
 
 _HOMES = {
     # Photos of a target -> cameras.

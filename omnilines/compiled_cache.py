@@ -30,6 +30,21 @@ def provide_cache() -> Path | None:
     return folder
 
 
+def note_on_cache() -> str | None:
+    """One sentence where a temporary folder serves in which nothing lies yet; None elsewhere."""
+    folder = os.environ.get(VARIABLE)
+    if folder is None or not _is_ours(Path(folder)) or any(Path(folder).iterdir()):
+        return None
+    return (
+        f"neither the package nor the home of the user can be written to: compiled functions are kept in {folder}, and the first "
+        f"run takes half a minute longer; {VARIABLE} names another folder."
+    )
+
+
+def _is_ours(folder: Path) -> bool:
+    return folder.parent == Path(tempfile.gettempdir()) and folder.name.startswith("omnilines-") and folder.is_dir()
+
+
 def _cache_of_user() -> Path:
     """Where numba goes where it cannot write beside the source (`numba.core.caching._UserProvidedCacheLocator` and its like)."""
     home = os.path.expanduser("~")

@@ -221,7 +221,6 @@ def test_progress_cancels(rendered: Path) -> None:
 def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photos = f"calibrate {rendered}/board --pattern {BOARD} --out {rendered}/out"
     cases = (
-        (f"{photos} --degree 1", "omnilines: --degree was expected to be at least 2"),
         (
             f"{photos} --model auto --coefficients 5",
             "omnilines: --model auto tries every number of coefficients itself, found --coef",

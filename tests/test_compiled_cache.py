@@ -74,3 +74,18 @@ def test_nothing_changes_where_there_is_a_place(monkeypatch: pytest.MonkeyPatch,
     assert compiled_cache.provide_cache() is None and compiled_cache.VARIABLE not in os.environ
     monkeypatch.setenv(compiled_cache.VARIABLE, str(tmp_path))
     assert compiled_cache.provide_cache() is None and os.environ[compiled_cache.VARIABLE] == str(tmp_path)
+
+
+def test_a_temporary_cache_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder = tmp_path / "omnilines-someone-0123"
+    folder.mkdir()
+    monkeypatch.setenv(compiled_cache.VARIABLE, str(folder))
+    note = compiled_cache.note_on_cache()
+    assert note is not None and str(folder) in note and compiled_cache.VARIABLE in note
+    (folder / "compiled.nbi").write_text("")
+    assert compiled_cache.note_on_cache() is None
+    monkeypatch.setenv(compiled_cache.VARIABLE, str(tmp_path / "of the user"))
+    assert compiled_cache.note_on_cache() is None
+    monkeypatch.delenv(compiled_cache.VARIABLE)
+    assert compiled_cache.note_on_cache() is None

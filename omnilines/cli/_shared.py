@@ -12,6 +12,7 @@ import typer
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.spelling import Application, with_flags
+from omnilines.compiled_cache import note_on_cache
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -133,6 +134,8 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
     """
     goes_on = "" if kept is None else f"; what was found is kept in {kept}, the same command goes on from there"
     say_when_stopped(f"stopped{goes_on}.")
+    if (note := note_on_cache()) is not None:
+        typer.echo(f"note: {note}", err=True)
     with progress() as tell:
         result = command(tell)
     for warning in result.warnings:
