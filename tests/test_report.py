@@ -201,8 +201,8 @@ def test_failed_write_keeps_the_old_report(tmp_path: pathlib.Path, monkeypatch: 
     def refuse(source: object, target: object) -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr(report_page.os, "replace", refuse)
-    with pytest.raises(OSError, match="no space"):
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(InputError, match="no space"):
         report.write_report(path, "t", [])
     assert os.listdir(tmp_path) == ["report.html"] and path.read_text() == "old"
 

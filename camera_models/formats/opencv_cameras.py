@@ -74,7 +74,7 @@ def size_of(sides: Any, given: tuple[int, int] | None) -> tuple[int, int]:
         if given is None:
             raise InputError("The file was expected to hold the size of the image, found none; give `image_size` WIDTHxHEIGHT.")
         return given
-    whole = [side for side in pair if isinstance(side, int | float) and side == int(side) and side >= 1]
+    whole = [side for side in pair if isinstance(side, int | float) and 1 <= side < 1e9 and side == int(side)]
     if len(pair) != 2 or len(whole) != 2:
         raise InputError(f"The size of the image must be two whole numbers of pixels, found {listed(pair)}; correct it.")
     return int(whole[0]), int(whole[1])
