@@ -27,7 +27,7 @@ def calibrated(*settings: str) -> CameraCalibration:
 
 
 def test_every_threshold_has_a_sentence_and_is_an_option_of_a_calibration() -> None:
-    options, thresholds = list(walk(CalibrationOptions())), list(walk(CalibrationThresholds(), "thresholds."))
+    options, thresholds = list(walk(CalibrationOptions())), list(walk(CalibrationThresholds()))
     assert len(thresholds) > 30 and all(threshold in options for threshold in thresholds)
     assert all(sentence.endswith(".") for _, _, sentence in (*options, *walk(AdjustmentOptions())))
     assert len(list(walk(AdjustmentOptions()))) == 5

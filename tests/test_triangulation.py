@@ -263,9 +263,9 @@ def test_options_of_methods_are_refused_where_they_do_nothing() -> None:
     assert method_options("dual", weights="published") == {"weights": "published", "origin": "file"}
     assert method_options("ml") == {}
     wrong: list[tuple[str, dict[str, object], str]] = [
-        ("dual", {"subset": 4}, "--subset was expected with --triangulation averaging"),
-        ("ml", {"bandwidth": 0.1}, "--bandwidth was expected with --triangulation averaging"),
-        ("averaging", {"weights": "unit"}, "--weights was expected with --triangulation dual"),
+        ("dual", {"subset": 4}, "`subset` was expected with `triangulation` averaging"),
+        ("ml", {"bandwidth": 0.1}, "`bandwidth` was expected with `triangulation` averaging"),
+        ("averaging", {"weights": "unit"}, "`weights` was expected with `triangulation` dual"),
         ("dual", {"weights": "heavy"}, "unit, published, most-likely, found 'heavy'"),
         ("averaging", {"subset": 1}, "2 planes or more, found 1"),
         ("averaging", {"bandwidth": 0.0}, "radians above 0, found 0"),

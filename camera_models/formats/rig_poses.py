@@ -21,7 +21,9 @@ ROUNDED = 1e-2
 
 def rotation_of_matrix(matrix: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarray, "3 3"]:
     """The rotation that a matrix of a file stands for; raises InputError where it is none."""
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    # The entries of a rotation are 1 at most: squares of larger ones may be beyond numbers.
+    largest = float(np.abs(matrix).max())
+    off = largest if not largest <= 1.0 + ROUNDED else float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if not off <= ROUNDED or np.linalg.det(matrix) < 0:
         raise InputError(
             f"The rotation of {where} must be orthonormal and right-handed, found one that is off by {off:.2g}; correct it."

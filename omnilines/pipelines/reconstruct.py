@@ -82,7 +82,7 @@ def reconstruct(
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
     if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
         posed = better_poses(
-            arcs.used,
+            arcs.photos,
             posed,
             cameras,
             from_photos=lambda: estimate_poses(
@@ -97,7 +97,7 @@ def reconstruct(
     if distance is not None:
         require_poses(distance, posed)
     try:
-        found = lines_of_arcs(arcs.used, posed.poses, cameras, options, progress)
+        found = lines_of_arcs(arcs.photos, posed.poses, cameras, options, progress)
     except GeometryError as error:
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
         raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}") from None
