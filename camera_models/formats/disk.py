@@ -67,7 +67,9 @@ def write_atomically(path: str | Path, data: str | bytes) -> None:
             raise
         _tell("after", target)
     except OSError as error:
-        raise InputError(f"{target} cannot be written ({error.strerror or error}); give a path in a folder that can be.") from error
+        raise InputError(
+            f"{target} cannot be written ({error.strerror or error}); give a path in a folder that can be."
+        ) from error
 
 
 def _tell(when: str, target: Path) -> None:
