@@ -9,6 +9,7 @@ from jaxtyping import Float
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.forms import Form, listed
+from camera_models.formats.values import LARGEST
 
 _K = ("fx", "fy", "cx", "cy")
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
@@ -28,8 +29,8 @@ def numbers_of(value: Any, where: str, count: int | None = None) -> list[float]:
         shape = "none" if value is None else f"one of {value.size}" if isinstance(value, np.ndarray) else repr(value)
         raise InputError(f"{where} must be {expected}, found {shape}; correct it.")
     numbers: list[float] = value.astype(np.float64).ravel().tolist()
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{where} must hold finite numbers, found {listed(numbers)}; correct it.")
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise InputError(f"{where} must hold finite numbers within reason, found {listed(numbers)}; correct it.")
     return numbers
 
 

@@ -15,6 +15,7 @@ from camera_models.formats.disk import read_text
 
 DEEPEST = 64
 _COLUMNS = 2
+_BASE64 = r"!!binary|type_id\s*=\s*[\"']binary|\$base64\$"
 _TAG = re.compile(r"</?[A-Za-z_][^<>]*(?<!/)>")
 _SYNTAX = {".xml": ".xml", ".json": ".json"}
 
@@ -25,6 +26,11 @@ def read_storage(path: Path) -> dict[str, Any]:
     if _depth(text) > DEEPEST:
         raise InputError(
             f"{path} was expected to be a calibration of OpenCV, found one nested more than {DEEPEST} deep; restore it."
+        )
+    if re.search(_BASE64, text):
+        # OpenCV 5.0 waits forever for the end of some that are cut short.
+        raise InputError(
+            f"{path} must hold its matrices as numbers, found some in base64; write them with cv2.FileStorage_WRITE."
         )
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
-from camera_models.formats.values import numbers
+from camera_models.formats.values import LARGEST, numbers
 from camera_models.pose import Pose, rotation_from_vector, vector_from_rotation
 from camera_models.rotations import nearest_rotation
 
@@ -49,6 +49,8 @@ def matrix_of_pose(pose: Pose) -> list[list[float]]:
 
 def pose_of_quaternion(wxyz: list[float], translation: list[float], where: str) -> Pose:
     """The pose of a quaternion (w, x, y, z) of any length but zero."""
+    if not all(abs(item) <= LARGEST for item in (*wxyz, *translation)):
+        raise InputError(f"The pose of {where} must hold finite numbers within reason, found others; correct it.")
     quaternion = torch.tensor(wxyz, dtype=torch.float64)
     if not float(quaternion.norm()) > EXACT:
         raise InputError(f"The quaternion of {where} must be a unit one, found one of length zero; correct it.")

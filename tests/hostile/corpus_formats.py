@@ -166,6 +166,10 @@ NATIVE: dict[str, tuple[str, Change]] = {
         "opencv-xml",
         lambda c: XML + b"<opencv_storage>" + b"<a>" * 20000 + b"</a>" * 20000 + b"</opencv_storage>\n",
     ),
+    "opencv-base64-without-end": (
+        "opencv-pair",
+        lambda c: c.replace(b"dt: d\n   data: ", b"dt:!!binary : ", 4),
+    ),
     "opencv-last-row": ("opencv-xml", lambda c: c.replace(b"0. 0. 1.</data>", b"0. 0. 7.</data>")),
     "pair-rotation-of-none": ("opencv-pair", lambda c: c.replace(b"9.9500", b"1.5").replace(b"0.9950", b"0.5")),
     "colmap-id-twice": ("colmap-txt", exchange(b"\n2 ", b"\n1 ")),
