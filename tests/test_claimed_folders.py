@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camera_models.errors import InputError
-from omnilines.files.folders import MANIFEST, claim, written_names
+from omnilines.files.folders import MANIFEST, claim, claimed, written_names
 
 
 def test_a_new_folder_is_made_and_lists_what_will_be_written(tmp_path: Path) -> None:
@@ -66,3 +66,17 @@ def test_a_damaged_list_names_nothing(content: str, tmp_path: Path) -> None:
         claim(tmp_path, ["a.csv"])
     claim(tmp_path, ["b.csv"])
     assert json.loads((tmp_path / MANIFEST).read_text()) == {"written": ["b.csv"]}
+
+
+def test_a_claim_that_fails_leaves_no_trace_and_keeps_what_was_written(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match="torn"), claimed(out, ["a.png", "b.png"]):
+        raise InputError("torn")
+    assert not out.exists()
+    with pytest.raises(InputError, match="torn"), claimed(out, ["a.png", "b.png"]) as folder:
+        (folder / "a.png").write_text("")
+        raise InputError("torn")
+    assert written_names(out) == ["a.png"]
+    with claimed(out, ["a.png", "b.png"]) as folder:
+        (folder / "b.png").write_text("")
+    assert written_names(out) == ["a.png", "b.png"]

@@ -9,14 +9,15 @@ from jaxtyping import Bool
 from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
-from omnilines.files import photos_of, read_photo
-from omnilines.files.folders import output_folder
-from omnilines.pages.arcs import arcs_data, arcs_summary, write_pictures
+from omnilines.files import find_photos, read_photo
+from omnilines.files.folders import check_results, claimed
+from omnilines.files.photos import require_distinct_stems
+from omnilines.pages.arcs import arcs_data, arcs_summary, picture_name, write_pictures
 from omnilines.pipelines.arcs import cameras_of_photos
 from omnilines.pipelines.arcs import extract as pipeline
 from omnilines.progress import ProgressCallback, silent
 
-PICTURES = "pictures"
+TABLE, PICTURES = "segments.csv", "pictures"
 
 
 def extract(
@@ -32,12 +33,16 @@ def extract(
 
     The white pixels of the image `mask` are looked at. Raises InputError as `pipelines.arcs.extract` does.
     """
-    cameras, refs = load(calibration), photos_of(photos)
+    cameras, refs = load(calibration), find_photos(photos)
+    require_distinct_stems(refs)
     camera_of = cameras_of_photos(refs, cameras)
     keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
-    folder = output_folder(out)
+    pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
+    read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
+    check_results(out, [TABLE, *pictures], read)
     arcs = pipeline(refs, cameras, mask=keep, options=options, progress=progress)
-    files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
+    with claimed(out, [TABLE, *pictures], read) as folder:
+        files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
     notes = tuple(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items())
     return CommandResult((arcs_summary(arcs, files[0]),), arcs_data(arcs), files=files, warnings=notes)
 

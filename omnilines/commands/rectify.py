@@ -9,7 +9,8 @@ from camera_models import load
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, read_poses
 from omnilines.files.colmap_scene import check_colmap_folder
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import check_output_folder, claimed
+from omnilines.files.photos import require_distinct_stems
 from omnilines.pipelines.rectify import COLMAP_VIEWS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.progress import ProgressCallback, silent
@@ -35,16 +36,21 @@ def rectify(
     `pipelines.rectify.rectify` does.
     """
     cameras, refs = load(calibration), find_photos(photos)
+    require_distinct_stems(refs)
     table = None if poses is None else read_poses(poses)
     asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg}
-    folder = output_folder(out)
+    folder = Path(out)
+    check_output_folder(folder)
     if table is not None and view in COLMAP_VIEWS:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     inputs = {"calibration": calibration, "poses": poses, "view": view, **asked}
     made = pipeline(
         refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg, inputs=inputs
     )  # fmt: skip
-    return _result(made, made.save(folder, progress), folder)
+    names = [*(one.name for one in made.views), "calibration.yaml", *(["poses.csv"] if made.poses is not None else [])]
+    read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
+    with claimed(folder, names, read):
+        return _result(made, made.save(folder, progress), folder)
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:

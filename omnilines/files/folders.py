@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from camera_models import InputError
@@ -38,19 +39,46 @@ MANIFEST = ".omnilines.json"
 def claim(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> Path:
     """The folder, made if absent, with its list of results extended by `names`, before any of them is written.
 
-    Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads. Raises InputError,
-    with nothing written, where a result would go over an input, over a file that is not in the list of the folder, or through a
-    link out of it; and where pictures would be written among the photos that the same command reads.
+    Raises InputError as `check_results` does, with nothing written.
     """
-    folder = Path(out)
-    wanted, given = sorted(set(names)), [Path(os.path.realpath(path)) for path in inputs]
-    own = set(written_names(folder))
-    for name in wanted:
-        _check_result(folder, name, own, given)
-    made = output_folder(folder)
-    if not own.issuperset(wanted):
-        write_atomically(made / MANIFEST, json.dumps({"written": sorted(own | set(wanted))}, indent=1) + "\n")
+    folder, wanted = Path(out), set(names)
+    check_results(folder, wanted, inputs)
+    made, own = output_folder(folder), set(written_names(folder))
+    if not own >= wanted:
+        write_atomically(made / MANIFEST, json.dumps({"written": sorted(own | wanted)}, indent=1) + "\n")
     return made
+
+
+@contextmanager
+def claimed(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
+    """`claim` for as long as results are written; where that fails, what was not written is not in the list of the folder."""
+    wanted, fresh = set(names), not Path(out).exists()
+    folder = claim(out, wanted, inputs)
+    try:
+        yield folder
+    except BaseException:
+        kept = [name for name in written_names(folder) if name not in wanted or (folder / name).exists()]
+        if kept:
+            write_atomically(folder / MANIFEST, json.dumps({"written": kept}, indent=1) + "\n")
+        else:
+            (folder / MANIFEST).unlink(missing_ok=True)
+            if fresh and not any(folder.iterdir()):
+                folder.rmdir()
+        raise
+
+
+def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
+    """Refuse, before any work, results that may not be written; nothing is made.
+
+    Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads. Raises InputError
+    where a result would go over an input, over a file that is not in the list of the folder, or through a link out of it; and
+    where pictures would be written among the photos that the same command reads.
+    """
+    check_output_folder(out)
+    folder, given = Path(out), [Path(os.path.realpath(path)) for path in inputs]
+    own = set(written_names(folder))
+    for name in sorted(set(names)):
+        _check_result(folder, name, own, given)
 
 
 def written_names(folder: str | Path) -> list[str]:

@@ -72,7 +72,7 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
 
     def draw(found: FoundArcs) -> Path:
         """The picture of one photo."""
-        path = folder / _picture_name(found.photo)
+        path = folder / picture_name(found.photo)
         picture = draw_arcs(found.photo.read(), arcs.cameras[found.camera], found)
         output_folder(path.parent)
         write_atomically(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
@@ -81,7 +81,8 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
     return tuple(on_all_cores(draw, arcs.used, "drawing arcs", progress))
 
 
-def _picture_name(photo: Photo) -> str:
+def picture_name(photo: Photo) -> str:
+    """Of the picture of a photo, beside those of the others."""
     return f"{PurePosixPath(photo.name).with_suffix('')}.jpg"
 
 

@@ -2,11 +2,8 @@
 
 MISSING: dict[str, tuple[str, ...]] = {
     "results are not yet written through `omnilines.files.folders.claim`": (
-        "photos/over:adjust", "photos/over:calibrate", "photos/over:pattern", "photos/over:reconstruct", "photos/over:rectify",
+        "photos/over:adjust", "photos/over:calibrate", "photos/over:pattern", "photos/over:reconstruct",
         "photos/over:targets",
-    ),
-    "commands do not yet call `omnilines.files.photos.require_distinct_stems`": (
-        "photos/extract:equal-stems", "photos/rectify:equal-stems",
     ),
     "options that do nothing are not yet refused": (
         "options/calibrate:coefficients='-1'", "options/calibrate:coefficients='3'", "options/ignored:convert:7",
