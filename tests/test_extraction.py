@@ -262,7 +262,7 @@ def main_exit(arguments: list[str]) -> int:
 
 def room_scores(folder: Path, model: str, fov_deg: float | None, views: int, size: tuple[int, int], seed: int) -> ArcScores:
     render_scene(folder, scene="room", model=model, fov_deg=fov_deg, views=views, size=size, seed=seed)
-    out = folder / "arcs"
+    out = folder.parent / f"{folder.name} arcs"
     assert main_exit(["extract", str(folder), "--calibration", str(folder / "calibration.yaml"), "--out", str(out)]) == 0
     camera = load(folder / "calibration.yaml")["cam0"]
     edges = read_true_edges(folder / "truth.csv")
