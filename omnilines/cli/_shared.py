@@ -112,6 +112,7 @@ def progress() -> "Iterator[ProgressCallback]":
         now = ""
 
         def tell(stage: str, done: int, total: int) -> None:
+            """Show how far a stage is."""
             nonlocal now
             if stage != now:
                 # The stage before is over, whether it knew how long it would be or not; it may come again in another round.

@@ -45,12 +45,14 @@ class _Command(typer.core.TyperCommand):
     """A command whose options are known while it runs, and within reason before."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Raises InputError where an argument is empty."""
         if "" in args:
             after = f" after {args[args.index('') - 1]}" if args.index("") else ""
             raise InputError(f"A value was expected{after}, found an empty one; fill it in, or leave the option out.")
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
+        """Raises InputError where a number is beyond reason."""
         for parameter in self.params:
             value = ctx.params.get(parameter.name)
             low, high = RANGES.get(parameter.name or "", (-MOST, MOST))

@@ -55,6 +55,7 @@ def find_hypotheses(
     packed, colours = arcs.packed[near], arcs.colours[near]
 
     def work(rows: Int[np.ndarray, " k"]) -> tuple[np.ndarray, ...]:
+        """Of some arcs, what `best_lines` finds."""
         depth, score, support, tried = best_lines(
             rows,
             arcs.image,

@@ -276,6 +276,7 @@ def render_targets(
         poses = random_board_poses(pattern, camera, options.views, reach, seed=integer_seed(seed, "poses"))
 
     def photo(k: int) -> Photo:
+        """What the camera sees from a pose."""
         return render_target(
             pattern,
             camera,
@@ -325,6 +326,7 @@ def render_scene(
         found.append(visible_stretches(world, look, poses[k], ends, options.vignetting))
 
     def photo(k: int) -> Photo:
+        """What the camera sees from a pose."""
         return render_photo(
             world,
             look,
