@@ -3,6 +3,7 @@
 The page is as large as the target with its white margin plus a border; printed at 100 percent, a millimetre is a millimetre.
 """
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from jaxtyping import Float
 
 from calib_patterns._pattern import Pattern
 from camera_models.errors import InputError
+from camera_models.formats.disk import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +76,9 @@ def print_pattern(pattern: Pattern, paths: tuple[Path, ...]) -> Page:
         for path in paths:
             kind = path.suffix.lower().lstrip(".")
             dates = {"Date": None} if kind == "svg" else {"CreationDate": None}
-            figure.savefig(path, format=kind, metadata={"Title": pattern.specification, **dates})
+            content = io.BytesIO()
+            figure.savefig(content, format=kind, metadata={"Title": pattern.specification, **dates})
+            write_atomically(path, content.getvalue())
     return page
 
 

@@ -1,5 +1,6 @@
 """The contract of a file format of calibrations: what it holds exactly, and how it is read and written."""
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera, ViewRecord
 from camera_models.formats.camera_check import check_cameras
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import staged, write_atomically
 from camera_models.formats.forms import Form, listed
 from camera_models.pose import Pose
 
@@ -185,7 +186,7 @@ class CalibrationFormat(ABC):
     def write(self, path: str | Path, calibration: Calibration) -> list[Path]:
         """Write a calibration, every file in one step; returns the files. Raises InputError as `documents` does."""
         documents = self.documents(path, calibration)
-        for folder in {file.parent for file in documents}:
+        for folder in {file.parent for file in documents if os.path.abspath(file) not in staged}:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:

@@ -26,14 +26,20 @@ _TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
 moment: Callable[[str, Path], None] | None = None
 """For tests, which end the process there: called with `before`, `inside`, `written` and `after`, and the file being written."""
 _swept: set[str] = set()
+staged: dict[str, Path] = {}
+"""Files of sets that are being written, by their absolute path: where each lies until the set is whole (files/sets.py)."""
+MANIFEST = ".omnilines.json"
+"""In a folder of results: the names of what was written there, which may be written again."""
+MOVING = ".omnilines.moving"
+"""In a folder of results: a set that is whole, of which these files are still to be moved to their places."""
 
 
 def write_atomically(path: str | Path, data: str | bytes) -> None:
     """Replace the file at `path` by `data` (text as UTF-8, line ends as given), through a temporary file beside it.
 
     The file gets the permissions a plain `open` would give, or keeps those it had. What an earlier run, that was killed, left
-    half written in the folder is removed. Raises InputError where the folder is absent or cannot be written to, or the path is
-    a folder or a device; what was on disk is then untouched.
+    half written in the folder is removed. A file of a set is written to where it lies for now (`staged`). Raises InputError where
+    the folder is absent or cannot be written to, or the path is a folder or a device; what was on disk is then untouched.
     """
     target = Path(path)
     try:
@@ -43,36 +49,40 @@ def write_atomically(path: str | Path, data: str | bytes) -> None:
             f"{target} cannot hold the name {data[error.start - 20 : error.end + 20]!r}; rename what it stands for."
         ) from None
     try:
-        _sweep(target.parent)
-        _tell("before", target)
+        place = staged.get(os.path.abspath(target), target)
+        if place is not target:
+            place.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(place.parent)
+        tell("before", target)
         if target.exists() and not target.is_file():
             raise InputError(f"{target} cannot be written (it is {_kind(target.stat().st_mode)}); give another path.")
-        handle, temporary = _temporary(target)
+        handle, temporary = _temporary(place)
         try:
             with os.fdopen(handle, "wb") as file:
                 if moment is not None:
                     file.write(content[: len(content) // 2])
                     file.flush()
-                    _tell("inside", target)
+                    tell("inside", target)
                     file.seek(0)
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
                 os.chmod(temporary, _permissions(target))
-                _tell("written", target)
-                os.replace(temporary, target)
+                tell("written", target)
+                os.replace(temporary, place)
         except BaseException:  # an interrupt too must leave no partial file; it is raised again
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(temporary)
             raise
-        _tell("after", target)
+        tell("after", target)
     except OSError as error:
         raise InputError(
             f"{target} cannot be written ({error.strerror or error}); give a path in a folder that can be."
         ) from error
 
 
-def _tell(when: str, target: Path) -> None:
+def tell(when: str, target: Path) -> None:
+    """For tests: what is about to happen to a file, or has."""
     if moment is not None:
         moment(when, target)
 
@@ -126,6 +136,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
     Raises InputError where it is not there, is a folder, a pipe or a device, cannot be read, or is larger than memory.
     """
     file = Path(path)
+    _require_in_place(file)
     try:
         # Opening a pipe would wait for its other end.
         handle = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -152,6 +163,17 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         raise InputError(f"{file} cannot be read ({error.strerror}); check the path and its permissions.") from error
     except ValueError:
         raise InputError(f"{str(file)!r} was expected to be a path, found that no file has such a name; check it.") from None
+
+
+def _require_in_place(file: Path) -> None:
+    """Raises InputError where the newer content of a file still waits to be moved here, and others may have been."""
+    own = Path(os.path.abspath(file))
+    for folder in own.parents:
+        if own.name != MANIFEST and os.path.lexists(folder / MOVING / own.relative_to(folder)):
+            raise InputError(
+                f"{file} was expected to be whole with the files beside it, found that the run that wrote them was ended while "
+                f"it moved them from {folder / MOVING}; run its command again, or remove that folder."
+            )
 
 
 def read_text(path: str | Path) -> str:

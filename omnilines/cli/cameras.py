@@ -107,10 +107,11 @@ def calibrate(
         if not rig:
             return calibrate_photos(photos, pattern or "", out, options, detection=detection, progress=progress)
         setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
+        start = [] if calibration is None else [calibration]
         if tables:
-            return calibrate_rig_corners(tables[0], sizes, out, setup, progress=progress)
+            return calibrate_rig_corners(tables[0], sizes, out, setup, read=start, progress=progress)
         patterns = [text.strip() for text in (pattern or "").split(",")]
-        return calibrate_rig_photos(photos[0], patterns, out, setup, detection=detection, progress=progress)
+        return calibrate_rig_photos(photos[0], patterns, out, setup, detection=detection, read=start, progress=progress)
 
     run(command, as_json)
 

@@ -7,11 +7,15 @@ from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_corners
-from omnilines.files.folders import check_output_folder
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
 from omnilines.pages.calibration import calibration_data, calibration_summaries
-from omnilines.pipelines.calibrate import CalibrationResult, calibrate
+from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult, calibrate
 from omnilines.pipelines.detect import PhotoCorners, detect
 from omnilines.progress import ProgressCallback, silent
+
+PAGE = "report.html"
+NAMES = (*CALIBRATION_FILES, PAGE)
 
 
 def calibrate_photos(
@@ -27,10 +31,10 @@ def calibrate_photos(
 
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
-    check_output_folder(out)
+    check_results(out, NAMES, photos)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, progress=progress)
-    return _written(calibrate(found, options=options, progress=progress), out, progress)
+    return _written(calibrate(found, options=options, progress=progress), out, photos, progress)
 
 
 def calibrate_corners(
@@ -45,9 +49,10 @@ def calibrate_corners(
 
     Raises InputError naming file, line and column where the table is malformed.
     """
+    check_results(out, NAMES, [corners_csv])
     corners = read_corners(corners_csv)
     found = PhotoCorners.of_table(corners, image_size, corners_csv, photos_beside(corners_csv, corners.images[0]))
-    return _written(calibrate(found, options=options, progress=progress), out, progress)
+    return _written(calibrate(found, options=options, progress=progress), out, [corners_csv], progress)
 
 
 def photos_beside(corners_csv: Path, image: str) -> Path | None:
@@ -55,9 +60,10 @@ def photos_beside(corners_csv: Path, image: str) -> Path | None:
     return next((f for f in (corners_csv.parent / "images", corners_csv.parent) if (f / image).is_file()), None)
 
 
-def _written(result: CalibrationResult, out: Path, progress: ProgressCallback) -> CommandResult:
-    files = result.save(out)
-    progress("writing the report", 0, 0)
-    report = result.report(out / "report.html")
+def _written(result: CalibrationResult, out: Path, read: Sequence[Path], progress: ProgressCallback) -> CommandResult:
+    with claimed(out, NAMES, read, by="calibrate"):
+        files = result.save(out)
+        progress("writing the report", 0, 0)
+        report = result.report(out / PAGE)
     summaries, data = calibration_summaries(result.fit, result.selection), calibration_data(result.fit, result.selection)
     return CommandResult(summaries, data, files=(*files, report), report=report, warnings=result.warnings)

@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from calib_patterns import DetectionOptions
-from omnilines.commands.calibrate import photos_beside
+from omnilines.commands.calibrate import PAGE, photos_beside
 from omnilines.commands.result import CommandResult
 from omnilines.files import read_rig_corners
-from omnilines.files.folders import check_output_folder
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
 from omnilines.pages.rig import rig_data, rig_summaries
-from omnilines.pipelines.calibrate_rig import RigSetup, calibrate_rig
+from omnilines.pipelines.calibrate_rig import RIG_FILES, RigSetup, calibrate_rig
 from omnilines.pipelines.detect_rig import RigCorners, detect_rig
 from omnilines.progress import ProgressCallback, silent
 
@@ -21,14 +22,16 @@ def calibrate_rig_photos(
     setup: RigSetup,
     *,
     detection: DetectionOptions = DetectionOptions(),
+    read: Sequence[Path] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate a rig from a folder with one sub-folder of photos per camera; photos of the same name are of the same instant.
 
+    `read` are the files that the setup is from.
     Raises InputError or GeometryError with one sentence.
     """
     setup.require_photos()
-    check_output_folder(out)
+    check_results(out, (*RIG_FILES, PAGE), [folder, *read])
     cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
     setup.require_cameras(cameras)
     perhaps = [name for name in cameras if setup.axis_sign_open(name)]
@@ -40,7 +43,7 @@ def calibrate_rig_photos(
         options=detection,
         progress=progress,
     )
-    return _written(found, setup, out, progress)
+    return _written(found, setup, out, [folder, *read], progress)
 
 
 def calibrate_rig_corners(
@@ -49,19 +52,21 @@ def calibrate_rig_corners(
     out: Path,
     setup: RigSetup,
     *,
+    read: Sequence[Path] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate a rig from a table of corners with a column `camera` (and `frame`, `board`); `image_sizes` by camera, "" standing
-    for all others.
+    for all others. `read` are the files that the setup is from.
 
     Raises InputError naming file, line and column where the table is malformed, and GeometryError where the rig is left open.
     """
+    check_results(out, (*RIG_FILES, PAGE), [corners_csv, *read])
     corners = read_rig_corners(corners_csv)
     found = RigCorners.of_table(corners, image_sizes, corners_csv, photos_beside(corners_csv, corners.images[0]))
-    return _written(found, setup, out, progress)
+    return _written(found, setup, out, [corners_csv, *read], progress)
 
 
-def _written(found: RigCorners, setup: RigSetup, out: Path, progress: ProgressCallback) -> CommandResult:
+def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path], progress: ProgressCallback) -> CommandResult:
     result = calibrate_rig(
         found,
         options=setup.options,
@@ -71,9 +76,10 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, progress: ProgressCa
         hold=setup.hold,
         progress=progress,
     )
-    files = result.save(out)
-    progress("writing the report", 0, 0)
-    report = result.report(out / "report.html")
+    with claimed(out, (*result.file_names, PAGE), read, by="calibrate"):
+        files = result.save(out)
+        progress("writing the report", 0, 0)
+        report = result.report(out / PAGE)
     warnings = tuple(f"{view.camera} {view.name}: {view.reason}" for view in result.views if not view.used)
     warnings += tuple(f"{view.camera} {view.name}: {remark}" for view in result.views for remark in view.remarks) + result.notes
     return CommandResult(

@@ -8,7 +8,8 @@ import numpy as np
 from calib_patterns import DetectionOptions
 from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
-from omnilines.files.folders import check_output_folder
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
 from omnilines.pipelines import detect as pipeline
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Summary
@@ -30,9 +31,11 @@ def detect(
     not that of one camera and these photos.
     """
     camera = None if calibration is None else _one_camera(calibration)
-    check_output_folder(out)
+    read = [*photos, *([] if calibration is None else [calibration])]
+    check_results(out, [pipeline.CORNERS], read)
     found = pipeline.detect(photos, pattern_spec, camera=camera, mirrored=mirror, options=options, progress=progress)
-    files = found.save(out)
+    with claimed(out, [pipeline.CORNERS], read, by="detect"):
+        files = found.save(out)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
     rows = tuple((image, f"{count} corners" + (f"; {remark}" if remark else "")) for image, count, remark in seen)

@@ -11,7 +11,8 @@ from camera_models import save
 from omnilines.calibration.record import calibration_record
 from omnilines.commands.result import CommandResult
 from omnilines.files import write_corners, write_lines, write_ply, write_poses, write_segments
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
 from omnilines.pages.board import board_data, board_sections, board_summaries, scene_tables
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
@@ -20,6 +21,7 @@ from omnilines.studies.board_figures import BoardExperiment
 
 PATTERN = "checkerboard:8x6:32.5mm"
 FILES = "calibration.yaml corners.csv segments.csv poses_perturbed.csv poses.csv lines.csv lines.ply".split()
+NAMES = (*FILES, "report.html")
 
 
 def experiment_board(
@@ -35,19 +37,24 @@ def experiment_board(
 
     Raises InputError for unusable data and GeometryError where boards or lines determine nothing.
     """
+    check_results(out, NAMES, _read(Path(data)))
     found = board_corners(data, pattern_spec, progress)
     calibration = board_calibration(found, model, progress)
     experiment = board_experiment(found, calibration, options, progress)
-    folder = output_folder(out)
     inputs = {"data": data, "pattern": pattern_spec, "perturb_deg": options.perturb_deg, "perturb_m": options.perturb_m}
-    files = _write(folder, experiment, inputs, options.seed)
-    progress("writing the report", 0, 0)
-    photo_folder = found.photo_folder if found.photo_folder and found.photo_folder.is_dir() else None
-    sections = board_sections(experiment, photo_folder)
-    page = write_report(folder / "report.html", "Board lines before and after adjustment", sections)
+    with claimed(out, NAMES, _read(Path(data)), by="experiment board") as folder:
+        files = _write(folder, experiment, inputs, options.seed)
+        progress("writing the report", 0, 0)
+        photo_folder = found.photo_folder if found.photo_folder and found.photo_folder.is_dir() else None
+        sections = board_sections(experiment, photo_folder)
+        page = write_report(folder / "report.html", "Board lines before and after adjustment", sections)
     warnings = tuple(f"{view.image}: {view.reason}" for view in calibration.views if not view.used) + experiment.notes
     data_out = board_data(experiment, options.seed)
     return CommandResult(board_summaries(experiment), data_out, experiment.checks, (*files, page), page, warnings)
+
+
+def _read(data: Path) -> list[Path]:
+    return [data, *data.glob("*.csv")]
 
 
 def _write(folder: Path, experiment: BoardExperiment, inputs: Mapping[str, Any], seed: int) -> tuple[Path, ...]:

@@ -10,8 +10,9 @@ from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_photo
-from omnilines.files.folders import check_results, claimed
+from omnilines.files.folders import check_results
 from omnilines.files.photos import require_distinct_stems
+from omnilines.files.sets import claimed
 from omnilines.pages.arcs import arcs_data, arcs_summary, picture_name, write_pictures
 from omnilines.pipelines.arcs import cameras_of_photos
 from omnilines.pipelines.arcs import extract as pipeline
@@ -41,7 +42,7 @@ def extract(
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
     check_results(out, [TABLE, *pictures], read)
     arcs = pipeline(refs, cameras, mask=keep, options=options, progress=progress)
-    with claimed(out, [TABLE, *pictures], read) as folder:
+    with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
     notes = tuple(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items())
     return CommandResult((arcs_summary(arcs, files[0]),), arcs_data(arcs), files=files, warnings=notes)

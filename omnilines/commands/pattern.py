@@ -5,7 +5,7 @@ from pathlib import Path
 from calib_patterns import pattern as parse_pattern
 from calib_patterns.printing import FORMATS, print_pattern
 from omnilines.commands.result import CommandResult
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed
 from omnilines.records import Summary
 
 
@@ -16,13 +16,12 @@ def pattern(specification: str, out: Path) -> CommandResult:
     """
     target = parse_pattern(specification)
     paths: tuple[Path, ...] = (out,)
-    if out.suffix.lower().lstrip(".") in FORMATS:
-        output_folder(out.parent)
-    else:
+    if out.suffix.lower().lstrip(".") not in FORMATS:
         name = target.specification.replace(":", "_")
-        folder = output_folder(out)
-        paths = tuple(folder / f"{name}.{kind}" for kind in FORMATS)
-    page = print_pattern(target, paths)
+        paths = tuple(out / f"{name}.{kind}" for kind in FORMATS)
+    names = [path.name for path in paths]
+    with claimed(paths[0].parent, names, by=f"pattern {' '.join(names)}"):
+        page = print_pattern(target, paths)
     across, down = (1000.0 * length for length in target.size_m)
     rows = (
         ("target with its white margin", f"{across:.6g} x {down:.6g} mm"),

@@ -19,10 +19,11 @@ from omnilines.files import (
     read_poses,
     read_segments,
 )
-from omnilines.files.colmap_scene import check_colmap_folder, colmap_cameras, write_colmap_scene
+from omnilines.files.colmap_scene import COLMAP_FILES, LINES_FILE, check_colmap_folder, colmap_cameras, write_colmap_scene
 from omnilines.files.fingerprint import fingerprint, revision
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import check_results, check_work_folder
 from omnilines.files.recording import rerun_module, write_recording
+from omnilines.files.sets import claimed
 from omnilines.pages.scene import scene_data, scene_sections, scene_summary
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
@@ -31,7 +32,7 @@ from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, unit_of_poses, unit_of_table
 from omnilines.pipelines.reconstruct import check_options, reconstruct
-from omnilines.pipelines.scene import Scene
+from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
@@ -39,6 +40,8 @@ from omnilines.records import Segments
 from omnilines.report import write_report
 
 WORK, STAMP = "work", "done.json"
+PAGE, RECORDING = "report.html", "scene.rrd"
+COLMAP = tuple(f"colmap/{name}" for name in (*COLMAP_FILES, LINES_FILE))
 MADE_BY = ("camera_models", "calib_patterns", "omnilines")
 """Whose source decides what is written."""
 
@@ -75,7 +78,7 @@ def reconstruct_photos(
     given = _given(segments, mask, refs, camera_of)
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
-    folder = output_folder(out)
+    folder = Path(out)
     check_source(poses, refs, cameras, camera_of, pattern)
     check_options(options, cameras)
     if colmap:
@@ -83,6 +86,10 @@ def reconstruct_photos(
     if recording:
         rerun_module()
     files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
+    read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
+    names = (*SCENE_FILES, "lines.obj", *(COLMAP if colmap else ()), *([RECORDING] if recording else ()), PAGE)
+    check_results(folder, [*names, STAMP], read)
+    check_work_folder(work, read)
     wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
@@ -90,7 +97,6 @@ def reconstruct_photos(
         return done
     if distance is not None and not from_photos(poses):
         require_poses(distance, estimate_poses(refs, cameras, poses))
-    work = folder / WORK
     if given is None:
         arcs = extract(
             refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, progress=progress
@@ -102,7 +108,8 @@ def reconstruct_photos(
     )
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
-    result = _written(folder, scene, colmap, recording, progress)
+    with claimed(folder, names, read, by=SCENE):
+        result = _written(folder, scene, colmap, recording, progress)
     stamp.write(result)
     return result
 
@@ -127,11 +134,14 @@ def reconstruct_segments(
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
+    names, read = (*SCENE_FILES, PAGE), [calibration, poses, segments, *_pose_files(str(poses))]
+    check_results(out, names, read)
     cameras, table = load(calibration), read_segments(segments)
     posed = replace(_poses(poses, table, cameras), unit=unit_of_table(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
-    return _written(output_folder(out), scene, False, False, progress)
+    with claimed(out, names, read, by=SCENE):
+        return _written(out, scene, False, False, progress)
 
 
 def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], camera_of: Mapping[str, str]) -> Segments | None:
@@ -186,12 +196,12 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
     remarks: tuple[str, ...] = ()
     if colmap:
         known, remarks = colmap_cameras(scene.cameras)
-        files += write_colmap_scene(output_folder(folder / "colmap"), known, scene.poses, scene.lines, remarks=remarks)
+        files += write_colmap_scene(folder / "colmap", known, scene.poses, scene.lines, remarks=remarks)
     if recording:
-        files.append(folder / "scene.rrd")
+        files.append(folder / RECORDING)
         write_recording(files[-1], scene.lines, scene.poses, scene.cameras)
     progress("writing the report", 0, 0)
     summary = scene_summary(scene)
-    files.append(write_report(folder / "report.html", "Line scene", scene_sections(scene, remarks)))
+    files.append(write_report(folder / PAGE, "Line scene", scene_sections(scene, remarks)))
     notes = (*scene.told, *remarks, *summary.notes)
     return CommandResult((summary,), scene_data(scene), files=tuple(files), report=files[-1], warnings=notes)

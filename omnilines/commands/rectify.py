@@ -9,8 +9,9 @@ from camera_models import load
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, read_poses
 from omnilines.files.colmap_scene import check_colmap_folder
-from omnilines.files.folders import check_output_folder, claimed
+from omnilines.files.folders import check_output_folder
 from omnilines.files.photos import require_distinct_stems
+from omnilines.files.sets import claimed
 from omnilines.pipelines.rectify import COLMAP_VIEWS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.progress import ProgressCallback, silent
@@ -47,9 +48,8 @@ def rectify(
     made = pipeline(
         refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg, inputs=inputs
     )  # fmt: skip
-    names = [*(one.name for one in made.views), "calibration.yaml", *(["poses.csv"] if made.poses is not None else [])]
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
-    with claimed(folder, names, read):
+    with claimed(folder, made.file_names, read, by="rectify", kept=made.views_that_stay(folder)):
         return _result(made, made.save(folder, progress), folder)
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from omnilines.commands.result import CommandResult
+from omnilines.files.folders import check_output_folder
+from omnilines.files.sets import claimed
 from omnilines.pipelines.render import MODEL, RenderOptions
 from omnilines.pipelines.render import render_scene as rendered_scene
 from omnilines.progress import ProgressCallback, silent
@@ -36,10 +38,12 @@ def render_scene(
     docs/scenes.md describes the tables. Raises InputError for options out of range.
     """
     options = RenderOptions(fov_deg, views, size, noise, blur, mirror=mirror, seed=seed)
+    check_output_folder(out)
     rendered = rendered_scene(
         scene, model, options, textures=textures, texture_m=texture_m, textured=textured, progress=progress
     )  # fmt: skip
-    files = rendered.save(out, progress)
+    with claimed(out, rendered.file_names, [] if textures is None else [textures], by="render"):
+        files = rendered.save(out, progress)
     camera, stretches = rendered.camera, rendered.stretches
     field = 2.0 * math.degrees(largest_angle(camera, rendered.circle_rad))
     seen_px = float(stretches.length_px.sum()) / views

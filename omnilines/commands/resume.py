@@ -9,6 +9,7 @@ from camera_models import InputError
 from camera_models.formats.disk import write_atomically
 from omnilines.commands.result import CommandResult
 from omnilines.files.fingerprint import content_hash
+from omnilines.files.sets import claimed
 from omnilines.records import Summary
 
 
@@ -45,4 +46,5 @@ class Stamp:
             "summaries": [asdict(summary) for summary in result.summaries],
             "data": result.data,
         }
-        write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
+        with claimed(self.path.parent, [self.path.name], by="done"):
+            write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.result import CommandResult
-from omnilines.commands.validate import PHOTOS
-from omnilines.files.folders import output_folder
+from omnilines.commands.validate import PAGE, PHOTOS
+from omnilines.files.folders import check_results
 from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
@@ -33,7 +33,8 @@ def validate_scene(
     Writes `photos/` (photos and truth), `scene/` (the scene folder) and report.html into `out`. Raises InputError for options out
     of range and GeometryError naming the stage where no line is left, or where no edge is seen by enough photos.
     """
-    folder = output_folder(out)
+    folder = Path(out)
+    check_results(folder, [PAGE])
     truth = render_scene(scene, model, options, progress=progress)
     shown = truth.save(folder / PHOTOS, progress)
     photos = [folder / PHOTOS / name for name in truth.photos]
@@ -41,6 +42,6 @@ def validate_scene(
     done = reconstruct_photos(photos, tables[0], str(tables[1]), folder / SCENE, SceneOptions(seed=truth.seed), progress=progress)
     progress("comparing with the truth", 0, 0)
     validation = compare_scene(truth, read_rebuilt(folder / SCENE, done.data))
-    page = validation.report(folder / "report.html", folder / PHOTOS)
+    page = validation.report(folder / PAGE, folder / PHOTOS)
     summaries, data = scene_validation_summaries(validation), scene_validation_data(validation)
     return CommandResult(summaries, data, validation.checks, (*shown, *done.files, page), page, done.warnings)

@@ -9,6 +9,7 @@ Rigs and frames are left to COLMAP, which gives every camera a rig of its own wh
     write_colmap_scene(folder, held, poses, lines, remarks=remarks)
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,13 +18,16 @@ import torch
 from camera_models import Calibration, CameraModel
 from camera_models.errors import InputError
 from camera_models.formats import format_named
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import staged, write_atomically
 from camera_models.formats.quaternions import quaternion_for_file
 from camera_models.formats.transfer import transfer
 from omnilines.files.obj import safe_name
 from omnilines.files.tables import number_cells
 from omnilines.records import ImagePoses, Lines
 
+COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
+LINES_FILE = "lines.txt"
+"""Of a model without lines, and of its lines."""
 _STALE = ("images.bin", "points3D.bin", "frames.bin", "frames.txt")
 """Files that are not written here and that COLMAP would read; the format of the cameras looks for those of its own."""
 
@@ -87,9 +91,10 @@ def write_colmap_scene(
         folder / "points3D.txt": "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n",
     }
     if lines is not None:
-        texts[folder / "lines.txt"] = _lines(folder / "lines.txt", lines)
+        texts[folder / LINES_FILE] = _lines(folder / LINES_FILE, lines)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if os.path.abspath(folder / COLMAP_FILES[0]) not in staged:
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be made ({error.strerror}); give another path.") from None
     for path, text in texts.items():

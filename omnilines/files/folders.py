@@ -1,13 +1,13 @@
-"""Folders that results are written to."""
+"""Folders that results are written to, and what may be written there."""
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from camera_models import InputError
-from camera_models.formats.disk import read_text, write_atomically
+from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
 from omnilines.files.photos import PHOTO_SUFFIXES
 
 
@@ -32,39 +32,28 @@ def check_output_folder(out: str | Path) -> None:
         raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")
 
 
-MANIFEST = ".omnilines.json"
-"""In a folder of results: the names of what was written there, which may be written again."""
+class Written(NamedTuple):
+    """A file in the list of a folder."""
+
+    by: str
+    """The set that it is of: the next of that name removes what it does not write again."""
+    sha256: str
+    """Of its content as it was written."""
 
 
-def claim(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> Path:
-    """The folder, made if absent, with its list of results extended by `names`, before any of them is written.
-
-    Raises InputError as `check_results` does, with nothing written.
-    """
-    folder, wanted = Path(out), set(names)
-    check_results(folder, wanted, inputs)
-    made, own = output_folder(folder), set(written_names(folder))
-    if not own >= wanted:
-        write_atomically(made / MANIFEST, json.dumps({"written": sorted(own | wanted)}, indent=1) + "\n")
-    return made
-
-
-@contextmanager
-def claimed(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
-    """`claim` for as long as results are written; where that fails, what was not written is not in the list of the folder."""
-    wanted, fresh = set(names), not Path(out).exists()
-    folder = claim(out, wanted, inputs)
+def written(folder: str | Path) -> dict[str, Written]:
+    """The list of a folder, by name; nothing where there is no list, or it is not one."""
     try:
-        yield folder
-    except BaseException:
-        kept = [name for name in written_names(folder) if name not in wanted or (folder / name).exists()]
-        if kept:
-            write_atomically(folder / MANIFEST, json.dumps({"written": kept}, indent=1) + "\n")
-        else:
-            (folder / MANIFEST).unlink(missing_ok=True)
-            if fresh and not any(folder.iterdir()):
-                folder.rmdir()
-        raise
+        rows = json.loads(read_text(Path(folder) / MANIFEST))["written"]
+        return {str(name): Written(str(row["by"]), str(row["sha256"])) for name, row in rows.items()}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):  # InputError is a ValueError
+        return {}
+
+
+def write_list(folder: Path, rows: dict[str, Written]) -> None:
+    """Replace the list of a folder."""
+    entries = {name: row._asdict() for name, row in sorted(rows.items())}
+    write_atomically(folder / MANIFEST, json.dumps({"written": entries}, indent=1) + "\n")
 
 
 def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
@@ -76,39 +65,38 @@ def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | 
     """
     check_output_folder(out)
     folder, given = Path(out), [Path(os.path.realpath(path)) for path in inputs]
-    own = set(written_names(folder))
+    # While a set is moved into place its own list may lie beside it.
+    own = {*written(folder), *written(folder / MOVING)}
     for name in sorted(set(names)):
         _check_result(folder, name, own, given)
 
 
-def written_names(folder: str | Path) -> list[str]:
-    """What the list of a folder names; nothing where there is no list, or it is not one."""
-    try:
-        names = json.loads(read_text(Path(folder) / MANIFEST))["written"]
-    except (ValueError, KeyError, TypeError, RecursionError):  # InputError is a ValueError
-        return []
-    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+def way_out(folder: Path, name: str) -> str | None:
+    """Why a name does not stand for a file in a folder and its own sub-folders; None where it does."""
+    parts = PurePosixPath(name)
+    if parts.is_absolute() or ".." in parts.parts:
+        return f"the name '{name}', which leads out of it; rename its input"
+    step = folder
+    for part in parts.parts[:-1]:
+        step = step / part
+        if step.is_symlink() or step.is_mount():
+            return f"that {step} is a link out of it; give another --out"
+        if step.exists() and not (step.is_dir() and os.access(step, os.W_OK)):
+            return f"that {step} is no folder that can be written to; give another --out"
+    return None
 
 
 def _check_result(folder: Path, name: str, own: set[str], inputs: Sequence[Path]) -> None:
-    parts = PurePosixPath(name)
-    if parts.is_absolute() or ".." in parts.parts:
-        raise InputError(
-            f"Results were expected inside {folder}, found the name '{name}', which leads out of it; rename its input."
-        )
+    if (why := way_out(folder, name)) is not None:
+        raise InputError(f"Results were expected inside {folder}, found {why}.")
     target = folder / name
     real = Path(os.path.realpath(target))
     if real in inputs:
         raise InputError(f"A folder without the inputs was expected to write to, found that {target} is one; give another --out.")
-    step = folder
-    for part in parts.parts[:-1]:
-        step = step / part
-        if step.is_symlink():
-            raise InputError(f"Results were expected inside {folder}, found that {step} is a link out of it; give another --out.")
-    if os.path.lexists(target) and name not in own:
+    if os.path.lexists(target) and (name not in own or (target.is_dir() and not target.is_symlink())):
         raise InputError(
-            f"Results go over nothing but earlier results, found {target}, which is not in {MANIFEST} there; give another --out, "
-            "or remove it."
+            f"Results go over nothing but earlier results, found {target}, which is not in {MANIFEST} there (nor is what "
+            "versions without that list wrote); give another --out, or remove it."
         )
     among = [path for path in inputs if path.is_dir() and real.is_relative_to(path)]
     if among and target.suffix.lower() in PHOTO_SUFFIXES:
@@ -116,3 +104,26 @@ def _check_result(folder: Path, name: str, own: set[str], inputs: Sequence[Path]
             f"Pictures were expected outside of the photos, found {target} in {among[0]}, where they would be taken for "
             "photos the next time; give another --out."
         )
+
+
+def check_work_folder(work: Path, inputs: Iterable[str | Path] = ()) -> None:
+    """Refuse a folder for what a run keeps that is not one, or that the run reads from. Raises InputError; nothing is made."""
+    check_output_folder(work)
+    if work.is_symlink() or (work.exists() and any(work.iterdir()) and not (work / MANIFEST).is_file()):
+        raise InputError(
+            f"What is found is kept in {work}, found a folder there that is not of an earlier run (it holds no {MANIFEST}); give "
+            "another --out, or rename it."
+        )
+    for path in inputs:
+        if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(work)):
+            raise InputError(f"Inputs were expected outside of {work}, where a run keeps what it finds, found {path}; copy it.")
+
+
+def work_folder(work: str | Path) -> Path:
+    """The folder for what a run keeps, made and marked as such. Raises InputError as `check_work_folder` does."""
+    folder = Path(work)
+    check_work_folder(folder)
+    output_folder(folder)
+    if not (folder / MANIFEST).is_file():
+        write_list(folder, {})
+    return folder

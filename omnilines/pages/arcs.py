@@ -12,7 +12,6 @@ from jaxtyping import Float, Shaped, UInt8
 from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
 from omnilines.files import Photo
-from omnilines.files.folders import output_folder
 from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
@@ -74,7 +73,6 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
         """The picture of one photo."""
         path = folder / picture_name(found.photo)
         picture = draw_arcs(found.photo.read(), arcs.cameras[found.camera], found)
-        output_folder(path.parent)
         write_atomically(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
         return path
 

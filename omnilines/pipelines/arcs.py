@@ -18,7 +18,8 @@ from camera_models.formats.disk import write_atomically
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
 from omnilines.files.fingerprint import revision
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import output_folder, work_folder
+from omnilines.files.sets import claimed
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.options import AppearanceOptions
@@ -26,6 +27,7 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Segments
 
+SEGMENTS = "segments.csv"
 SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
 """Shorter arcs than by default are used for lines: other photos confirm them or not."""
 MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.files.photos")
@@ -95,9 +97,9 @@ class PhotoArcs:
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write segments.csv into a folder, which is made; the files written."""
-        path = output_folder(folder) / "segments.csv"
-        write_segments(path, self.segments)
-        return (path,)
+        with claimed(folder, [SEGMENTS], by="extract") as out:
+            write_segments(out / SEGMENTS, self.segments)
+        return (out / SEGMENTS,)
 
 
 def extract(
@@ -130,7 +132,7 @@ def extract(
     camera_of = cameras_of_photos(refs, cameras)
     if mask is not None:
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
-    wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(Path(work) / "arcs"))
+    wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(work_folder(work) / "arcs"))
 
     def look(photo: Photo) -> FoundArcs:
         """The arcs of one photo, or why it has none."""

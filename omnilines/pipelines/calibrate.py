@@ -15,12 +15,13 @@ from omnilines.calibration.record import calibration_record
 from omnilines.calibration.select import Selection, select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
 from omnilines.calibration.thresholds import DuplicateThresholds
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners, search_again
+from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
 
+CALIBRATION_FILES = ("calibration.yaml", CORNERS)
 GUIDE = "scaramuzza"
 """The model that leads to more corners where the user has not chosen one: it fits lenses of every width, and mirrors."""
 
@@ -82,15 +83,22 @@ class CalibrationResult:
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `calibration.yaml` and `corners.csv` into a folder, which is made if absent; returns the files."""
-        path = output_folder(folder) / "calibration.yaml"
-        save(path, self.calibration)
-        return (path, *self.found.save(folder))
+        with claimed(folder, self.file_names, by="calibrate") as out:
+            save(out / "calibration.yaml", self.calibration)
+            self.found.save(out)
+        return tuple(out / name for name in self.file_names)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return CALIBRATION_FILES
 
     def report(self, path: str | Path) -> Path:
         """Write the page that shows all of it, with the photos where they are files, and return its path."""
         from omnilines.pages.calibration import write_calibration_page
 
-        return write_calibration_page(self, path)
+        with claimed_page(path):
+            return write_calibration_page(self, path)
 
 
 def calibrate(

@@ -1,5 +1,6 @@
 """Corners of a target by several cameras -> the calibrated rig, which in photos leads to corners that were missed."""
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError, model_class, save
 from camera_models.formats.calibration_data import RigCamera
+from camera_models.formats.disk import write_atomically
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record, rig_record
 from omnilines.calibration.rig import calibrate as joint
@@ -17,12 +19,14 @@ from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import BOARDS
 from omnilines.files import write_corners
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect_rig import RigCorners
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
+
+RIG_FILES = ("calibration.yaml", "corners.csv", "covariance.npz")
 
 
 @dataclass(frozen=True)
@@ -143,21 +147,28 @@ class RigResult:
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `calibration.yaml`, `corners.csv`, `covariance.npz` and, for each camera that is not of the rig but could be
         calibrated alone, `calibration-NAME.yaml` into a folder, which is made if absent; returns the files."""
-        home = output_folder(folder)
-        files = [home / name for name in ("calibration.yaml", "corners.csv", "covariance.npz")]
-        save(files[0], self.calibration)
-        write_corners(files[1], self.fit.as_given()[0])
-        np.savez(files[2], name=np.array(self.names), covariance=self.covariance)
-        for name, single in self.fit.left_out_alone.items():
-            files.append(home / f"calibration-{name}.yaml")
-            save(files[-1], calibration_record(single, False, self.found.inputs))
+        with claimed(folder, self.file_names, by="calibrate") as home:
+            files = [home / name for name in self.file_names]
+            save(files[0], self.calibration)
+            write_corners(files[1], self.fit.as_given()[0])
+            archive = io.BytesIO()
+            np.savez(archive, name=np.array(self.names), covariance=self.covariance)
+            write_atomically(files[2], archive.getvalue())
+            for path, single in zip(files[3:], self.fit.left_out_alone.values(), strict=True):
+                save(path, calibration_record(single, False, self.found.inputs))
         return tuple(files)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return (*RIG_FILES, *(f"calibration-{name}.yaml" for name in self.fit.left_out_alone))
 
     def report(self, path: str | Path) -> Path:
         """Write the page that shows all of it, with photos where they are files, and return its path."""
         from omnilines.pages.rig import write_rig_page
 
-        return write_rig_page(self, path)
+        with claimed_page(path):
+            return write_rig_page(self, path)
 
 
 def calibrate_rig(

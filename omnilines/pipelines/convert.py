@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from camera_models.formats import format_for_writing, format_named, format_of_fi
 from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
+from omnilines.files.sets import claimed
 from omnilines.provenance import provenance
 
 COLUMNS = (
@@ -34,6 +36,8 @@ class ConversionResult:
     """Of the file that was read, if it was one."""
     writer: CalibrationFormat
     out: Path
+    read: tuple[Path, ...]
+    """The file that was read, or the files of a folder."""
     notes: tuple[str, ...]
     """What is lost, and where the format's own tool ends, one sentence each."""
 
@@ -50,11 +54,16 @@ class ConversionResult:
     def save(self) -> tuple[Path, ...]:
         """Write the file or folder that the conversion is for, and `<out>_conversion.csv` where a camera was fitted; returns the
         files."""
-        files = self.writer.write(self.out, self.calibration)
+        # A folder that is a link is written where it leads.
+        out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
+        files = list(self.writer.documents(out, self.calibration))
         if self.errors:
-            beside = self.out.with_name(f"{self.out.stem}_conversion.csv")
-            write_atomically(beside, self._table())
-            files.append(beside)
+            files.append(out.with_name(f"{out.stem}_conversion.csv"))
+        names = [path.relative_to(out.parent).as_posix() for path in files]
+        with claimed(out.parent, names, self.read, by=f"convert {out.name}"):
+            self.writer.write(out, self.calibration)
+            if self.errors:
+                write_atomically(files[-1], self._table())
         return tuple(files)
 
     def _table(self) -> str:
@@ -108,7 +117,8 @@ def convert(
     notes = [f"{source}: {note}" for note in said] + [f"{path}: {note}" for note in fit.notes]
     if fov_deg is not None and not fit.conversions:
         notes.append("`fov_deg` has no effect: every camera is held exactly.")
-    return ConversionResult(calibration, fit, final, reader, writer, path, tuple(notes))
+    read = () if isinstance(source, Calibration) else (Path(source), *(Path(source).iterdir() if Path(source).is_dir() else ()))
+    return ConversionResult(calibration, fit, final, reader, writer, path, read, tuple(notes))
 
 
 def _read(

@@ -16,11 +16,12 @@ from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
+CORNERS = "corners.csv"
 IN_MEMORY = "in memory"
 """In the place of a file in the provenance."""
 
@@ -98,9 +99,9 @@ class PhotoCorners:
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `corners.csv` into a folder, which is made if absent; returns the files."""
-        path = output_folder(folder) / "corners.csv"
-        write_corners(path, self.corners)
-        return (path,)
+        with claimed(folder, [CORNERS], by="detect") as out:
+            write_corners(out / CORNERS, self.corners)
+        return (out / CORNERS,)
 
 
 def detect(

@@ -15,8 +15,8 @@ from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photos_of, write_corners
-from omnilines.files.folders import output_folder
-from omnilines.pipelines.detect import IN_MEMORY, PhotoCorners, detect
+from omnilines.files.sets import claimed
+from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
 
@@ -92,9 +92,9 @@ class RigCorners:
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `corners.csv` into a folder, which is made if absent; returns the files."""
-        path = output_folder(folder) / "corners.csv"
-        write_corners(path, self.corners)
-        return (path,)
+        with claimed(folder, [CORNERS], by="detect") as out:
+            write_corners(out / CORNERS, self.corners)
+        return (out / CORNERS,)
 
 
 def _require_inside(corners: Corners, cameras: Sequence[str], sizes: Mapping[str, tuple[int, int]], source: str | Path) -> None:

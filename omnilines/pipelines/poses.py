@@ -20,7 +20,7 @@ from camera_models.formats.disk import write_atomically
 from camera_models.pose import Pose
 from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
 from omnilines.files.fingerprint import fingerprint, revision
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import work_folder
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
@@ -142,7 +142,7 @@ def _found(asked: _Asked, work: str | Path | None, progress: ProgressCallback) -
     if work is None:
         with tempfile.TemporaryDirectory() as folder:
             return _looked_for(asked, Path(folder), progress)
-    path, made_from = output_folder(work) / KEPT, _made_from(asked)
+    path, made_from = work_folder(work) / KEPT, _made_from(asked)
     known = _read(path, made_from)
     if known is None:
         known = _looked_for(asked, Path(work), progress)

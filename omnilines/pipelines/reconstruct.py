@@ -9,7 +9,7 @@ from camera_models import Calibration, CameraModel, GeometryError, InputError
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost
 from omnilines.files import photo_folder, write_poses
-from omnilines.files.folders import output_folder
+from omnilines.files.folders import work_folder
 from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.adjust import adjust
@@ -91,7 +91,7 @@ def reconstruct(
             options=options,
             progress=progress,
         )
-    table = None if work is None else output_folder(work) / "poses.csv"
+    table = None if work is None else work_folder(work) / "poses.csv"
     if table is not None:
         write_poses(table, posed.poses)
     if distance is not None:

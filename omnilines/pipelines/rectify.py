@@ -9,13 +9,14 @@ import numpy as np
 import torch
 from jaxtyping import UInt
 
-from camera_models import Calibration, CameraModel, InputError, save
+from camera_models import Calibration, CameraModel, InputError, load, save
 from camera_models.pose import Pose
 from camera_models.resampling import SamplingGrid, resample, sampling_grid
 from camera_models.views import View, axis_from_camera, views
-from omnilines.files import Photo, Photos, photos_of, write_png, write_poses
-from omnilines.files.colmap_scene import check_colmap_folder, write_colmap_scene
-from omnilines.files.folders import output_folder
+from omnilines.files import Photo, PhotoRef, Photos, photos_of, write_png, write_poses
+from omnilines.files.colmap_scene import COLMAP_FILES, check_colmap_folder, write_colmap_scene
+from omnilines.files.folders import written
+from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
@@ -80,23 +81,40 @@ class RectifiedViews:
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
         """Write the views (PNG), calibration.yaml and, where poses are known, poses.csv and for perspective views a COLMAP model
         into a folder, which is made; the files written. Raises InputError where the folder holds parts of another model."""
-        out = output_folder(folder)
-        colmap = self.poses is not None and self.view in COLMAP_VIEWS
-        if colmap:
-            check_colmap_folder(out / "colmap", [photo.name for photo in self.photos])
-        files = []
-        for name, pixels in self.pixels(progress):
-            files.append(out / name)
-            files[-1].parent.mkdir(parents=True, exist_ok=True)
-            write_png(files[-1], pixels)
-        files.append(out / "calibration.yaml")
-        save(files[-1], Calibration({self.view: self.camera}, provenance=self.provenance))
-        if self.poses is not None:
-            files.append(out / "poses.csv")
-            write_poses(files[-1], self.poses)
-            if colmap:
-                files += write_colmap_scene(output_folder(out / "colmap"), {self.view: self.camera}, self.poses)
-        return tuple(files)
+        if self._colmap:
+            check_colmap_folder(Path(folder) / "colmap", [photo.name for photo in self.photos])
+        photos = [photo.path for photo in self.photos if isinstance(photo, PhotoRef)]
+        with claimed(folder, self.file_names, photos, by="rectify", kept=self.views_that_stay(folder)) as out:
+            for name, pixels in self.pixels(progress):
+                write_png(out / name, pixels)
+            save(out / "calibration.yaml", Calibration({self.view: self.camera}, provenance=self.provenance))
+            if self.poses is not None:
+                write_poses(out / "poses.csv", self.poses)
+            if self._colmap and self.poses is not None:
+                write_colmap_scene(out / "colmap", {self.view: self.camera}, self.poses)
+        return tuple(out / name for name in self.file_names)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        poses = ("poses.csv",) if self.poses is not None else ()
+        colmap = tuple(f"colmap/{name}" for name in COLMAP_FILES) if self._colmap else ()
+        return (*(one.name for one in self.views), "calibration.yaml", *poses, *colmap)
+
+    @property
+    def _colmap(self) -> bool:
+        return self.poses is not None and self.view in COLMAP_VIEWS
+
+    def views_that_stay(self, folder: str | Path) -> tuple[str, ...]:
+        """Views of other photos by the same camera, which an earlier run wrote into a folder: photos may be given one by one."""
+        try:
+            earlier = load(Path(folder) / "calibration.yaml")[self.view]
+        except (InputError, KeyError):
+            return ()
+        if (earlier.NAME, earlier.image_size) != (self.camera.NAME, self.camera.image_size):
+            return ()
+        same = torch.equal(earlier.parameters, self.camera.parameters)
+        return tuple(name for name in written(folder) if same and Path(name).suffix == ".png")
 
 
 def rectify(

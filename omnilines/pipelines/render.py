@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 from jaxtyping import UInt8
@@ -17,7 +17,7 @@ from camera_models import Calibration, CameraEstimate, CameraModel, InputError, 
 from camera_models.formats.calibration_data import ViewRecord
 from camera_models.pose import Pose
 from omnilines.files import find_photos, read_photo, write_corners, write_png, write_poses
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
@@ -115,6 +115,8 @@ class RenderedPhotos(Mapping[str, Photo]):
 class Rendered:
     """Photos through a known camera and where each was taken."""
 
+    TRUTH_FILES: ClassVar[tuple[str, ...]]
+    """What else is known of the photos."""
     photos: Mapping[str, Photo]
     """Name -> (h, w) grey or (h, w, 3) BGR, 8 bits."""
     camera: CameraModel
@@ -134,22 +136,27 @@ class Rendered:
 
         Raises InputError for a folder that cannot be made.
         """
-        out = output_folder(folder)
-        photos = [out / name for name in self.photos]
-        progress("rendering photos", 0, len(photos))
-        for k, path in enumerate(photos):
-            write_png(path, self.photos[path.name])
-            progress("rendering photos", k + 1, len(photos))
-        tables = [out / "calibration.yaml", out / "poses.csv"]
-        save(tables[0], self.calibration)
-        write_poses(tables[1], self.poses)
-        return (*photos, *tables, *self._save_truth(out))
+        with claimed(folder, self.file_names, by="render") as out:
+            photos = [out / name for name in self.photos]
+            progress("rendering photos", 0, len(photos))
+            for k, path in enumerate(photos):
+                write_png(path, self.photos[path.name])
+                progress("rendering photos", k + 1, len(photos))
+            save(out / "calibration.yaml", self.calibration)
+            write_poses(out / "poses.csv", self.poses)
+            self._save_truth(out)
+        return tuple(out / name for name in self.file_names)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return (*self.photos, "calibration.yaml", "poses.csv", *self.TRUTH_FILES)
 
     def _shown_rad(self) -> float:
         """How far off axis the photos show anything."""
         raise NotImplementedError
 
-    def _save_truth(self, folder: Path) -> tuple[Path, ...]:
+    def _save_truth(self, folder: Path) -> None:
         """Write what else is known of the photos."""
         raise NotImplementedError
 
@@ -158,6 +165,7 @@ class Rendered:
 class RenderedTargets(Rendered):
     """Photos of a calibration target, which is the world of the poses."""
 
+    TRUTH_FILES = (TRUE_CORNERS,)
     pattern: Pattern
     fov_deg: float
     """Angle across the image circle."""
@@ -187,15 +195,15 @@ class RenderedTargets(Rendered):
     def _shown_rad(self) -> float:
         return self.max_angle_rad
 
-    def _save_truth(self, folder: Path) -> tuple[Path, ...]:
+    def _save_truth(self, folder: Path) -> None:
         write_corners(folder / TRUE_CORNERS, self.corners)
-        return (folder / TRUE_CORNERS,)
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedScene(Rendered):
     """Photos of a scene of straight edges, in whose world the poses are."""
 
+    TRUTH_FILES = (TRUTH, VISIBILITY)
     name: str
     """Of the scene."""
     scene: PolygonScene
@@ -208,10 +216,9 @@ class RenderedScene(Rendered):
     def _shown_rad(self) -> float:
         return largest_angle(self.camera, self.circle_rad)
 
-    def _save_truth(self, folder: Path) -> tuple[Path, ...]:
+    def _save_truth(self, folder: Path) -> None:
         write_true_edges(folder / TRUTH, self.edges)
         write_stretches(folder / VISIBILITY, self.stretches, self.edges)
-        return folder / TRUTH, folder / VISIBILITY
 
 
 def render(

@@ -11,13 +11,17 @@ from camera_models import Calibration, CameraEstimate, save
 from camera_models.formats.calibration_data import RigCamera
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
-from omnilines.files.folders import output_folder
 from omnilines.files.obj import write_obj
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
 from omnilines.records import ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
+
+SCENE = "scene"
+"""The set that the files of a scene are."""
+SCENE_FILES = ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv", "covariance.npz", "lines.ply")
 
 
 @dataclass(frozen=True)
@@ -102,26 +106,30 @@ class Scene:
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the scene folder (docs/reconstruction.md) but for the report; the files written. Raises InputError where one
         cannot be."""
-        out = output_folder(folder)
-        names = ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv", "covariance.npz", "lines.ply")
-        paths = [out / name for name in names]
-        save(paths[0], replace(self.cameras, provenance=self.provenance))
-        write_poses(paths[1], self.poses)
-        write_segments(paths[2], self.segments)
-        write_lines(paths[3], self.lines)
-        write_covariance(paths[4], self.poses, self.lines)
-        write_ply(paths[5], self.lines, camera_centres_m=self.poses.cam_from_world.centre.numpy())
-        if self.from_photos is not None:
-            paths.append(out / "lines.obj")
-            write_obj(paths[-1], self.lines)
+        with claimed(folder, self.file_names, by=SCENE) as out:
+            paths = [out / name for name in self.file_names]
+            save(paths[0], replace(self.cameras, provenance=self.provenance))
+            write_poses(paths[1], self.poses)
+            write_segments(paths[2], self.segments)
+            write_lines(paths[3], self.lines)
+            write_covariance(paths[4], self.poses, self.lines)
+            write_ply(paths[5], self.lines, camera_centres_m=self.poses.cam_from_world.centre.numpy())
+            if self.from_photos is not None:
+                write_obj(paths[6], self.lines)
         return tuple(paths)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return SCENE_FILES if self.from_photos is None else (*SCENE_FILES, "lines.obj")
 
     def report(self, path: str | Path) -> Path:
         """Write the report, one self-contained HTML file; its path."""
         from omnilines.pages.scene import scene_sections
         from omnilines.report import write_report
 
-        return write_report(path, "Line scene", scene_sections(self))
+        with claimed_page(path):
+            return write_report(path, "Line scene", scene_sections(self))
 
 
 def refined_calibration(scene: AdjustedScene, cameras: Calibration) -> Calibration:

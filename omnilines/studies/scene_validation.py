@@ -16,6 +16,7 @@ from omnilines.adjustment.lines import motion_across
 from omnilines.evaluation.arcs import MIN_PX, ArcScores, arc_scores
 from omnilines.evaluation.scene import MIN_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
+from omnilines.files.sets import claimed_page
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines.render import RenderedScene
@@ -129,7 +130,8 @@ class SceneValidation:
         """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
         from omnilines.pages.scene_validation import write_scene_validation_page
 
-        return write_scene_validation_page(self, path, photo_folder)
+        with claimed_page(path):
+            return write_scene_validation_page(self, path, photo_folder)
 
     @property
     def tolerance_m(self) -> float:

@@ -19,10 +19,10 @@ from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lin
 from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
 from omnilines.files import write_corners
-from omnilines.files.folders import output_folder
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares.variance import NORMAL_MAD
 from omnilines.pipelines.render import RenderedTargets
-from omnilines.pipelines.scene import Scene, refined_calibration
+from omnilines.pipelines.scene import SCENE_FILES, Scene, refined_calibration
 from omnilines.records import Check, Corners, ImagePoses
 
 BEARING_LIMIT_DEG = 0.02
@@ -37,6 +37,7 @@ SCALE_LIMIT_PX = 0.1
 """By which the lines may be too long or too short over the whole board, in the same pixels."""
 WORST_Z = 4.5
 COST = "whitened"
+VALIDATION_FILES = ("corners.csv", *SCENE_FILES)
 """Of the line adjustment: the one whose covariance is stated."""
 REJECTION_ROUNDS = 10
 """At most so often are corners set aside that do not agree with the lines; each round may bring another corner to an end."""
@@ -71,16 +72,17 @@ class Validation:
 
     def save(self, folder: str | Path, inputs: Mapping[str, Any] = MappingProxyType({})) -> tuple[Path, ...]:
         """Write corners.csv and the line scene of the board, its calibration.yaml with `inputs` as what it was made from."""
-        out = output_folder(folder)
-        write_corners(out / "corners.csv", self.corners)
-        cameras = refined_calibration(self.scene, self.calibration)
-        return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
+        with claimed(folder, VALIDATION_FILES, by="validate") as out:
+            write_corners(out / "corners.csv", self.corners)
+            cameras = refined_calibration(self.scene, self.calibration)
+            return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
 
     def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
         """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
         from omnilines.pages.validation import write_validation_page
 
-        return write_validation_page(self, path, photo_folder)
+        with claimed_page(path):
+            return write_validation_page(self, path, photo_folder)
 
     @property
     def model(self) -> CameraModel:

@@ -1,0 +1,180 @@
+"""Results that belong together: in their folder all are new or all are as they were, whatever interrupts.
+
+    with claimed(out, ["calibration.yaml", "report.html"], inputs, by="calibrate") as folder:
+        save(folder / "calibration.yaml", ...)          # whatever writes these files, by `write_atomically`
+
+Until the block ends they are written to a hidden folder in `out`, so that a full disk, an error or a kill leaves what was there.
+Then that folder is renamed to MOVING: from here on the new set counts. Files of the earlier set that are not written any more are
+removed, the list of results and the new files are moved to their places. Where that is interrupted, the next run that writes
+there goes on with it (`settle`); until then who reads a file that still waits there is told so (`camera_models.formats.disk`).
+"""
+
+import contextlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from camera_models import InputError
+from camera_models.formats import disk
+from camera_models.formats.disk import MANIFEST, MOVING, fcntl
+from omnilines.files.fingerprint import content_hash
+from omnilines.files.folders import Written, check_results, way_out, write_list, written
+
+_STAGED = re.compile(r"\.omnilines\.[a-z0-9_]{8}\.part")
+
+
+@contextmanager
+def claimed(
+    out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = (), *, by: str, kept: Iterable[str] = ()
+) -> Iterator[Path]:
+    """The folder, made if absent, for as long as a set of results is written to it; they are there when the block has ended.
+
+    `by` names the set: what an earlier one of that name wrote, and this one does not, is removed, but for `kept`, and for what
+    was changed since. A set within a larger one that is being written is a part of it. Raises InputError as `check_results` does,
+    and where the folder cannot be written to; nothing is changed then.
+    """
+    folder, wanted, given = Path(out), set(names), list(inputs)
+    places = {os.path.abspath(folder / name): name for name in wanted}
+    if places.keys() <= disk.staged.keys():
+        yield folder
+        return
+    check_results(folder, wanted, given)
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        with _told(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            settle(folder)
+        with _stage(folder) as stage:
+            disk.staged.update({path: stage / name for path, name in places.items()})
+            try:
+                yield folder
+            finally:
+                for place in places:
+                    disk.staged.pop(place, None)
+            with _told(folder), _alone(folder):
+                _settle(folder)
+                check_results(folder, wanted, given)
+                _publish(folder, stage, wanted, by, set(kept))
+    except BaseException:
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        raise
+
+
+def claimed_page(path: str | Path) -> AbstractContextManager[Path]:
+    """A page by itself: `claimed` for one file, the folder of which may hold others."""
+    return claimed(Path(path).parent, [Path(path).name], by=f"page {Path(path).name}")
+
+
+def settle(folder: Path) -> None:
+    """Move what an interrupted run left to be moved, if there is any. Raises InputError where that cannot be done."""
+    if (folder / MOVING).exists():
+        with _told(folder), _alone(folder):
+            _settle(folder)
+
+
+def _publish(folder: Path, stage: Path, names: set[str], by: str, kept: set[str]) -> None:
+    new = {name: Written(by, content_hash(stage / name)) for name in names if (stage / name).is_file()}
+    old = {name: row for name, row in written(folder).items() if (folder / name).exists()}
+    stays = {name: row for name, row in old.items() if row.by != by or name in kept}
+    write_list(stage, {**stays, **new})
+    disk.tell("whole", folder / MOVING)
+    os.replace(stage, folder / MOVING)
+    try:
+        _settle(folder)
+    except BaseException:  # a signal: what is left to do takes no time
+        _settle(folder)
+        raise
+
+
+def _settle(folder: Path) -> None:
+    moving = folder / MOVING
+    if moving.is_symlink() or not moving.is_dir():
+        return
+    if (moving / MANIFEST).exists():
+        for name in written(folder).keys() - written(moving).keys():
+            _remove(folder, name, written(folder)[name].sha256)
+        _move(moving, folder, MANIFEST)
+    for path in sorted(moving.rglob("*")):
+        if not path.is_dir():
+            _move(moving, folder, path.relative_to(moving).as_posix())
+    shutil.rmtree(moving)
+
+
+def _move(moving: Path, folder: Path, name: str) -> None:
+    if (why := way_out(folder, name)) is not None:
+        raise InputError(f"Results in {moving} were expected to be of {folder}, found {why}; remove {moving}.")
+    target = folder / name
+    disk.tell("moving", target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(moving / name, target)
+
+
+def _remove(folder: Path, name: str, sha256: str) -> None:
+    """Remove a file that is as it was written, and the folders that it leaves empty."""
+    path = folder / name
+    if way_out(folder, name) is not None or path.is_symlink() or not path.is_file() or content_hash(path) != sha256:
+        return
+    disk.tell("removing", path)
+    path.unlink()
+    for parent in path.relative_to(folder).parents:
+        if parent.parts:
+            with contextlib.suppress(OSError):
+                (folder / parent).rmdir()
+
+
+@contextmanager
+def _stage(folder: Path) -> Iterator[Path]:
+    """A hidden folder, locked as long as this process lives, and gone at the end; those of dead processes are removed."""
+    with _told(folder):
+        for left in [path for path in folder.iterdir() if _STAGED.fullmatch(path.name) and path.is_dir()]:
+            with contextlib.suppress(OSError), _locked(left):
+                shutil.rmtree(left)
+        stage = Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=folder))
+    try:
+        with contextlib.ExitStack() as held:
+            with contextlib.suppress(OSError):  # file systems without locks
+                held.enter_context(_locked(stage))
+            yield stage
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Other processes that move results into a folder are waited for."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):
+            held.enter_context(_locked(folder, wait=True))
+        yield
+
+
+@contextmanager
+def _locked(folder: Path, wait: bool = False) -> Iterator[None]:
+    """Raises OSError where another process has the folder, or none can have it."""
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    """What the system refuses, in one sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"Results were expected to find their place in {folder}, found {error.strerror or error}; make room, or give another "
+            "--out."
+        ) from error
