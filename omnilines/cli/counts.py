@@ -56,10 +56,6 @@ def _of_rig(call: Call) -> bool:
     return is_rig(call.values["photos"])
 
 
-def _of_boards(call: Call) -> bool:
-    return _of_rig(call) and (_of_table(call) or "," in (call.values["pattern"] or ""))
-
-
 def _of_board_photos(call: Call) -> bool:
     data = Path(call.values["data"])
     return data.suffix != ".csv" and not (data / "corners.csv").is_file()
@@ -92,9 +88,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "calibration.rig."), _of_rig, IN_RIG),
-        Rule(("boards",), _of_boards, "with several boards"),
-        Rule(("hold",), lambda call: call.has("calibration"), "with `calibration`"),
-        Rule(("refine_board", "calibration.duplicates."), lambda call: not _of_rig(call), "with one camera, found a rig"),
+        Rule(("calibration.duplicates.",), lambda call: not _of_rig(call), "with one camera, found a rig"),
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),
     "board": (Rule(("pattern",), _of_board_photos, "with photos, found a corners.csv"),),

@@ -62,11 +62,13 @@ class RigSetup:
         if self.start and not set(self.start) & set(cameras):
             require_all_named("`start`", self.start, cameras)
         known = [name for name in cameras if name in self.start]
-        idle = [name for name in self.models if name in known or (not name and len(known) == len(cameras))]
-        if idle:
-            raise InputError(
-                f"`models` are of cameras without a calibration in `start`, found one of {idle[0] or 'all'}; leave it out."
-            )
+        for name in known:
+            asked = self.models.get(name, self.models.get("") if len(known) == len(cameras) else None)
+            if asked not in (None, self.start[name].NAME):
+                raise InputError(
+                    f"`models`: camera {name} begins from `start`, with the model {self.start[name].NAME}, found {asked}; leave "
+                    "one of them out."
+                )
         self.options.require_of_models([self.model_of(name) for name in cameras if name not in known])
 
     def require_photos(self) -> None:

@@ -84,7 +84,7 @@ def convert(
     hold, or that is to become of another `model`, is fitted within `fov_deg`. `image_size` where the file does not hold it.
     Raises InputError where there is no such format or model, or none that holds the field of view of a camera.
 
-        >>> conversion = ol.convert("calibration.yaml", "cameras.txt", model="opencv-fisheye", fov_deg=150)
+        >>> conversion = ol.convert("calibration.yaml", "cameras.txt", model="opencv-fisheye")
         >>> list(conversion.calibration), conversion.errors
         (['cam0'], {})
         >>> [path.name for path in conversion.save()]
