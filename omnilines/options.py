@@ -10,7 +10,7 @@ import difflib
 import inspect
 import math
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -77,24 +77,41 @@ def _with(options: Any, path: list[str], value: Any) -> Any:
 
 
 def _parsed(name: str, text: str, default: Any) -> Any:
-    """A text as a value of the kind that the default has."""
+    """A text as a value of the kind that the default has, within reason."""
+    if isinstance(default, Mapping):
+        raise InputError(f"{name} was expected by the options of its own that commands have, found '{text}'; give those.")
     try:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):
-            return tuple(_number(part, default[0] if default else "") for part in text.split(","))
-        return text if isinstance(default, str) else _number(text, default)
+            return tuple(_number(name, part, default[0] if default else "") for part in text.split(","))
+        return text if isinstance(default, str) else _number(name, text, default)
     except (KeyError, ValueError):
         kind = "true or false" if isinstance(default, bool) else "a number" if default is None else f"a value like {default}"
         raise InputError(f"{name} was expected to be {kind}, found '{text}'; correct it.") from None
 
 
-def _number(text: str, default: Any) -> Any:
+def _number(name: str, text: str, default: Any) -> Any:
     if isinstance(default, str):
         return text
-    if isinstance(default, int) or (default is None and text.isdecimal()):
-        return int(text)
-    value = float(text)
+    whole = isinstance(default, int) or (default is None and text.isdecimal())
+    value: float | int = int(text) if whole else float(text)
     if math.isnan(value):
         raise ValueError(text)
+    low, high = range_of(name, default)
+    if not low <= value <= high:
+        raise InputError(f"{name} was expected to be a number from {low:g} to {high:g}, found '{text}'; correct it.")
     return value
+
+
+UNITS = {"share": (0.0, 1.0), "cosine": (-1.0, 1.0), "grey": (0.0, 255.0), "rad": (0.0, 2 * math.pi), "deg": (0.0, 360.0)}
+"""Ranges of values, by the unit that the name of an option ends in."""
+SEED, REASON = "seed", 100
+
+
+def range_of(name: str, default: float | int | None) -> tuple[float | int, float | int]:
+    """Lowest and highest value within reason: those of the unit, else from 0 to 100, or to 100 times the default."""
+    last = name.split(".")[-1]
+    if last == SEED:
+        return 0, 2**63 - 1
+    return UNITS.get(last.split("_")[-1], (0, REASON * max(1, default or 0)))

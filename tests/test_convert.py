@@ -133,8 +133,11 @@ def test_a_model_between_files_of_the_same_format(tmp_path: Path, capsys) -> Non
     figures = result.provenance["conversion"]["cam0"]
     assert 0 < figures["rms_px"] < 2 and figures["fov_deg"] <= 180
     assert "Not kept" not in err
-    status, text, err = run(capsys, source, tmp_path / "same.yaml", "--model", "opencv-fisheye", "--fov", 90)
-    assert status == 0 and "opencv-fisheye, exactly" in text and "--fov has no effect" in err
+    status, text, err = run(capsys, source, tmp_path / "same.yaml", "--model", "opencv-fisheye")
+    assert status == 0 and "opencv-fisheye, exactly" in text
+    assert "--fov is of a camera that is fitted" in refused(
+        capsys, source, tmp_path / "exact.yaml", "--model", "opencv-fisheye", "--fov", 90
+    )
     assert "A camera model is one of" in refused(capsys, source, tmp_path / "x.yaml", "--model", "fisheye")
     assert "OCamCalib was expected to hold --model pinhole" in refused(
         capsys, source, tmp_path / "calib_results.txt", "--model", "pinhole"

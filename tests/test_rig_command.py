@@ -310,4 +310,4 @@ def test_users_are_told_what_is_wrong(mixed, tmp_path, capsys):
     text = table.read_text().splitlines()
     lone.write_text("\n".join([text[0], *(line for line in text[1:] if ",cam0," in line)]) + "\n")
     assert run("calibrate", lone, "--image-size", "1280x960", "--boards", "moving", "--out", tmp_path / "out") == 2
-    assert "A rig was expected with --boards" in capsys.readouterr().err
+    assert "with a rig: a folder with" in capsys.readouterr().err

@@ -49,12 +49,22 @@ class CalibrationOptions(CalibrationThresholds):
         require_refinable(self.refine_board)
         if self.degree is not None and self.degree < 2:
             raise InputError(f"`degree` was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
+        if self.coefficients not in (None, 0, 5, 8):
+            raise InputError(f"`coefficients` was expected to be 0, 5 or 8, found {self.coefficients}; choose one of these.")
 
     @property
     def of_model(self) -> dict[str, int]:
         """The options that go to the model."""
         given = {"degree": self.degree, "coefficients": self.coefficients}
         return {name: value for name, value in given.items() if value is not None}
+
+    def require_of_models(self, models: Sequence[str]) -> None:
+        """Raises InputError where an option of the model is given that none of these models has."""
+        known = {name for model in models if model != AUTO for variant in model_class(model).VARIANTS for name in variant}
+        for name in self.of_model:
+            if name not in known:
+                found = ", ".join(dict.fromkeys(models)) or "cameras that are known"
+                raise InputError(f"`{name}` was expected with a `model` that has it, found {found}; leave it out.")
 
 
 class CalibrationFields(TypedDict, total=False):

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import typer
 
 from camera_models.errors import OmnilinesError
-from omnilines.cli._shared import app, printable
+from omnilines.cli._shared import app, printable, shortened
 from omnilines.cli._stopping import stoppable
 from omnilines.cli.spelling import with_flags
 
@@ -38,11 +38,13 @@ def main(arguments: list[str] | None = None) -> None:
         _refuse(f"{' '.join(error.format_message().split()).rstrip('.')}; see {command} --help.")
     except OSError as error:
         _refuse(f"{error.filename or 'a file'} cannot be read or written ({error.strerror}).")
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "allocate memory" not in str(error):
+            raise
         _refuse("more memory than there is was asked for; give fewer or smaller photos, or a smaller size.")
     sys.exit(status if isinstance(status, int) else 0)
 
 
 def _refuse(sentence: str) -> NoReturn:
-    typer.echo(f"omnilines: {printable(sentence)}", err=True)
+    typer.echo(f"omnilines: {printable(shortened(sentence))}", err=True)
     sys.exit(2)

@@ -1,6 +1,7 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -75,17 +76,31 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
 
 
-LARGEST_SIDE_PX = 100_000
+LARGEST_SIDE_PX, LARGEST_PX = 100_000, 2**28
+"""Of an image that is asked for: OpenCV's own limits are little above."""
+
+
+LONGEST_SENTENCE, LONGEST_WORD = 1400, 300
+
+
+def shortened(sentence: str) -> str:
+    """A sentence without the middle of what is endless in it: names and values may have any length."""
+    sentence = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:100]}...{word[0][-60:]}", sentence)
+    half = LONGEST_SENTENCE // 2
+    return sentence if len(sentence) <= LONGEST_SENTENCE else f"{sentence[:half]} ... {sentence[-half:]}"
 
 
 def parse_size(text: str, option: str) -> tuple[int, int]:
     """(width, height) of a text such as 1280x960; raises InputError otherwise."""
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
-        raise InputError(f"{option} was expected as WIDTHxHEIGHT in pixels, such as 1280x960, found '{text}'.")
-    width, height = (int(part) if len(part) < 10 else LARGEST_SIDE_PX + 1 for part in parts)
-    if max(width, height) > LARGEST_SIDE_PX:
-        raise InputError(f"{option} was expected to have sides of at most {LARGEST_SIDE_PX} px, found '{text[:40]}'.")
+    if len(parts) != 2 or not all(part.isascii() and part.isdigit() and part.strip("0") for part in parts):
+        raise InputError(f"{option} was expected as WIDTHxHEIGHT in pixels, such as 1280x960, found '{text[:40]}'.")
+    width, height = (int(part) if len(part.lstrip("0")) < 10 else LARGEST_SIDE_PX + 1 for part in parts)
+    if max(width, height) > LARGEST_SIDE_PX or width * height > LARGEST_PX:
+        raise InputError(
+            f"{option} was expected to have sides of at most {LARGEST_SIDE_PX} px, and {LARGEST_PX} px in all, found "
+            f"'{text[:40]}'."
+        )
     return width, height
 
 

@@ -27,6 +27,7 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
+from omnilines.cli.counts import IN_RIG
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:
@@ -53,8 +54,9 @@ def calibrate(
     pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[
-        str, typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.")
-    ] = DEFAULT.model,
+        str | None,
+        typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.", show_default=DEFAULT.model),
+    ] = None,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
@@ -78,13 +80,10 @@ def calibrate(
     if not tables and pattern is None:
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
-    models = parse_each(model, "--model")
+    models = parse_each(model or "", "--model")
     rig = is_rig(photos)
-    if not rig and (boards != "fixed" or calibration is not None or hold or set(models) != {""} or set(sizes) - {""}):
-        raise InputError(
-            "A rig was expected with --boards, --calibration, --hold and options by camera, found one camera; give a folder with "
-            "one sub-folder per camera and equal file names, or a corners.csv with a column camera."
-        )
+    if not rig and (set(models) - {""} or set(sizes) - {""}):
+        raise InputError(f"Options by camera count only {IN_RIG}, found one camera; name no camera.")
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
@@ -94,7 +93,7 @@ def calibrate(
         from omnilines.pipelines.calibrate_rig import RigSetup
 
         options = CalibrationOptions(
-            model=DEFAULT.model if rig else model,
+            model=models.get("", DEFAULT.model) if not rig else DEFAULT.model,
             degree=degree,
             coefficients=coefficients,
             loss=loss,
@@ -171,10 +170,6 @@ def validate(
 ) -> None:
     """Render photos with a known camera, calibrate and reconstruct from the files, compare with the truth."""
     image_size = parse_size(size, "--size")
-    if scene is None and mirror:
-        raise InputError("--mirror was expected with --scene only, found it without; name a scene, or leave it out.")
-    if scene is not None and pattern is not None:
-        raise InputError(f"--pattern is for photos of a target, found it with --scene {scene}; leave one of them out.")
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

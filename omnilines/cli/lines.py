@@ -1,5 +1,7 @@
 """Commands on lines: reconstruct, adjust."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,6 +9,7 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, app, run
+from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
 if TYPE_CHECKING:
@@ -113,22 +116,14 @@ def reconstruct(
         raise InputError(
             "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
-    if not photos and scale_from is not None:
-        raise InputError("`scale_from` is for photos, found `segments` without them; give poses in metres.")
-    if photos and (robust or pose_sigma_deg is not None or pose_sigma_m is not None):
-        raise InputError(
-            "`robust`, `pose_sigma_deg` and `pose_sigma_m` are for `segments` without photos, found with photos: wrong arcs are "
-            "always left out, and their poses have no prior; leave them out."
-        )
     from omnilines.commands.reconstruct import reconstruct_photos
 
     of_photos = bool(photos)
-    method = triangulation or ("ml" if of_photos else "dual")
     extraction, options = _options(
         settings,
+        {"subset": subset, "bandwidth": bandwidth, "weights": weights},
         refine=refine or ("lines,poses" if of_photos and poses == "sfm" else "lines"),
-        triangulation=method,
-        triangulation_options=method_options(method, subset=subset, bandwidth=bandwidth, weights=weights),
+        triangulation=triangulation or ("ml" if of_photos else "dual"),
         cost=cost or "whitened",
         loss=loss or ("cauchy" if of_photos else "none"),
         device=device,
@@ -150,12 +145,8 @@ def reconstruct(
     )  # fmt: skip
 
 
-PARTS = ("posing.", "matching.", "adjustment.", "structure.")
-"""Options of a scene that are also known without its name before them."""
-
-
-def _options(settings: list[str] | None, **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
-    """The options of arcs and of the scene, from their flags and from `set`."""
+def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
+    """The options of arcs and of the scene, from their flags and from `settings`; `method` are those of the triangulation."""
     from omnilines.adjustment.scene import parse_refine
     from omnilines.options import with_settings
     from omnilines.pipelines.arcs import SHORT_ARCS
@@ -164,8 +155,9 @@ def _options(settings: list[str] | None, **given: Any) -> "tuple[ExtractionOptio
     named = [f"scene.{setting}" if setting.startswith(PARTS) else setting for setting in settings or []]
     of_arcs = [setting for setting in named if setting.startswith("extraction.")]
     others = [setting for setting in named if setting not in of_arcs]
-    scene = SceneOptions(**{**given, "refine": parse_refine(given["refine"])})
-    return with_settings(SHORT_ARCS, of_arcs, "extraction."), with_settings(scene, others, "scene.")
+    scene = with_settings(SceneOptions(**{**given, "refine": parse_refine(given["refine"])}), others, "scene.")
+    scene = replace(scene, triangulation_options=method_options(scene.triangulation, **method))
+    return with_settings(SHORT_ARCS, of_arcs, "extraction."), scene
 
 
 def _from_segments(
@@ -206,9 +198,9 @@ def adjust(
     """Refine the lines and the poses of a scene."""
     _, options = _options(
         settings,
+        {"subset": subset, "bandwidth": bandwidth, "weights": weights},
         refine=refine,
         triangulation=triangulation,
-        triangulation_options=method_options(triangulation, subset=subset, bandwidth=bandwidth, weights=weights),
         cost=cost,
         loss=loss,
         device=device,

@@ -1,6 +1,7 @@
 """Parameters as the command line spells them: messages of the library name `min_views`, the command line says --min-views."""
 
 import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,7 @@ import typer
 import typer.core
 
 from camera_models.errors import InputError
+from omnilines.cli.counts import call_of, require_counting
 
 MOST = 2**63 - 1
 RANGES: dict[str, tuple[float, float]] = {
@@ -22,6 +24,14 @@ RANGES: dict[str, tuple[float, float]] = {
     "hand_px": (0, 1000),
     "texture_m": (1e-3, 1e6),
     "tolerance_px": (0, 1000),
+    "yaw_deg": (-3600, 3600),
+    "pitch_deg": (-3600, 3600),
+    "pose_sigma_deg": (0, 180),
+    "pose_sigma_m": (0, 1e6),
+    "min_views": (3, 1_000_000),
+    "subset": (2, 20),
+    "bandwidth": (1e-9, 10),
+    "lines": (1, 10_000),
 }
 """Of options with numbers, by their parameter, where a command would otherwise run for days or end in arithmetic."""
 ALIASES = {
@@ -45,22 +55,36 @@ class _Command(typer.core.TyperCommand):
     """A command whose options are known while it runs, and within reason before."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Raises InputError where an argument is empty."""
-        if "" in args:
-            after = f" after {args[args.index('') - 1]}" if args.index("") else ""
-            raise InputError(f"A value was expected{after}, found an empty one; fill it in, or leave the option out.")
+        """Raises InputError where an argument is empty, an option stands in the place of a value, or is given twice."""
+        takers = {name for option in self.params if _takes_value(option) for name in option.opts}
+        flags = {name for option in self.params if not isinstance(option, typer.core.TyperArgument) for name in option.opts}
+        for before, after in zip(["", *args], args, strict=False):
+            if not after.strip() or (before in takers and after in flags):
+                place = f" after {before}" if before else ""
+                found = f"the option {after}" if after.strip() else "an empty one"
+                raise InputError(f"A value was expected{place}, found {found}; fill it in, or leave the option out.")
+        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for option, count in Counter(order).items():
+            if count > 1 and _takes_value(option) and not option.multiple:
+                raise InputError(f"{option.opts[0]} was expected once, found it {count} times; give one value.")
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Raises InputError where a number is beyond reason."""
+        """Raises InputError where a number is beyond reason, or an option does nothing in this mode of the command."""
+        _flags.clear()
+        _flags.update({parameter.name: parameter.opts[0] for parameter in self.params if parameter.name})
         for parameter in self.params:
             value = ctx.params.get(parameter.name)
             low, high = RANGES.get(parameter.name or "", (-MOST, MOST))
             if isinstance(value, int | float) and not isinstance(value, bool) and not low <= value <= high:
-                raise InputError(f"{parameter.opts[0]} was expected to be a number from {low:g} to {high:g}, found {value:g}.")
-        _flags.clear()
-        _flags.update({parameter.name: parameter.opts[0] for parameter in self.params if parameter.name})
+                raise InputError(f"{parameter.opts[0]} was expected to be a number from {low:g} to {high:g}, found {value:.12g}.")
+        given = [name for name in ctx.params if ctx.get_parameter_source(name).name == "COMMANDLINE"]
+        require_counting(self.name or "", call_of(ctx.params, given))
         return super().invoke(ctx)
+
+
+def _takes_value(parameter: Any) -> bool:
+    return isinstance(parameter, typer.core.TyperOption) and not parameter.is_flag
 
 
 class Application(typer.Typer):

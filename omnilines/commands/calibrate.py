@@ -31,6 +31,7 @@ def calibrate_photos(
 
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
+    options.require_of_models([options.model])
     check_results(out, NAMES, photos)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, progress=progress)

@@ -15,7 +15,7 @@ from omnilines.adjustment.scene import check_refine, reconstruct_lines
 from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
-from omnilines.pipelines.options import OF_TABLES, SceneOptions
+from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
@@ -51,6 +51,9 @@ def adjust(
         ((2, 3), (6, 6, 6))
     """
     check_refine(options.refine)
+    idle = [name for name in OF_PHOTOS if getattr(options, name) != getattr(OF_TABLES, name)]
+    if idle:
+        raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
     if pose_sigma is not None and not (min(pose_sigma) > 0 and "poses" in options.refine):
         held = "refined" if "poses" in options.refine else "held"
         raise InputError(

@@ -128,7 +128,11 @@ def calibrate(
         ['calibration.yaml', 'corners.csv']
     """
     options = replace(options, **fields)
-    if not isinstance(corners, PhotoCorners):
+    options.require_of_models([options.model])
+    if isinstance(corners, PhotoCorners):
+        if image_size is not None:
+            raise InputError("`image_size` was expected with a table of corners only, found it with photos; leave it out.")
+    else:
         if image_size is None:
             raise InputError(
                 "`image_size` was expected beside a table of corners, which does not hold the size of the photos, found none; "

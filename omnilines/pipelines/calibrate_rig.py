@@ -21,7 +21,7 @@ from omnilines.calibration.rig.views import BOARDS
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect_rig import RigCorners
+from omnilines.pipelines.detect_rig import RigCorners, require_all_named
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
@@ -62,12 +62,18 @@ class RigSetup:
 
     def require_cameras(self, cameras: Sequence[str]) -> None:
         """Raises InputError where a model, or all calibrations to begin from, are of none of these cameras."""
-        for kind, names in (("`models`", self.models), ("`start`", self.start)):
-            unknown = [name for name in names if name and name not in cameras]
-            if unknown and not (kind == "`start`" and set(names) & set(cameras)):
+        require_all_named("`models`", self.models, cameras)
+        if self.start and not set(self.start) & set(cameras):
+            require_all_named("`start`", self.start, cameras)
+        known = [name for name in cameras if name in self.start]
+        for name in known:
+            asked = self.models.get(name, self.models.get("") if len(known) == len(cameras) else None)
+            if asked not in (None, self.start[name].NAME):
                 raise InputError(
-                    f"{kind}: cameras among {', '.join(cameras)} were expected, found '{unknown[0]}'; correct the name."
+                    f"`models`: camera {name} begins from `start`, with the model {self.start[name].NAME}, found {asked}; leave "
+                    "one of them out."
                 )
+        self.options.require_of_models([self.model_of(name) for name in cameras if name not in known])
 
     def require_photos(self) -> None:
         """Raises InputError where photos cannot give what is asked for."""
@@ -204,7 +210,10 @@ def calibrate_rig(
         ['calibration.yaml', 'corners.csv', 'covariance.npz']
     """
     setup = RigSetup(replace(options, **fields), models or {}, boards, start or {}, hold)
-    if not isinstance(corners, RigCorners):
+    if isinstance(corners, RigCorners):
+        if image_size is not None:
+            raise InputError("`image_size` was expected with a table of corners only, found it with photos; leave it out.")
+    else:
         if image_size is None:
             raise InputError("`image_size` was expected beside a table of corners, found none; give (width, height).")
         corners = RigCorners.of_table(corners, {"": image_size} if isinstance(image_size, tuple) else image_size)

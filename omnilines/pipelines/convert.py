@@ -93,7 +93,7 @@ def convert(
     hold, or that is to become of another `model`, is fitted within `fov_deg`. `image_size` where the file does not hold it.
     Raises InputError where there is no such format or model, or none that holds the field of view of a camera.
 
-        >>> conversion = ol.convert("calibration.yaml", "cameras.txt", model="opencv-fisheye", fov_deg=150)
+        >>> conversion = ol.convert("calibration.yaml", "cameras.txt", model="opencv-fisheye")
         >>> list(conversion.calibration), conversion.errors
         (['cam0'], {})
         >>> [path.name for path in conversion.save()]
@@ -104,10 +104,14 @@ def convert(
     said: tuple[str, ...] = ()
     if isinstance(source, Calibration):
         calibration = source
+        if from_format is not None or image_size is not None:
+            raise InputError("`from_format` and `image_size` are of a file, found a calibration in memory; leave them out.")
     else:
         reader, calibration, said = _read(Path(source), path, from_format, image_size)
     writer = format_for_writing(path) if to_format is None else format_named(to_format)
     fit = transfer(calibration, writer, path, model, fov_deg)
+    if fov_deg is not None and not fit.conversions:
+        raise InputError("`fov_deg` is of a camera that is fitted, found every camera held exactly; leave it out.")
     final = fit.calibration
     if "provenance" in writer.keeps(path, final):
         made_of = {"file": IN_MEMORY} if reader is None else {"file": source, "format": reader.NAME}
@@ -115,8 +119,6 @@ def convert(
         beside = {"conversion": figures, "source": final.provenance}
         final = replace(final, provenance=provenance(made_of) | {key: value for key, value in beside.items() if value})
     notes = [f"{source}: {note}" for note in said] + [f"{path}: {note}" for note in fit.notes]
-    if fov_deg is not None and not fit.conversions:
-        notes.append("`fov_deg` has no effect: every camera is held exactly.")
     read = () if isinstance(source, Calibration) else (Path(source), *(Path(source).iterdir() if Path(source).is_dir() else ()))
     return ConversionResult(calibration, fit, final, reader, writer, path, read, tuple(notes))
 
@@ -128,5 +130,16 @@ def _read(
     reader = format_of_file(source) if from_format is None else format_named(from_format)
     if out.exists() and out.resolve() == source.resolve():
         raise InputError(f"Another file than the input was expected to write to, found {out} twice; give another name.")
+    if image_size is not None and _holds_size(reader, source):
+        raise InputError(f"`image_size` was expected where the file does not hold it, found it in {source}; leave it out.")
     content = reader.read(source, image_size)
     return reader, content.calibration, tuple(content.notes)
+
+
+def _holds_size(reader: CalibrationFormat, source: Path) -> bool:
+    """Whether a file can be read without being told the size of the image."""
+    try:
+        reader.read(source)
+    except InputError:
+        return False
+    return True

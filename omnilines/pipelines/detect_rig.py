@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -72,6 +72,7 @@ class RigCorners:
         cameras = corners.cameras or ()
         if not cameras:
             raise InputError(f"{source}: the camera of every view was expected, found none; name them, or calibrate one camera.")
+        require_all_named("`image_size`", image_sizes, tuple(dict.fromkeys(cameras)))
         sizes = {name: image_sizes.get(name, image_sizes.get("")) for name in dict.fromkeys(cameras)}
         found = {name: size for name, size in sizes.items() if size is not None}
         missing = [name for name in sizes if name not in found]
@@ -95,6 +96,15 @@ class RigCorners:
         with claimed(folder, [CORNERS], by="detect") as out:
             write_corners(out / CORNERS, self.corners)
         return (out / CORNERS,)
+
+
+def require_all_named(option: str, given: Mapping[str, Any], cameras: Collection[str]) -> None:
+    """Raises InputError where a value by camera is of none of these, or that for all others, under "", is of no other."""
+    unknown = [name for name in given if name and name not in cameras]
+    if unknown:
+        raise InputError(f"{option}: cameras among {', '.join(cameras)} were expected, found '{unknown[0]}'; correct the name.")
+    if "" in given and not set(cameras) - set(given):
+        raise InputError(f"{option}: a value for other cameras was given, found all of them named; leave it out.")
 
 
 def _require_inside(corners: Corners, cameras: Sequence[str], sizes: Mapping[str, tuple[int, int]], source: str | Path) -> None:

@@ -111,3 +111,8 @@ class SceneOptions:
 
 OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")
 """Of matched segments that a user brings: they are taken as they are."""
+OF_PHOTOS = (
+    "min_views", "tolerance_px", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines", "frame",
+    "advice",
+)  # fmt: skip
+"""Options that decide nothing of such segments: what is looked for in photos, and in the arcs of photos."""

@@ -62,10 +62,7 @@ def check_source(
 
     Raises InputError where the source is none of those there or does not fit the photos.
     """
-    if (pattern is not None) != (source == "boards"):
-        raise InputError(
-            f"`pattern` was expected with `poses` boards and only there, found `poses` {source}; correct the options."
-        )
+    require_pattern(source, pattern)
     if source == "boards":
         parse_pattern(pattern or "")
     elif source.startswith(PREFIX):
@@ -75,6 +72,14 @@ def check_source(
             raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
     else:
         _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+
+
+def require_pattern(source: str, pattern: str | None) -> None:
+    """Raises InputError where a pattern is missing, or would do nothing."""
+    if (pattern is not None) != (source == "boards"):
+        raise InputError(
+            f"`pattern` was expected with `poses` boards and only there, found `poses` {source}; correct the options."
+        )
 
 
 def estimate_poses(
@@ -107,6 +112,7 @@ def estimate_poses(
         arcs = extract(photos, cameras, work=work, progress=progress)
     refs = [one.photo for one in photos.used] if isinstance(photos, PhotoArcs) else photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras) if arcs is None else arcs.camera_of
+    require_pattern(source, pattern)
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)
     found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)

@@ -76,6 +76,8 @@ def reconstruct(
         (7, 'report.html')
     """
     if isinstance(arcs, Segments):
+        if distance is not None:
+            raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
         return adjust(arcs, poses, camera, options, inputs=inputs, progress=progress)
     cameras = calibration_of(camera)
     check_options(options, cameras)

@@ -248,6 +248,11 @@ def render(
         ((2, 3), True)
     """
     options = replace(options, **fields)
+    idle = ["size_px", "mirror"] if isinstance(model, CameraModel) else []
+    for name in [*idle, *(["views"] if poses is not None else [])]:
+        if getattr(options, name) != getattr(RenderOptions, name):
+            given = "poses" if name == "views" else "a camera"
+            raise InputError(f"`{name}` counts only where it is not given otherwise, found {given}; leave it out.")
     if isinstance(shown, Pattern) or (isinstance(shown, str) and ":" in shown):
         return render_targets(shown, model, options, poses=poses)
     return render_scene(shown, model, options, poses=poses, progress=progress)
@@ -316,6 +321,10 @@ def render_scene(
     name = scene if isinstance(scene, str) else "scene"
     world = build_scene(scene, seed) if isinstance(scene, str) else scene
     inputs: dict[str, Any] = {}
+    if textures is None and (texture_m != PHOTO_WIDTH_M or tuple(textured) != PLACES):
+        raise InputError(
+            "`texture_m` and `textured` count only with `textures`, found none; give photographs, or leave them out."
+        )
     if textures is not None:
         photographs = [read_photo(photo.path) for photo in find_photos([textures])]
         world = with_photographs(world, photographs, seed, texture_m, textured)

@@ -5,13 +5,6 @@ MISSING: dict[str, tuple[str, ...]] = {
         "photos/over:adjust", "photos/over:calibrate", "photos/over:pattern", "photos/over:reconstruct",
         "photos/over:targets",
     ),
-    "options that do nothing are not yet refused": (
-        "options/calibrate:coefficients='-1'", "options/calibrate:coefficients='3'", "options/ignored:convert:7",
-        "options/ignored:corners:0", "options/ignored:corners:1", "options/ignored:corners:2", "options/ignored:corners:3",
-        "options/ignored:scene:10", "options/ignored:scene:9", "options/ignored:segments:4", "options/scene:textured='clouds'",
-        "options/segments:mask='IN/photos/0.png'", "options/segments:min-views='5'",
-        "options/segments:pattern='checkerboard:7x5:30mm'", "options/segments:tolerance-px='2'",
-    ),
     "poses and calibrations that explain hardly anything are not yet recognised": (
         "tables/poses:inverted", "tables/poses:millimetres", "tables/poses:of-another-scene", "tables/poses:xyzw",
         "tables/scene:of-another-camera", "tables/segments:every-row-twice", "tables/segments:mixed",
