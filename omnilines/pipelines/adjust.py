@@ -85,20 +85,22 @@ def adjust(
         )
     except GeometryError:
         # The tracks may tell why.
-        judge_tracks(arcs_from_segments(segments, table, cameras).arcs, table.cam_from_world, options=options.judge)
+        judge_tracks(
+            arcs_from_segments(segments, table, cameras).arcs, table.cam_from_world, options=options.judge, seed=options.seed
+        )
         raise
-    notes = (*scene.table.left_out, *_judged(scene, table.cam_from_world, options))
+    _judge(scene, table.cam_from_world, options)
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     made_from = {"options": options} if inputs is None else inputs
-    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, notes, options=options)
+    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, scene.table.left_out, options=options)
 
 
-def _judged(scene: AdjustedScene, given: Pose, options: SceneOptions) -> tuple[str, ...]:
-    """What is to be said of the tracks. Raises InputError where nothing explains them."""
+def _judge(scene: AdjustedScene, given: Pose, options: SceneOptions) -> None:
+    """Raises InputError where nothing explains the tracks."""
     arcs = scene.table.arcs
     final = arcs.seen_by(scene.cameras) if scene.cameras else arcs
-    return judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
+    judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
 
 
 def triangulate(

@@ -66,30 +66,33 @@ def judge_tracks(
     refined: tuple[MatchedArcs, Pose] | None = None,
     options: JudgeOptions = JudgeOptions(),
     seed: int = 0,
-) -> tuple[str, ...]:
+) -> None:
     """Refuse tracks that fit no better than random ones do, and those that another reading of the poses explains far better.
 
-    `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Returns what is to be said of
-    tracks that are taken. Tracks of two segments, and fewer than three of them, tell nothing.
+    `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Tracks of two segments, and fewer
+    than three of them, tell nothing.
 
-    Raises InputError that says which reading of the poses explains the tracks, or that nothing does.
+    Raises InputError that says which reading of the poses, or which camera, explains the tracks, or that nothing does.
     """
     chosen = _sample(arcs, options, seed)
     if chosen(arcs).tracks < LEAST_TRACKS:
-        return ()
+        return
     cases = [(chosen(own), poses) for own, poses in ((arcs, given), *([refined] if refined else []))]
     # An adjustment that went astray says nothing of what was given.
     sampled, poses, square = min(((own, at, own.misfit(at)) for own, at in cases), key=lambda case: float(case[2].median()))
     if float(square.median()) <= options.fitting_px**2:
-        return ()
+        return
     held = sampled.stand_out(poses)
     if held.tracks < LEAST_TRACKS:
-        return ()
+        return
     _refuse_reading(chosen(arcs), given, square)
-    camera = _other_camera(sampled, poses, square)
+    _refuse_camera(sampled, poses, square)
     if held.chance > options.max_chance:
-        raise InputError(_nothing(held, camera))
-    return (f"{camera} Check that it is that of these photos.",) if camera else ()
+        raise InputError(
+            f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
+            f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
+            "calibration of the same photos were expected; correct what is of others."
+        )
 
 
 def _sample(arcs: MatchedArcs, options: JudgeOptions, seed: int) -> Callable[[MatchedArcs], _Sampled]:
@@ -122,14 +125,16 @@ def _rank_of_equals(labels: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
 
 def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"]) -> None:
     """Raises InputError where another reading of the poses explains far more than these misfits do."""
-    for reading in other_readings(given):
-        other = sampled.misfit(reading.poses)
-        if _far_better(sampled, reading.poses, other, square):
-            explained, as_given = (sampled.explained(own, other) for own in (other, square))
-            raise InputError(
-                f"The poses look {reading.looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so "
-                f"{explained}. X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}."
-            )
+    readings = [(reading, sampled.misfit(reading.poses)) for reading in other_readings(given)]
+    least = min(float(other.median()) for _, other in readings)
+    # Where all cameras look alike, two readings may be one: the usual mistakes come first.
+    reading, other = next(one for one in readings if float(one[1].median()) <= sampled.options.gain * least)
+    if _far_better(sampled, reading.poses, other, square):
+        explained, as_given = (sampled.explained(own, other) for own in (other, square))
+        raise InputError(
+            f"The poses look {reading.looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
+            f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}."
+        )
 
 
 def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"]) -> bool:
@@ -142,8 +147,8 @@ def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], squa
     return sampled.stand_out(poses).chance <= options.sure
 
 
-def _other_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> str:
-    """A sentence where a camera of other angles explains far more; else nothing."""
+def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> None:
+    """Raises InputError where a camera of other angles explains far more."""
     arcs = sampled.arcs
     widest = float(_off_axis(arcs.bearings).max())
     best = 1.0, sampled, square
@@ -153,13 +158,12 @@ def _other_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -
         if float(found.median()) < float(best[2].median()):
             best = scale, other, found
     scale, other, found = best
-    if not _far_better(other, poses, found, square):
-        return ""
-    explained, as_given = (sampled.explained(own, found) for own in (found, square))
-    return (
-        f"The calibration looks like that of another camera: {as_given} of {sampled.tracks} tracks fit it, and {explained} would "
-        f"fit one that sees under {scale:.2g} times its angles."
-    )
+    if _far_better(other, poses, found, square):
+        explained, as_given = (sampled.explained(own, found) for own in (found, square))
+        raise InputError(
+            f"The calibration looks like that of another camera: it explains {as_given} of {sampled.tracks} tracks, one that "
+            f"sees under {scale:.2g} times its angles would explain {explained}; give that of these photos."
+        )
 
 
 def _scaled(bearings: Float[Tensor, "n 2 3"], scale: float) -> Float[Tensor, "n 2 3"]:
@@ -172,12 +176,3 @@ def _scaled(bearings: Float[Tensor, "n 2 3"], scale: float) -> Float[Tensor, "n 
 def _off_axis(bearings: Float[Tensor, "n 2 3"]) -> Float[Tensor, "n 2 1"]:
     """The angle from the axis z."""
     return torch.atan2(bearings[..., :2].norm(dim=-1, keepdim=True), bearings[..., 2:])
-
-
-def _nothing(held: StandOut, camera: str) -> str:
-    """That nothing is explained."""
-    return (
-        f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} of "
-        f"{held.tracks} do, {held.tracks * held.share_by_chance:.2g} would by chance. "
-        + (camera or "Segments, tracks, poses and calibration of the same photos were expected; correct what is of others.")
-    )

@@ -71,7 +71,7 @@ class JudgeOptions(NamedTuple):
 
     fitting_px: float = 1.0
     """Misfit of half of the tracks up to which nothing is asked: no choice of segments at random has it."""
-    max_chance: float = 0.05
+    max_chance: float = 0.02
     """They are refused where as much would be explained by chance with a larger probability."""
     sure: float = 1e-4
     """Probability up to which another reading of the poses is no chance."""

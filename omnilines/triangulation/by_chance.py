@@ -5,11 +5,12 @@ are as good or better by chance in all but one of n + 1 cases, whatever the nois
 residuals, and random choices larger ones: rough poses pass, those of another scene do not.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.special import bdtrc
+from scipy.special import bdtrc, ndtr
 from torch import Tensor
 
 from omnilines.triangulation.candidates import candidate_batches
@@ -37,13 +38,20 @@ class StandOut:
     standing_out: int
     share_by_chance: float
     """Of tracks that stand out although segments are put together at random."""
+    mean_rank: float
+    """Share of the random choices that fit a track better than its own segments: 1/2 by chance."""
 
     @property
     def chance(self) -> float:
-        """Probability that as many or more do by chance; 1 where there are no tracks to tell."""
+        """Probability that as many or more stand out, or that the mean rank is as low, by chance; 1 where nothing tells.
+
+        Rough poses leave many tracks near the best of the random choices and few beyond it. A mean of uniform numbers is normal.
+        """
         if not self.tracks:
             return 1.0
-        return float(bdtrc(self.standing_out - 1, self.tracks, self.share_by_chance)) if self.standing_out else 1.0
+        beyond = float(bdtrc(self.standing_out - 1, self.tracks, self.share_by_chance)) if self.standing_out else 1.0
+        low = float(ndtr((self.mean_rank - 0.5) * math.sqrt(12 * self.tracks)))
+        return min(1.0, 2 * min(beyond, low))
 
 
 def misfit(observations: PlaneObservations, seed: int = 0) -> Float[Tensor, " t"]:
@@ -83,8 +91,8 @@ def _at_infinity(observations: PlaneObservations, planes: Int[Tensor, "g p"], ro
 
 def standing_out(observations: PlaneObservations, image: Int[Tensor, " n"], rows: Int[Tensor, " m"], seed: int = 0) -> StandOut:
     """Of the tracks of `rows`, those that stand out from random choices among all observations of the same photos (`image`)."""
-    own, track = observations.track[rows].unique(return_inverse=True)
-    tracks, photo = len(own), image[rows]
+    named, track = observations.track[rows].unique(return_inverse=True)
+    tracks, photo = len(named), image[rows]
     generator = torch.Generator().manual_seed(seed)
     order = image.argsort(stable=True)
     count = torch.bincount(image)
@@ -97,10 +105,13 @@ def standing_out(observations: PlaneObservations, image: Int[Tensor, " n"], rows
     usable = _mixed(observations.track[picked], number, views) & _new(picked, track, tracks, generator)
     choices = usable.sum(0)
     tells = (choices >= LEAST_CHOICES) & (views >= 3)
-    best = torch.where(usable, square, torch.inf).amin(0)
-    by_chance = float((1.0 / (1.0 + choices[tells])).mean()) if bool(tells.any()) else 1.0
-    fits = misfit(observations.take(rows, track, tracks), seed) < best
-    return StandOut(int(tells.sum()), int(fits[tells].sum()), by_chance)
+    own = misfit(observations.take(rows, track, tracks), seed)
+    worse = torch.where(usable, (own > square).double() + 0.5 * (own == square), 0.0).sum(0)
+    tracks_told = int(tells.sum())
+    if not tracks_told:
+        return StandOut(0, 0, 1.0, 0.5)
+    by_chance = float((1.0 / (1.0 + choices[tells])).mean())
+    return StandOut(tracks_told, int((worse[tells] == 0).sum()), by_chance, float((worse[tells] / choices[tells]).mean()))
 
 
 def _mixed(track: Int[Tensor, "c m"], number: Int[Tensor, "c m"], views: Int[Tensor, " t"]) -> Bool[Tensor, "c t"]:
