@@ -353,9 +353,7 @@ def drop_unknown(arcs: MatchedArcs, known: Bool[Tensor, " t"]) -> tuple[MatchedA
     """
     tracks = torch.nonzero(known).flatten()
     if not len(tracks):
-        raise GeometryError(
-            "At least one track that determines a line was expected, found none; lines.csv names the reason of each track."
-        )
+        raise GeometryError("At least one track that determines a line was expected, found none; give photos from more places.")
     place = torch.full((arcs.tracks,), -1)
     place[tracks] = torch.arange(len(tracks))
     kept = arcs.rows(place[arcs.track] >= 0)

@@ -1,6 +1,7 @@
 """Where an adjustment starts: every track triangulated from the given poses, or from ones that some of the lines refined."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models import GeometryError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
@@ -49,8 +51,12 @@ def no_chart() -> LineChart:
 def started(
     arcs: MatchedArcs, state: LinesAndPoses, method: Method, rounds: int, options: AdjustmentOptions
 ) -> tuple[LinesAndPoses, Triangulation, Bool[Tensor, " n"]]:
-    """Poses refined up to `rounds` times until every track has a line, the lines, and which arcs they rest on."""
+    """Poses refined up to `rounds` times until every track has a line, the lines, and which arcs they rest on.
+
+    Raises GeometryError where no track has one.
+    """
     first, member = triangulated(arcs, state.cam_from_world, method)
+    _require_lines(first)
     for _ in range(rounds):
         if bool(first.known.all()):
             break
@@ -60,6 +66,16 @@ def started(
             break
         state, first, member = better, again, member_again
     return state, first, member
+
+
+def _require_lines(first: Triangulation) -> None:
+    """Raises GeometryError where no track has a line, with the reasons."""
+    if not bool(first.known.any()):
+        reasons = ", ".join(f"{count} {status}" for status, count in Counter(first.status_names).most_common())
+        raise GeometryError(
+            f"At least one track that determines a line was expected, found none: {reasons}; check that poses, calibration and "
+            "tracks are of the same photos, or give photos from more places."
+        )
 
 
 def poses_by_lines(

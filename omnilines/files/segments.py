@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from camera_models.errors import InputError
 from omnilines.files.tables import LARGEST_PX, LEAST_SIGMA_PX, Table, name_cells, number_cells, read_table, write_table
@@ -18,18 +18,33 @@ def read_segments(path: str | Path) -> Segments:
     """Segments; photos and tracks in the order of first appearance, track -1 where the cell is empty.
 
     Raises InputError naming file, line and column where a value is missing or not a finite number, the two ends are one pixel,
-    a photo has two cameras, or a covariance (px^2) is incomplete or not one.
+    a photo has two cameras, a track the same segment twice, or a covariance (px^2) is incomplete or not one.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
     image, images = table.images()
     track, tracks = table.names("track", may_be_empty=True)
     ends = table.within(LARGEST_PX, "u1_px", "v1_px", "u2_px", "v2_px").reshape(-1, 2, 2)
     table.require((ends[:, 0] != ends[:, 1]).any(1), "u2_px", "an end point other than the first", "remove the row")
+    _require_once(table, image, track, ends)
     sigma = None
     if table.has("sigma_px"):
         sigma = table.sigmas("sigma_px")
     cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
     return Segments(image, images, track, tracks, ends, sigma, _covariance(table), cameras)
+
+
+def _require_once(
+    table: Table, image: Int[np.ndarray, " n"], track: Int[np.ndarray, " n"], ends: Float[np.ndarray, "n 2 2"]
+) -> None:
+    """Raises InputError where a track has the same segment of a photo twice, either way round: it would count as two."""
+    swapped = (ends[:, 0] > ends[:, 1]).any(1) & ~(ends[:, 0, 0] < ends[:, 1, 0])
+    sorted_ends = np.where(swapped[:, None, None], ends[:, ::-1], ends).reshape(-1, 4)
+    _, first, which = np.unique(np.column_stack([image, track, sorted_ends]), axis=0, return_index=True, return_inverse=True)
+    again = np.flatnonzero(first[which.ravel()] != np.arange(len(table)))
+    if len(again):
+        row = int(again[0])
+        other = table.lines[first[which.ravel()[row]]]
+        raise table.error(row, "u1_px", f"each segment once, not as in line {other} again", "remove one of the two rows")
 
 
 def _covariance(table: Table) -> Float[np.ndarray, "n 2 2 2"] | None:

@@ -8,13 +8,14 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from camera_models import Calibration, CameraModel, InputError
+from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.scene import check_refine, reconstruct_lines
+from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.judged_tracks import judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.posing.photo_poses import PhotoPoses
@@ -43,7 +44,8 @@ def adjust(
     found by consensus and left out. `pose_sigma` (rad, m) makes the given poses a prior with these standard deviations of each
     component; poses have to be refined then. `inputs` is what the scene says that it was made from.
 
-    Raises InputError where tables do not fit together, and GeometryError when no track determines a line.
+    Raises InputError where tables do not fit together, or poses and cameras explain the tracks no better than chance or
+    far worse than if they were read in another way (`judge_tracks`), and GeometryError when no track determines a line.
 
         >>> segments, poses = ol.read_segments("scene/segments.csv"), ol.read_poses("scene/poses.csv")
         >>> scene = ol.adjust(segments, poses, ol.load("scene/calibration.yaml"))
@@ -65,28 +67,43 @@ def adjust(
         progress("adjusting the scene", step.iteration, 0)
 
     progress("triangulating", 0, 0)
-    scene = reconstruct_lines(
-        segments,
-        table,
-        cameras,
-        triangulation=options.triangulation,
-        triangulation_options=options.triangulation_options,
-        cost=options.cost,
-        refine_poses="poses" in options.refine,
-        refine_cameras="intrinsics" in options.refine,
-        refine_rig="rig" in options.refine,
-        rig=cameras.rig,
-        pose_sigma=pose_sigma,
-        robust=robust,
-        loss=options.loss,
-        options=options.adjustment,
-        device=options.device,
-        callback=tell,
-    )
+    try:
+        scene = reconstruct_lines(
+            segments,
+            table,
+            cameras,
+            triangulation=options.triangulation,
+            triangulation_options=options.triangulation_options,
+            cost=options.cost,
+            refine_poses="poses" in options.refine,
+            refine_cameras="intrinsics" in options.refine,
+            refine_rig="rig" in options.refine,
+            rig=cameras.rig,
+            pose_sigma=pose_sigma,
+            robust=robust,
+            loss=options.loss,
+            options=options.adjustment,
+            device=options.device,
+            callback=tell,
+        )
+    except GeometryError:
+        # The tracks may tell why.
+        judge_tracks(
+            arcs_from_segments(segments, table, cameras).arcs, table.cam_from_world, options=options.judge, seed=options.seed
+        )
+        raise
+    _judge(scene, table.cam_from_world, options)
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     made_from = {"options": options} if inputs is None else inputs
     return Scene(scene, segments, refined_calibration(scene, cameras), made_from, scene.table.left_out, options=options)
+
+
+def _judge(scene: AdjustedScene, given: Pose, options: SceneOptions) -> None:
+    """Raises InputError where nothing explains the tracks."""
+    arcs = scene.table.arcs
+    final = arcs.seen_by(scene.cameras) if scene.cameras else arcs
+    judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
 
 
 def triangulate(

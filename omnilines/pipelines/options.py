@@ -66,6 +66,22 @@ class AdviceOptions(NamedTuple):
     """Turns about each axis from which a better pose is looked for."""
 
 
+class JudgeOptions(NamedTuple):
+    """When poses, cameras and tracks are refused because they do not belong together."""
+
+    fitting_px: float = 1.0
+    """Misfit of half of the tracks up to which nothing is asked: no choice of segments at random has it."""
+    max_chance: float = 0.02
+    """They are refused where as much would be explained by chance with a larger probability."""
+    sure: float = 1e-4
+    """Probability up to which another reading of the poses is no chance."""
+    gain: float = 2.0
+    """Times as much that another reading of the poses has to explain."""
+    fitting: float = 10.0
+    """Times the median misfit (squared) of a reading up to which a track is explained: 13.8 over 1.39, of chi-square with two
+    degrees of freedom."""
+
+
 @dataclass(frozen=True)
 class SceneOptions:
     """How a line scene is made."""
@@ -107,6 +123,8 @@ class SceneOptions:
     """The frame that a scene is written in."""
     advice: AdviceOptions = AdviceOptions()
     """What is said of photos that lines hardly explain."""
+    judge: JudgeOptions = JudgeOptions()
+    """When poses, cameras and tracks are refused because they do not belong together."""
 
 
 OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")

@@ -1,0 +1,178 @@
+"""Tracks that poses and cameras hardly explain: refused, with what is wrong with them where the tracks themselves tell it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from camera_models import InputError
+from camera_models.pose import Pose
+from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.pipelines.options import JudgeOptions
+from omnilines.posing.readings import other_readings
+from omnilines.triangulation.by_chance import StandOut, misfit, standing_out
+from omnilines.triangulation.observations import PlaneObservations
+
+SAMPLED = 60
+"""Tracks that are looked at, drawn with the seed."""
+LEAST_TRACKS = 3
+"""Of three segments or more: fewer do not tell."""
+MOST_SEGMENTS = 8
+"""Of a track, that are looked at."""
+OTHERS = 10_000
+"""Segments of other tracks, that random tracks are made of beside these."""
+ANGLES = tuple(1.1**k for k in range(-20, 21) if k)
+"""Times the angle off the axis under which another camera would see a pixel."""
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """The tracks that are looked at."""
+
+    arcs: MatchedArcs
+    """Of these tracks, and others of the same photos."""
+    rows: Int[Tensor, " m"]
+    """Of `arcs`: those of the tracks."""
+    track: Int[Tensor, " m"]
+    """Which of the tracks each is of."""
+    tracks: int
+    options: JudgeOptions
+    seed: int
+
+    def misfit(self, poses: Pose) -> Float[Tensor, " k"]:
+        """Of the tracks (px^2)."""
+        return misfit(self.planes(poses).take(self.rows, self.track, self.tracks), self.seed)
+
+    def stand_out(self, poses: Pose) -> StandOut:
+        """Of the tracks."""
+        return standing_out(self.planes(poses), self.arcs.image, self.rows, self.seed)
+
+    def planes(self, poses: Pose) -> PlaneObservations:
+        """Of all arcs."""
+        own = self.arcs
+        return PlaneObservations.from_arcs(own.bearings, poses[own.image], own.track, own.tracks, own.by_pixel)
+
+    def explained(self, square: Float[Tensor, " k"], best: Float[Tensor, " k"]) -> int:
+        """How many tracks fit as well as the better half does in the best case, but for their noise."""
+        return int((square <= self.options.fitting * best.median()).sum())
+
+
+def judge_tracks(
+    arcs: MatchedArcs,
+    given: Pose,
+    *,
+    refined: tuple[MatchedArcs, Pose] | None = None,
+    options: JudgeOptions = JudgeOptions(),
+    seed: int = 0,
+) -> None:
+    """Refuse tracks that fit no better than random ones do, and those that another reading of the poses explains far better.
+
+    `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Tracks of two segments, and fewer
+    than three of them, tell nothing.
+
+    Raises InputError that says which reading of the poses, or which camera, explains the tracks, or that nothing does.
+    """
+    chosen = _sample(arcs, options, seed)
+    if chosen(arcs).tracks < LEAST_TRACKS:
+        return
+    cases = [(chosen(own), poses) for own, poses in ((arcs, given), *([refined] if refined else []))]
+    # An adjustment that went astray says nothing of what was given.
+    sampled, poses, square = min(((own, at, own.misfit(at)) for own, at in cases), key=lambda case: float(case[2].median()))
+    if float(square.median()) <= options.fitting_px**2:
+        return
+    held = sampled.stand_out(poses)
+    if held.tracks < LEAST_TRACKS:
+        return
+    _refuse_reading(chosen(arcs), given, square)
+    _refuse_camera(sampled, poses, square)
+    if held.chance > options.max_chance:
+        raise InputError(
+            f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
+            f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
+            "calibration of the same photos were expected; correct what is of others."
+        )
+
+
+def _sample(arcs: MatchedArcs, options: JudgeOptions, seed: int) -> Callable[[MatchedArcs], _Sampled]:
+    """Tracks of three segments or more, drawn with the seed, among others of the same photos; of the same arcs, or of what they
+    have become."""
+    generator = torch.Generator().manual_seed(seed)
+    enough = torch.nonzero(torch.bincount(arcs.track, minlength=arcs.tracks) >= 3).flatten()
+    some = enough[torch.randperm(len(enough), generator=generator)[:SAMPLED]]
+    shuffled = torch.randperm(len(arcs), generator=generator)
+    looked_at = torch.isin(arcs.track[shuffled], some)
+    rows = shuffled[looked_at]
+    rows = rows[_rank_of_equals(arcs.track[rows]) < MOST_SEGMENTS]
+    kept = torch.cat([rows, shuffled[~looked_at][:OTHERS]])
+    numbers, track = arcs.track[rows].unique(return_inverse=True)
+
+    def chosen(own: MatchedArcs) -> _Sampled:
+        return _Sampled(own.rows(kept), torch.arange(len(rows)), track, len(numbers), options, seed)
+
+    return chosen
+
+
+def _rank_of_equals(labels: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
+    """Of each element, how many of the same label stand before it."""
+    order = labels.argsort(stable=True)
+    count = torch.bincount(labels)
+    rank = torch.empty_like(labels)
+    rank[order] = torch.arange(len(labels)) - (count.cumsum(0) - count)[labels[order]]
+    return rank
+
+
+def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"]) -> None:
+    """Raises InputError where another reading of the poses explains far more than these misfits do."""
+    readings = [(reading, sampled.misfit(reading.poses)) for reading in other_readings(given)]
+    least = min(float(other.median()) for _, other in readings)
+    # Where all cameras look alike, two readings may be one: the usual mistakes come first.
+    reading, other = next(one for one in readings if float(one[1].median()) <= sampled.options.gain * least)
+    if _far_better(sampled, reading.poses, other, square):
+        explained, as_given = (sampled.explained(own, other) for own in (other, square))
+        raise InputError(
+            f"The poses look {reading.looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
+            f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}."
+        )
+
+
+def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"]) -> bool:
+    """Whether the misfits `other` under these poses are far better than others, and not by chance."""
+    options = sampled.options
+    if not bool(torch.isfinite(other.median())):
+        return False
+    if sampled.explained(other, other) < options.gain * sampled.explained(square, other):
+        return False
+    return sampled.stand_out(poses).chance <= options.sure
+
+
+def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> None:
+    """Raises InputError where a camera of other angles explains far more."""
+    arcs = sampled.arcs
+    widest = float(_off_axis(arcs.bearings).max())
+    best = 1.0, sampled, square
+    for scale in (one for one in ANGLES if one * widest < torch.pi):
+        other = replace(sampled, arcs=replace(arcs, bearings=_scaled(arcs.bearings, scale), by_pixel=scale * arcs.by_pixel))
+        found = other.misfit(poses)
+        if float(found.median()) < float(best[2].median()):
+            best = scale, other, found
+    scale, other, found = best
+    if _far_better(other, poses, found, square):
+        explained, as_given = (sampled.explained(own, found) for own in (found, square))
+        raise InputError(
+            f"The calibration looks like that of another camera: it explains {as_given} of {sampled.tracks} tracks, one that "
+            f"sees under {scale:.2g} times its angles would explain {explained}; give that of these photos."
+        )
+
+
+def _scaled(bearings: Float[Tensor, "n 2 3"], scale: float) -> Float[Tensor, "n 2 3"]:
+    """The bearings with their angles off the axis so many times as large."""
+    angle = scale * _off_axis(bearings)
+    around = bearings[..., :2] / bearings[..., :2].norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    return torch.cat([around * angle.sin(), angle.cos()], -1)
+
+
+def _off_axis(bearings: Float[Tensor, "n 2 3"]) -> Float[Tensor, "n 2 1"]:
+    """The angle from the axis z."""
+    return torch.atan2(bearings[..., :2].norm(dim=-1, keepdim=True), bearings[..., 2:])
