@@ -58,6 +58,20 @@ class ViewResult:
 
 
 @dataclass(frozen=True)
+class Detail:
+    """What a person should know of one photo; the command line tells of many of a kind together."""
+
+    photo: str
+    text: str
+    """The whole sentence, which begins with the name."""
+
+    @staticmethod
+    def of(photo: str, reason: str) -> "Detail":
+        """From what is to be said behind the name of a photo."""
+        return Detail(photo, f"{photo}: {reason}")
+
+
+@dataclass(frozen=True)
 class Segments:
     """Observed image segments (chords of arcs), one row each."""
 
@@ -193,6 +207,8 @@ class Summary:
     title: str
     rows: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = field(default=())
+    of_photos: bool = False
+    """Whether there is a row for each photo, which a terminal shows the first of."""
 
 
 @dataclass(frozen=True)

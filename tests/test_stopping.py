@@ -12,7 +12,15 @@ import pytest
 from omnilines.commands.render_scene import render_scene
 
 VIEWS = 6
-WORKS = "import os, sys, time\nfrom omnilines.cli import main\nfrom omnilines.pipelines import {module}\n{patch}\nmain()\n"
+WORKS = """
+import os, signal, sys, time
+# A test run may ignore it, as nohup does.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+from omnilines.cli import main
+from omnilines.pipelines import {module}
+{patch}
+main()
+"""
 IN_THREADS = """
 real = arcs.extract_arcs
 turn = __import__("itertools").count()
@@ -53,7 +61,7 @@ def left_behind(folder):
     return [path for path in folder.rglob("*") if path.name.endswith((".part", ".tmp"))]
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status):
     process = started(room, tmp_path / "scene", "arcs", IN_THREADS)
     assert process.stderr.readline() == b"begun\n"

@@ -3,6 +3,7 @@
 torch and cv2 are imported by the commands themselves, so that `--help` answers at once.
 """
 
+import contextlib
 import sys
 from typing import Any, NoReturn
 
@@ -46,5 +47,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _refuse(sentence: str) -> NoReturn:
-    typer.echo(f"omnilines: {printable(shortened(sentence))}", err=True)
+    with contextlib.suppress(OSError):  # where standard error cannot be written either, the status says it
+        typer.echo(f"omnilines: {printable(shortened(sentence))}", err=True)
     sys.exit(2)

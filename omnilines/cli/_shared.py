@@ -1,7 +1,9 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
+import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -12,6 +14,7 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
+from omnilines.cli.notes import rows_shown, shortened, told
 from omnilines.cli.spelling import Application, with_flags
 from omnilines.compiled_cache import note_on_cache
 
@@ -121,8 +124,16 @@ def progress() -> "Iterator[ProgressCallback]":
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    console = Console(stderr=True, markup=False, emoji=False)
+    # Where nobody looks, a line that is taken away again leaves an empty one.
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
         now = ""
 
@@ -148,31 +159,60 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
 
     `kept` is the folder from which the same command goes on where it was stopped.
     """
-    goes_on = "" if kept is None else f"; what was found is kept in {kept}, the same command goes on from there"
-    say_when_stopped(f"stopped{goes_on}.")
+    goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
+    if kept is None:
+        goes_on = " before its results were whole; the same command begins anew"
+    say_when_stopped(printable(f"stopped{goes_on}."))
     if (note := note_on_cache()) is not None:
         typer.echo(f"note: {note}", err=True)
     with progress() as tell:
         result = command(tell)
-    for warning in result.warnings:
-        typer.echo(f"note: {printable(with_flags(warning))}", err=True)
-    if as_json:
-        checks = [vars(check) for check in result.checks]
-        report = str(result.report) if result.report else None
-        files = [str(path) for path in result.files]
-        data = {**result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
-        typer.echo(with_flags(json.dumps(data, indent=2, allow_nan=False)))
-    else:
-        _print_tables(result)
+    whole = "--json" if result.report is None else result.report.name
+    with said_in_full():
+        for note in (*result.warnings, *told(result.details, result.photos, whole)):
+            typer.echo(f"note: {printable(with_flags(note))}", err=True)
+        if as_json:
+            typer.echo(with_flags(json.dumps(_data(result), indent=2, allow_nan=False)))
+        else:
+            _print_tables(result)
     if not result.holds:
         raise typer.Exit(1)
 
 
+def _data(result: "CommandResult") -> dict[str, Any]:
+    """What --json prints."""
+    checks = [vars(check) for check in result.checks]
+    files = [str(path) for path in result.files]
+    report = str(result.report) if result.report else None
+    return {"notes": result.notes, **result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
+
+
+@contextmanager
+def said_in_full() -> "Iterator[None]":
+    """What is printed within it leaves the process at once. A reader who goes, as `head` does, is no error: results are files.
+
+    Raises InputError where standard output cannot be written.
+    """
+    try:
+        yield
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        # What is left in the buffer would be tried again at the end.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in filter(None, (sys.stdout, sys.stderr) if isinstance(error, BrokenPipeError) else (sys.stdout,)):
+            os.dup2(nowhere, stream.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise InputError(f"Standard output cannot be written ({error.strerror}); all files of the result are.") from None
+
+
 def _print_tables(result: "CommandResult") -> None:
     for summary in result.summaries:
-        typer.echo(summary.title)
-        width = max((len(name) for name, _ in summary.rows), default=0)
-        for name, text in summary.rows:
+        typer.echo(printable(summary.title))
+        rows = rows_shown(summary.rows) if summary.of_photos else summary.rows
+        rows = [(shortened(name), text) for name, text in rows]
+        width = max((len(name) for name, _ in rows), default=0)
+        for name, text in rows:
             typer.echo(printable(f"  {name:<{width}}  {text}"))
     if result.checks:
         typer.echo("Checks")
@@ -181,4 +221,4 @@ def _print_tables(result: "CommandResult") -> None:
             verdict = "holds" if check.holds else "DOES NOT HOLD"
             typer.echo(f"  {check.name:<{width}}  {check.value:.4g} {check.unit} (limit {check.limit:.4g})  {verdict}")
     if result.report:
-        typer.echo(f"Report: {result.report}")
+        typer.echo(printable(f"Report: {result.report}"))

@@ -1,10 +1,12 @@
-"""Ctrl-C and SIGTERM end a command at once, with one sentence and the exit status that shells expect (128 + the signal).
+"""Ctrl-C, SIGTERM and a terminal that closes end a command at once, with one sentence and the exit status that shells expect: 128
+and the number of the signal.
 
 Python raises an exception for a signal between two steps of its own, in the main thread: what is being written is cleaned up, and
 the cursor comes back. But a compiled step may last for minutes, and threads of a pool are waited for. So a second thread, which
 is woken as the signal comes, ends the process when the first has not within GRACE_S.
 """
 
+import contextlib
 import os
 import signal
 import socket
@@ -12,13 +14,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
 GRACE_S = 1.0
 """Time to clean up."""
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 SHOW_CURSOR = "\x1b[?25h"
 
 
@@ -39,7 +40,7 @@ def say_when_stopped(sentence: str) -> None:
     _sentence = sentence
 
 
-@contextmanager
+@contextlib.contextmanager
 def stoppable() -> Iterator[None]:
     """Within it, a signal ends the process. Elsewhere than in the main thread nothing changes."""
     if threading.current_thread() is not threading.main_thread():
@@ -47,7 +48,9 @@ def stoppable() -> Iterator[None]:
         return
     reader, writer = socket.socketpair()
     writer.setblocking(False)
-    before = {number: signal.signal(number, _raise) for number in SIGNALS}
+    # What is ignored stays so: nohup, and commands that a script starts in the background.
+    heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _raise) for number in heard}
     woken = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reader,), daemon=True).start()
     try:
@@ -82,6 +85,8 @@ _ending = threading.Lock()
 def _end(number: int) -> NoReturn:
     """Say so and leave: threads that still work are not waited for."""
     if _ending.acquire(blocking=False):
-        cursor = f"\r{SHOW_CURSOR}" if sys.stderr.isatty() else ""
-        os.write(sys.stderr.fileno(), f"{cursor}omnilines: {_sentence}\n".encode())
+        # Standard error may be closed, or its terminal gone.
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            cursor = f"\r{SHOW_CURSOR}" if sys.stderr.isatty() else ""
+            os.write(sys.stderr.fileno(), f"{cursor}omnilines: {_sentence}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)

@@ -67,4 +67,13 @@ def _written(result: CalibrationResult, out: Path, read: Sequence[Path], progres
         progress("writing the report", 0, 0)
         report = result.report(out / PAGE)
     summaries, data = calibration_summaries(result.fit, result.selection), calibration_data(result.fit, result.selection)
-    return CommandResult(summaries, data, files=(*files, report), report=report, warnings=result.warnings)
+    files = (*files, report)
+    return CommandResult(
+        summaries,
+        data,
+        files=files,
+        report=report,
+        warnings=result.warnings,
+        details=result.details,
+        photos=len(result.views),
+    )

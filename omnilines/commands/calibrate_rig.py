@@ -10,6 +10,7 @@ from omnilines.files import read_rig_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.rig import rig_data, rig_summaries
+from omnilines.pipelines.calibrate import view_details
 from omnilines.pipelines.calibrate_rig import RIG_FILES, RigSetup, calibrate_rig
 from omnilines.pipelines.detect_rig import RigCorners, detect_rig
 from omnilines.progress import ProgressCallback, silent
@@ -80,8 +81,12 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path]
         files = result.save(out)
         progress("writing the report", 0, 0)
         report = result.report(out / PAGE)
-    warnings = tuple(f"{view.camera} {view.name}: {view.reason}" for view in result.views if not view.used)
-    warnings += tuple(f"{view.camera} {view.name}: {remark}" for view in result.views for remark in view.remarks) + result.notes
     return CommandResult(
-        rig_summaries(result.fit), rig_data(result.fit), files=(*files, report), report=report, warnings=warnings
+        rig_summaries(result.fit),
+        rig_data(result.fit),
+        files=(*files, report),
+        report=report,
+        warnings=result.notes,
+        details=view_details(result.views),
+        photos=len(result.views),
     )

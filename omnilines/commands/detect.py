@@ -12,7 +12,7 @@ from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pipelines import detect as pipeline
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Summary
+from omnilines.records import Detail, Summary
 
 
 def detect(
@@ -39,7 +39,7 @@ def detect(
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
     rows = tuple((image, f"{count} corners" + (f"; {remark}" if remark else "")) for image, count, remark in seen)
-    skipped = tuple((view.image, f"skipped: {view.reason}") for view in found.skipped)
+    skipped = tuple(Detail(view.image, f"{view.image} is skipped: {view.reason}") for view in found.skipped)
     data = {
         "pattern": found.inputs["pattern"],
         "image_size": list(found.image_size),
@@ -47,8 +47,9 @@ def detect(
         + [{"image": view.image, "corners": 0, "reason": view.reason, "remark": None} for view in found.skipped],
     }
     title = f"Corners of {found.inputs['pattern']}"
-    summary = Summary(title, rows + skipped, (f"{len(found.corners)} corners in {files[0]}",))
-    return CommandResult((summary,), data, files=files, warnings=found.notes)
+    summary = Summary(title, rows, (f"{len(found.corners)} corners in {files[0]}",), of_photos=True)
+    given = len(rows) + len(skipped)
+    return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given)
 
 
 def _one_camera(calibration: Path) -> CameraModel:

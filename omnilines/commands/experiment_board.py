@@ -14,6 +14,7 @@ from omnilines.files import write_corners, write_lines, write_ply, write_poses, 
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.board import board_data, board_sections, board_summaries, scene_tables
+from omnilines.pipelines.calibrate import view_details
 from omnilines.progress import ProgressCallback, silent
 from omnilines.report import write_report
 from omnilines.studies.board import MODEL, BoardOptions, board_calibration, board_corners, board_experiment
@@ -48,9 +49,18 @@ def experiment_board(
         photo_folder = found.photo_folder if found.photo_folder and found.photo_folder.is_dir() else None
         sections = board_sections(experiment, photo_folder)
         page = write_report(folder / "report.html", "Board lines before and after adjustment", sections)
-    warnings = tuple(f"{view.image}: {view.reason}" for view in calibration.views if not view.used) + experiment.notes
+    lost = view_details([view for view in calibration.views if not view.used])
     data_out = board_data(experiment, options.seed)
-    return CommandResult(board_summaries(experiment), data_out, experiment.checks, (*files, page), page, warnings)
+    return CommandResult(
+        board_summaries(experiment),
+        data_out,
+        experiment.checks,
+        (*files, page),
+        page,
+        experiment.notes,
+        lost,
+        len(calibration.views),
+    )
 
 
 def _read(data: Path) -> list[Path]:

@@ -44,8 +44,14 @@ def extract(
     arcs = pipeline(refs, cameras, mask=keep, options=options, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
-    notes = tuple(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items())
-    return CommandResult((arcs_summary(arcs, files[0]),), arcs_data(arcs), files=files, warnings=notes)
+    return CommandResult(
+        (arcs_summary(arcs, files[0]),),
+        arcs_data(arcs),
+        files=files,
+        warnings=arcs.notes,
+        details=arcs.skipped_details,
+        photos=len(refs),
+    )
 
 
 def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:

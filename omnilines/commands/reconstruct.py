@@ -204,4 +204,7 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
     summary = scene_summary(scene)
     files.append(write_report(folder / PAGE, "Line scene", scene_sections(scene, remarks)))
     notes = (*scene.told, *remarks, *summary.notes)
-    return CommandResult((summary,), scene_data(scene), files=tuple(files), report=files[-1], warnings=notes)
+    given = None if scene.from_photos is None else scene.from_photos.given
+    return CommandResult(
+        (summary,), scene_data(scene), files=tuple(files), report=files[-1], warnings=notes, details=scene.details, photos=given
+    )

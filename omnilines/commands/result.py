@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from omnilines.records import Check, Summary
+from omnilines.records import Check, Detail, Summary
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,16 @@ class CommandResult:
     files: tuple[Path, ...] = ()
     report: Path | None = None
     warnings: tuple[str, ...] = field(default=())
+    """What a person should know of all photos together, one sentence each."""
+    details: tuple[Detail, ...] = field(default=())
+    """And of single photos."""
+    photos: int | None = None
+    """How many photos were given, where that is known."""
+
+    @property
+    def notes(self) -> list[str]:
+        """Every sentence, what matters most first."""
+        return [*self.warnings, *(one.text for one in self.details)]
 
     @property
     def holds(self) -> bool:

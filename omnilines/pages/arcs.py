@@ -26,9 +26,9 @@ _SUBPIXEL_BITS = 4
 
 
 def arcs_summary(arcs: PhotoArcs, table: Path) -> Summary:
-    """A row for each photo; `table` is where the arcs are."""
-    rows = tuple((one.photo.name, _row(one, arcs.cameras[one.camera])) for one in arcs.photos)
-    return Summary("Arcs", rows, (f"{len(arcs)} arcs in {table}",))
+    """A row for each photo that was used; `table` is where the arcs are."""
+    rows = tuple((one.photo.name, _row(one, arcs.cameras[one.camera])) for one in arcs.used)
+    return Summary("Arcs", rows, (f"{len(arcs)} arcs in {table}",), of_photos=True)
 
 
 def arcs_data(arcs: PhotoArcs) -> dict[str, Any]:
@@ -54,8 +54,6 @@ def _figures(found: FoundArcs, model: CameraModel) -> Mapping[str, float | int |
 
 
 def _row(found: FoundArcs, model: CameraModel) -> str:
-    if found.reason is not None:
-        return f"skipped: {found.reason}"
     figures = _figures(found, model)
     if not figures["arcs"]:
         return "0 arcs"

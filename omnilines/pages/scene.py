@@ -173,12 +173,14 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
     named = {stage.stage for stage in scene.stages}
     rows = tuple(row for row in summary.rows if row[0] not in named)
     photos = () if of_photos.folder is None else (of_photos.folder,)
+    unused = Summary("Photos that were not used", tuple((one.photo, one.text) for one in scene.details))
     return [
         report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
         report.scene_section(lines=scene.lines, groups=groups, cameras=scene.poses, up=of_photos.up),
         stage_section(scene.stages),
         photo_arcs_section(scene.photos),
         *(line_photos_section(folder, scene.lines, scene.segments, scene.poses, scene.cameras) for folder in photos),
+        *([report.summary_section(unused, title=unused.title)] if unused.rows else []),
         report.histogram_section(title, {"adjusted": adjusted}, label),
         families_section(of_photos.families),
         line_table_section(scene.lines),

@@ -25,7 +25,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.options import AppearanceOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
-from omnilines.records import ImagePoses, Segments
+from omnilines.records import Detail, ImagePoses, Segments
 
 SEGMENTS = "segments.csv"
 SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
@@ -79,6 +79,11 @@ class PhotoArcs:
     def skipped(self) -> dict[str, str]:
         """Why each of the other photos cannot, by name."""
         return {arcs.photo.name: arcs.reason for arcs in self.photos if arcs.reason is not None}
+
+    @property
+    def skipped_details(self) -> tuple[Detail, ...]:
+        """`skipped` as sentences."""
+        return tuple(Detail(name, f"{name} is skipped: {reason}") for name, reason in self.skipped.items())
 
     @property
     def camera_of(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Corners, ViewResult
+from omnilines.records import Corners, Detail, ViewResult
 
 CALIBRATION_FILES = ("calibration.yaml", CORNERS)
 GUIDE = "scaramuzza"
@@ -66,10 +66,13 @@ class CalibrationResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Every sentence on the views, those of `notes`, and why the model was chosen."""
-        left_out = (f"{view.image}: {view.reason}" for view in self.views if not view.used)
-        remarks = (f"{view.image}: {remark}" for view in self.views for remark in view.remarks)
-        return (*left_out, *remarks, *self.notes, *(() if self.selection is None else (self.selection.reason,)))
+        """The sentences of `notes`, and why the model was chosen."""
+        return (*self.notes, *(() if self.selection is None else (self.selection.reason,)))
+
+    @property
+    def details(self) -> tuple[Detail, ...]:
+        """Why views were left out, and what is to be said of others."""
+        return view_details(self.views)
 
     @property
     def rms_px_per_axis(self) -> float:
@@ -149,6 +152,19 @@ def calibrate(
     result = with_remarks(result, _remarks(found, result, options.duplicates))
     result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
     return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection)
+
+
+def view_details(views: Sequence[ViewResult]) -> tuple[Detail, ...]:
+    """Why views were left out, then what is to be said of those that were used; of a rig with the camera before the name."""
+    several = len({view.camera for view in views}) > 1
+
+    def called(view: ViewResult) -> str:
+        """The image of a view; of a rig its camera too, unless that is its folder."""
+        image = view.image
+        return f"{view.camera} {image}" if several and not image.startswith(f"{view.camera}/") else image
+
+    left_out = (Detail.of(called(view), view.reason or "") for view in views if not view.used)
+    return (*left_out, *(Detail.of(called(view), remark) for view in views for remark in view.remarks))
 
 
 def corners_of_views(views: Mapping[str, tuple[Any, Any]]) -> Corners:

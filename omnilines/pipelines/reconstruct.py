@@ -26,7 +26,7 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses, Segments
+from omnilines.records import Detail, ImagePoses, Segments
 from omnilines.structure.families import line_families
 from omnilines.triangulation import check_triangulation
 
@@ -130,10 +130,10 @@ def _scene(
         lines, poses, families, source=posed.source, unit=posed.unit, known=distance, options=options
     )  # fmt: skip
     found = replace(found, scene=replace(found.scene, lines=frame.lines, poses=frame.poses))
+    lost = _without_poses(posed, found.scene.poses)
     told = (
-        *(f"{name} is skipped: {reason}" for name, reason in arcs.skipped.items()),
         *arcs.notes,
-        *_of_poses(posed, found.scene.poses, options.posing),
+        *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *frame.notes,
         *advice(found, options, progress),
     )
@@ -141,14 +141,19 @@ def _scene(
     of_photos = FromPhotos(
         folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, frame.families, frame.up
     )  # fmt: skip
-    return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, of_photos, options)
+    unused = (*arcs.skipped_details, *lost)
+    return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, unused, of_photos, options)
 
 
-def _of_poses(posed: PhotoPoses, final: ImagePoses, options: PosingOptions) -> tuple[str, ...]:
-    """What is to be said of where photos were taken."""
+def _without_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[Detail, ...]:
+    """Why photos have no pose."""
     known = set(final.images)
+    return tuple(Detail(name, why) for name, why in posed.left_out.items() if name not in known)
+
+
+def _of_poses(posed: PhotoPoses, final: ImagePoses, lost: int, options: PosingOptions) -> tuple[str, ...]:
+    """What is to be said of where photos were taken; `lost` of them have no pose."""
     placed = sorted(name for name in final.images if name not in posed.poses.images)
-    lost = {name: why for name, why in posed.left_out.items() if name not in known}
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
-    doubts = doubt(len(lost), len(known) + len(lost), options.growth) if posed.source == SFM else ()
-    return (*lost.values(), *([by_lines] if placed else []), *without_scale(posed.notes), *doubts)
+    doubts = doubt(lost, len(set(final.images)) + lost, options.growth) if posed.source == SFM else ()
+    return (*doubts, *([by_lines] if placed else []), *without_scale(posed.notes))

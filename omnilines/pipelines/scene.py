@@ -16,7 +16,7 @@ from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
-from omnilines.records import ImagePoses, Lines, PhotoCount, Segments, StageCount
+from omnilines.records import Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
 
 SCENE = "scene"
@@ -58,6 +58,8 @@ class Scene:
     """What the scene was made from."""
     told: tuple[str, ...] = ()
     """What a person should know of how it was made, one sentence each."""
+    details: tuple[Detail, ...] = ()
+    """And of photos that could not be used."""
     from_photos: FromPhotos | None = None
     options: SceneOptions = SceneOptions()
 
@@ -91,7 +93,7 @@ class Scene:
         """All that a person should know of the scene, one sentence each."""
         from omnilines.pages.scene import scene_summary
 
-        return (*self.told, *scene_summary(self).notes)
+        return (*(one.text for one in self.details), *self.told, *scene_summary(self).notes)
 
     @property
     def provenance(self) -> dict[str, Any]:

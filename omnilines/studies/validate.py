@@ -58,7 +58,8 @@ def validate_targets(
     found = detect(rendered.photos if photos is None else photos, rendered.pattern, progress=progress)
     result = calibrate(found, model=rendered.camera.NAME, progress=progress)
     progress("rebuilding lines", 0, 0)
-    return replace(compare(rendered, result.calibration, result.found.corners), notes=result.warnings)
+    notes = (*result.warnings, *(detail.text for detail in result.details))
+    return replace(compare(rendered, result.calibration, result.found.corners), notes=notes)
 
 
 def validate_scene(
