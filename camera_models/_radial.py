@@ -28,7 +28,8 @@ def first_sign_change(coefficients: Float[np.ndarray, " k"], scale: float) -> fl
 
     `scale` is the size of the x of interest: roots are sought in x / scale, where the coefficients are comparable.
     """
-    scaled = np.asarray(coefficients, dtype=float) * scale ** np.arange(len(coefficients))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.asarray(coefficients, dtype=float) * scale ** np.arange(len(coefficients))
     if not np.isfinite(scaled).all():
         return 0.0
     # Highest coefficients so small that a quotient by them would overflow are none.

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._sphere import (
+    FURTHEST_RADIUS,
     START_MARGIN,
     SphereModel,
     fold_radius,
@@ -70,7 +71,7 @@ class ExtendedUnified(SphereModel):
     def max_radius(self) -> float:
         """1 / sqrt(beta (2 alpha - 1)) where alpha > 1/2, else infinite; zero for a beta that is not positive."""
         alpha, beta = self.parameters.detach()[4:].tolist()
-        return fold_radius(alpha) / beta**0.5 if beta > 0 else 0.0
+        return min(fold_radius(alpha) / beta**0.5, FURTHEST_RADIUS) if beta > 0 else 0.0
 
     def _ray(self, plane: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
         alpha, beta = self.parameters[4:]

@@ -22,6 +22,7 @@ from camera_models.errors import InputError
 _PIXELS_PER_STRIP = 262_144
 LARGEST_SIDE_PX = 32_766
 """Of images that cv2.remap takes."""
+_FARTHEST_PX = 1e9
 _COARSEST = 6
 """Level of the pyramid at which it ends: a pixel of the output covers 64 x 64 or more of the source there."""
 
@@ -74,7 +75,9 @@ def _strip(
     with torch.no_grad():
         bearings, seen = output.unproject(torch.stack(torch.meshgrid(u, v, indexing="xy"), -1))
         found, imaged = source.project(bearings @ turn.mT)
-    place, known = found.numpy(), (seen & imaged).numpy()
+    # A model with wild coefficients may project anywhere: so far outside, it does not matter where.
+    place = np.nan_to_num(found.numpy(), nan=_FARTHEST_PX).clip(-_FARTHEST_PX, _FARTHEST_PX)
+    known = (seen & imaged).numpy()
     size = np.array(source.image_size)
     if source.PERIODIC:
         # A column may lie anywhere from its projection's own range: all that counts is where it is round the image.

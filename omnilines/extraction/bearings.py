@@ -16,9 +16,14 @@ MOST_ERROR_PX = 3e-4
 """Of places that are interpolated."""
 _BEYOND = 3
 """Nodes around the image."""
+_AHEAD = (0.0, 0.0, 1.0)
+"""Stands for a bearing that is none."""
 AT_A_TIME = 8_000
 """Places or rays of which the model is asked at a time: what lies below 32768 numbers torch does without threads of its own,
 which burn more time than they save where every core looks at a photo already."""
+FARTHEST_PX = 1e6
+"""From the first pixel; a place beyond is taken to be at that distance and not seen. Compiled loops count places in whole numbers,
+and a model with coefficients of any size may put one anywhere."""
 
 
 def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
@@ -44,15 +49,19 @@ def _asked(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[
         part = slice(start, start + AT_A_TIME)
         with torch.no_grad():
             bearings[part], valid[part] = model.unproject(places[part])
+    lost = ~np.isfinite(bearings).all(-1)
+    bearings[lost], valid[lost] = _AHEAD, False
     return bearings, valid
 
 
 def pixels_at(model: CameraModel, rays: Float[np.ndarray, "*n 3"]) -> tuple[Float[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
-    """`model.project` of many rays."""
+    """`model.project` of many rays, finite and at most FARTHEST_PX away whatever the model."""
     flat = rays.reshape(-1, 3)
     pixels, valid = np.empty((len(flat), 2)), np.zeros(len(flat), dtype=bool)
     for start in range(0, len(flat), AT_A_TIME):
         part = slice(start, start + AT_A_TIME)
         with torch.no_grad():
             pixels[part], valid[part] = model.project(flat[part])
+    valid &= (np.abs(pixels) <= FARTHEST_PX).all(-1)
+    pixels = np.nan_to_num(pixels, copy=False, nan=FARTHEST_PX).clip(-FARTHEST_PX, FARTHEST_PX)
     return pixels.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])

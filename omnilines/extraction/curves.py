@@ -20,6 +20,8 @@ LEAST_INTERVALS, MOST_INTERVALS = 4, 128
 """Between the nodes of an arc: powers of 2."""
 MOST_ERROR_SHARE = 3e-5
 """Error of the cubics, of the change of a pixel with the angle along the arc and across it."""
+MOST_PERIMETERS = 4
+"""Of the image, an arc's most samples: one that is longer runs back and forth, as no camera shows a line."""
 _SAFETY = 3.0
 """Over the bound of Hermite's cubic: its derivatives are differences themselves."""
 
@@ -43,7 +45,8 @@ def samples(model: CameraModel, arcs: Arcs, beyond_px: float) -> Samples:
     intervals = np.exp2(np.ceil(wanted)).clip(LEAST_INTERVALS, MOST_INTERVALS).astype(np.int64)
     curves = _curves(model, arcs, low, high, intervals)
     run = lengths_along(curves, COARSE)
-    starts = np.concatenate([[0], np.cumsum(np.maximum(np.ceil(run[:, -1]), 2).astype(np.int64))])
+    most = MOST_PERIMETERS * 2 * sum(model.image_size)
+    starts = np.concatenate([[0], np.cumsum(np.ceil(run[:, -1]).clip(2, most).astype(np.int64))])
     owner, angle, pixel, across, rate, smooth = read_curves(curves, run, starts)
     valid = np.ones(len(owner), dtype=bool)
     rows = np.flatnonzero(~smooth)

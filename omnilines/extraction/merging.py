@@ -112,7 +112,7 @@ def _seen_from(arcs: Arcs, a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"]) -
 
 def _chi2(arcs: Arcs, pairs: _Pairs, pixels_per_rad: Float[np.ndarray, " n"], edge_sigma_px: float) -> Float[np.ndarray, " k"]:
     half = np.sin(np.clip(0.5 * (arcs.high - arcs.low), 1e-6, 0.5 * np.pi))
-    extra = (edge_sigma_px / pixels_per_rad) ** 2
+    extra = (edge_sigma_px / np.maximum(pixels_per_rad, 1e-9)) ** 2
     loose = arcs.covariance.copy()
     loose[:, 0, 0] += extra
     loose[:, 1, 1] += extra / half**2
