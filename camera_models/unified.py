@@ -101,6 +101,8 @@ class Unified(CameraModel):
         models = []
         for i in others:
             f, f1, f2 = solution[i, :, 0].tolist()
+            if f <= 0:
+                continue
             named = [fx * f, fy * f, cx, cy, skew * f, float(xi[i]), f1 / f, f2 / f, p1, p2]
             models.append(type(self)(named, self.image_size))
         return tuple(model for model in models if float(model.parameters[0]) > 0 and model.max_angle > largest_angle)

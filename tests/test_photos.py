@@ -177,6 +177,6 @@ def test_empty_absent_and_float_images_are_named(tmp_path: Path) -> None:
 
 def test_photos_are_read_with_standard_error_closed(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((3, 5), np.uint8))
-    script = "import os, sys; os.close(2); from omnilines.files.photos import read_photo; print(read_photo(sys.argv[1]).shape)"
+    script = "import os, sys; os.close(2); from omnilines.files import read_photo; print(read_photo(sys.argv[1]).shape)"
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.png")], capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "(3, 5)"

@@ -150,7 +150,12 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
                 raise InputError(
                     f"{file} was expected to hold at most {MOST_BYTES / 1e9:.0f} GB, found {about.st_size / 1e9:.0f}."
                 )
-            return stream.read() if most is None else stream.read(most)
+            content = stream.read() if most is None else stream.read(most)
+            if content is None:  # a file of the kernel that would have to be waited for
+                raise InputError(
+                    f"{file} was expected to be a file, found that it has nothing to read now; save it as a file first."
+                )
+            return content
     except InputError:
         raise
     except FileNotFoundError:

@@ -113,9 +113,14 @@ def stray(name: str) -> str | None:
         return "is an absolute path; leave out the folder"
     if ".." in name.replace("\\", "/").split("/"):
         return "leads out of it; give the folder that holds all photos"
-    if any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+    if not is_text(name):
         return "holds characters that are not text; rename it"
     return None
+
+
+def is_text(name: str) -> bool:
+    """Whether a name is without control characters and halves of pairs."""
+    return not any(unicodedata.category(character) in ("Cc", "Cs") for character in name)
 
 
 def found(value: Any) -> str:

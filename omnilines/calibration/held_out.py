@@ -62,7 +62,10 @@ class ViewTerms:
         at = problem.linearise(optimum)
         gram = problem.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
         own, coupling = gram[:, :6, :6], gram[:, :6, 6:]
-        reduced = gram[:, 6:, 6:] - coupling.mT @ torch.linalg.solve(own, coupling)
+        eliminated, info = torch.linalg.solve_ex(own, coupling)
+        if info.any():  # what a view leaves open of its pose moves nothing
+            eliminated = torch.linalg.pinv(own, hermitian=True) @ coupling
+        reduced = gram[:, 6:, 6:] - coupling.mT @ eliminated
         counts = problem.points.counts.to(reduced.dtype)
         return ViewTerms(reduced[:, :-1, :-1], reduced[:, :-1, -1], reduced[:, -1, -1], counts)
 
@@ -84,7 +87,9 @@ class ViewTerms:
         factor, info = torch.linalg.cholesky_ex(matrix.sum(0) - matrix)
         step = -torch.cholesky_solve((gradient.sum(0) - gradient)[..., None], factor)[..., 0]
         change = 2 * (gradient * step).sum(-1) + (step[:, None] @ matrix @ step[..., None])[:, 0, 0]
-        return HeldOut(len(total), torch.where(info == 0, self.squares_px2 + change, torch.inf), self.counts)
+        # The square of an error that is 0 may round to below it.
+        remaining = (self.squares_px2 + change).clamp_min(0.0)
+        return HeldOut(len(total), torch.where(info == 0, remaining, torch.inf), self.counts)
 
 
 def held_out(problem: BoardProblem, optimum: CameraAndBoards) -> HeldOut:

@@ -74,8 +74,15 @@ def _root(
     """Options of the command as a whole."""
 
 
+LONGEST_WORD = 300
+"""Letters; of a longer one the beginning and the end are told."""
+
+
 def printable(text: str) -> str:
-    """A text in one line, without what a terminal would obey: names of files and cells may hold anything."""
+    """A text in one line, without what a terminal would obey and words without end: names and cells may hold anything."""
+    text = re.sub(
+        rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][: LONGEST_WORD // 2]}...{word[0][-LONGEST_WORD // 4 :]}", text
+    )
     return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
 
 

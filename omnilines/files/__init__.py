@@ -11,13 +11,13 @@ from omnilines.files.photos import (
     find_photos,
     photo_folder,
     photos_of,
-    read_photo,
     write_png,
 )
 from omnilines.files.ply import write_ply
 from omnilines.files.poses import read_poses, write_poses
 from omnilines.files.segments import read_segments, write_segments
 from omnilines.files.vgg_house import read_vgg_lines, read_vgg_points
+from omnilines.photo_file import read_photo
 
 __all__ = [
     "PHOTO_SUFFIXES",

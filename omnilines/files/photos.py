@@ -1,10 +1,7 @@
-"""Photos on disk: finding them in folders, naming them as the tables do, reading and writing them."""
+"""Photos on disk: finding them in folders, naming them as the tables do, writing them."""
 
-import contextlib
 import os
 import re
-import threading
-import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +12,9 @@ import numpy as np
 from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import read_bytes, write_atomically
+from camera_models.formats.disk import write_atomically
+from camera_models.formats.values import is_text
+from omnilines.photo_file import read_photo
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 
@@ -112,7 +111,7 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
     photos = [PhotoRef(Path(path), Path(os.path.relpath(path, root)).as_posix()) for path in found]
     for photo in photos:
         # Control characters, and bytes that are not UTF-8: tables could not hold them.
-        if any(unicodedata.category(character) in ("Cc", "Cs") for character in photo.name):
+        if not is_text(photo.name):
             raise InputError(f"The name of the image {photo.name!r} holds characters that are not text; rename it.")
     return sorted(photos, key=lambda photo: _natural(photo.name))
 
@@ -155,53 +154,7 @@ def _natural(name: str) -> tuple[list[tuple[str, int]], str]:
     return [(text, int(digits or -1)) for text, digits in pieces], name
 
 
-def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
-    """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
-
-    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, or holds
-    other numbers than 8 or 16 bit ones.
-    """
-    file = Path(path)
-    data = np.frombuffer(read_bytes(file), dtype=np.uint8)
-    if not len(data):
-        raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
-    try:
-        with _quiet_codecs():
-            pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    except cv2.error as error:
-        raise InputError(f"The image {file} cannot be decoded ({error.err}); convert it to PNG or JPEG.") from None
-    if pixels is None:
-        raise InputError(f"The image {file} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
-    if pixels.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
-    return pixels
-
-
 def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
     """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
     encoded = cv2.imencode(".png", photo)[1]
     write_atomically(path, encoded.tobytes())
-
-
-_stderr_is_taken = threading.Lock()
-
-
-@contextlib.contextmanager
-def _quiet_codecs() -> Iterator[None]:
-    # libjpeg and libpng write about damaged files to the process's standard error, past OpenCV's logging and past Python.
-    with _stderr_is_taken:
-        try:
-            kept = os.dup(2)
-        except OSError:
-            kept = -1  # standard error is closed: there is nothing to keep quiet
-        if kept < 0:
-            yield
-            return
-        sink = os.open(os.devnull, os.O_WRONLY)
-        try:
-            os.dup2(sink, 2)
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            os.close(sink)

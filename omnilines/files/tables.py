@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text, write_atomically
-from camera_models.formats.values import stray
+from camera_models.formats.values import is_text, stray
 
 LARGEST_PX = 1e7
 """Of a pixel, and of its standard deviation, in a table."""
@@ -99,13 +99,19 @@ class Table:
         return np.array([bool(cell.strip()) for cell in self.columns[column]], dtype=bool)
 
     def names(self, column: str, may_be_empty: bool = False) -> tuple[Int[np.ndarray, " n"], tuple[str, ...]]:
-        """Distinct texts of a column in the order of first appearance, and the index of each row's text; -1 for an empty cell."""
+        """Distinct texts of a column in the order of first appearance, and the index of each row's text; -1 for an empty cell.
+
+        Raises InputError where one holds control characters.
+        """
         filled = self.filled(column)
         if not may_be_empty:
             self.require(filled, column, "a name", "fill it in")
         known: dict[str, int] = {}
         cells = zip(self.columns[column], filled.tolist(), strict=True)
         index = [known.setdefault(cell, len(known)) if there else -1 for cell, there in cells]
+        for name, k in known.items():
+            if not is_text(name):
+                raise self.error(index.index(k), column, "a name", "it holds characters that are not text; rename it")
         return np.array(index, dtype=np.int64), tuple(known)
 
     def name_of_each(self, column: str, group: Int[np.ndarray, " n"], groups: Sequence[str], kind: str) -> tuple[str, ...]:

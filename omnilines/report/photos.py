@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from markupsafe import Markup
 
+from camera_models.errors import InputError
+from omnilines.photo_file import read_photo
 from omnilines.records import Polyline
 from omnilines.report.page import Section, fragment
 
@@ -78,11 +80,13 @@ def _render(folder: pathlib.Path, by_image: dict[str, list[Polyline]], allowed_b
 
 
 def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
-    """The photo as OpenCV sees it (turned as its EXIF says); None where there is none."""
-    if not path.is_file():
+    """The photo in colours of 8 bits; None where there is none that can be read."""
+    try:
+        pixels = read_photo(path)
+    except InputError:
         return None
-    data = np.fromfile(path, dtype=np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    shown = pixels if pixels.dtype == np.uint8 else (pixels >> 8).astype(np.uint8)
+    return shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
 
 
 def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyline], share_bytes: int) -> _Photo | None:
