@@ -24,6 +24,9 @@ PATTERNS: tuple[tuple[str, str], ...] = (
 )
 """(name in a specification, "module:Class"), the most common target first, as help texts list them."""
 
+INVERTED = "inverted"
+"""Last part of a specification of what is printed white on black."""
+
 _LAZY = {
     "Detection": "calib_patterns._pattern",
     "DetectionOptions": "calib_patterns.options",
@@ -43,11 +46,15 @@ def pattern_class(name: str) -> "type[Pattern]":
 
 
 def pattern(specification: str) -> "Pattern":
-    """The target written as `name:arguments`, for example `checkerboard:8x6:32.5mm` (lengths in mm, cm or m).
+    """The target written as `name:arguments`, for example `checkerboard:8x6:32.5mm` (lengths in mm, cm or m); with `:inverted`
+    after it printed white on black.
 
     Raises InputError when the name is unknown or the arguments are malformed.
     """
     name, _, arguments = specification.strip().partition(":")
+    rest, _, last = arguments.rpartition(":")
+    if last.strip() == INVERTED:
+        return importlib.import_module("calib_patterns.inverted").Inverted(pattern_class(name)._from_arguments(rest))
     return pattern_class(name)._from_arguments(arguments)
 
 

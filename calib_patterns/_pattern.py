@@ -168,6 +168,11 @@ def format_length_mm(length_m: float) -> str:
     return f"{Decimal(repr(length_m)).scaleb(3).normalize():f}mm"
 
 
+def format_start(first_tag: int) -> str:
+    """The part of a specification that says which tag of its dictionary is the first of a board."""
+    return f":start={first_tag}" if first_tag else ""
+
+
 def check_image(image: np.ndarray) -> None:
     """Raise InputError unless the image is (h, w) or (h, w, 3) of uint8 or uint16."""
     shape_is_right = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)

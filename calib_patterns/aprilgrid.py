@@ -3,20 +3,22 @@
 As `kalibr_create_target_pdf` prints it: tag ids run from the bottom left along the rows upwards, borders are two bits wide, and
 every corner of a tag touches a black square as wide as the gap, so that corners are saddles. Corner ids are Kalibr's: the rows of
 tag corners from the bottom upwards, each from left to right. The origin is the bottom left corner of tag 0, as in Kalibr; y runs
-down and z into the board, where Kalibr's run up and out of it: corners have y <= 0.
+down and z into the board, where Kalibr's run up and out of it: corners have y <= 0. With `:start=N` the first tag is N of the
+family.
 """
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid, bit_rectangles
-from calib_patterns._pattern import format_length_mm, parse_length
+from calib_patterns._pattern import Pattern, format_length_mm, format_start, parse_length
 from calib_patterns.corner_kind import CornerKind
+from calib_patterns.inverted import Inverted
 from calib_patterns.options import FitOptions
 from calib_patterns.tag_board import TagBoard
 from calib_patterns.tags import TagFamily
@@ -39,6 +41,7 @@ class AprilGrid(TagBoard):
     gap: float
     """Distance between tags over their size."""
     tag_family: str
+    first_tag: int = 0
 
     def __post_init__(self) -> None:
         if min(self.nx, self.ny) < 1 or not self.tag_m > 0 or not 0.05 <= self.gap <= 1.0:
@@ -46,29 +49,40 @@ class AprilGrid(TagBoard):
                 f"An AprilGrid needs at least one tag of positive size and gaps of 0.05 to 1 of it, found "
                 f"{self.nx}x{self.ny} tags of {self.tag_m} m with gaps of {self.gap}; measure both on the print."
             )
-        tags = self.nx * self.ny
+        tags = self.first_tag + self.nx * self.ny
         if tags > FAMILIES.get(self.tag_family, (0, 0))[1]:
             known = ", ".join(name for name, (_, count) in FAMILIES.items() if count >= tags)
             raise InputError(f"A family with at least {tags} tags was expected, found '{self.tag_family}'; use one of {known}.")
 
     @classmethod
     def _from_arguments(cls, arguments: str) -> "AprilGrid":
-        match = re.fullmatch(r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*:([^:]*):\s*(\d*\.?\d+)\s*:\s*(\w+)\s*", arguments)
+        match = re.fullmatch(
+            r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*:([^:]*):\s*(\d*\.?\d+)\s*:\s*(\w+)\s*(?::\s*start=(\d{1,4})\s*)?",
+            arguments,
+        )
         if not match:
             raise InputError(
                 f"Expected aprilgrid:NXxNY:TAG:GAP:FAMILY such as aprilgrid:6x6:35mm:0.3:36h11 (tags along x and y, their size, "
-                f"the gap as a share of it), found 'aprilgrid:{arguments}'; write it in that form."
+                f"the gap as a share of it; after it :start=N or :inverted where the board is so), found "
+                f"'aprilgrid:{arguments}'; write it in that form."
             )
-        return cls(int(match[1]), int(match[2]), parse_length(match[3], f"aprilgrid:{arguments}"), float(match[4]), match[5])
+        nx, ny, tag, gap, family, first_tag = match.groups()
+        return cls(int(nx), int(ny), parse_length(tag, f"aprilgrid:{arguments}"), float(gap), family, int(first_tag or 0))
 
     @classmethod
-    def examples(cls) -> "Sequence[AprilGrid]":
-        """Kalibr's own, an oblong one, and tags of few bits."""
-        return (cls(6, 6, 0.035, 0.3, "36h11"), cls(4, 3, 0.06, 0.25, "25h9"), cls(5, 4, 0.05, 0.3, "16h5"))
+    def examples(cls) -> "Sequence[Pattern]":
+        """Kalibr's own, an oblong one, tags of few bits, other tags, and white on black."""
+        return (
+            cls(6, 6, 0.035, 0.3, "36h11"),
+            cls(4, 3, 0.06, 0.25, "25h9"),
+            cls(5, 4, 0.05, 0.3, "16h5"),
+            cls(4, 4, 0.05, 0.3, "36h11", first_tag=36),
+            Inverted(cls(4, 3, 0.06, 0.3, "36h11")),
+        )
 
     @property
     def specification(self) -> str:
-        return f"{self.NAME}:{self.nx}x{self.ny}:{format_length_mm(self.tag_m)}:{self.gap!r}:{self.tag_family}"
+        return f"{self.NAME}:{self.nx}x{self.ny}:{format_length_mm(self.tag_m)}:{self.gap!r}:{self.tag_family}{format_start(self.first_tag)}"
 
     @property
     def _pitch_m(self) -> float:
@@ -93,7 +107,14 @@ class AprilGrid(TagBoard):
 
     @property
     def family(self) -> TagFamily:
-        return TagFamily(f"APRILTAG_{self.tag_family}", BORDER_BITS, touching=True)
+        return TagFamily(f"APRILTAG_{self.tag_family}", BORDER_BITS, touching=True, first=self.first_tag)
+
+    @property
+    def layouts(self) -> "tuple[AprilGrid, ...]":
+        return (self,)
+
+    def with_first_tag(self, tag: int) -> "AprilGrid":
+        return replace(self, first_tag=tag)
 
     @property
     def _tag_top_left_m(self) -> Float[np.ndarray, "tags 2"]:

@@ -1,21 +1,24 @@
 """ChArUco: a checkerboard with a tag in every white square, `charuco:9x7:30mm:22mm:DICT_5X5_100` has 9 x 7 squares of 30 mm,
 tags of 22 mm.
 
-Geometry, ids and frame are those of OpenCV's CharucoBoard (not its legacy pattern): the origin is the top left corner of the top
-left square, which is black; the inner corners are numbered along x first; the white squares hold tags 0, 1, 2, ... row by row.
+Geometry, ids and frame are those of OpenCV's CharucoBoard: the origin is the top left corner of the top left square, which is
+black; the inner corners are numbered along x first; the white squares hold tags 0, 1, 2, ... row by row. With `:legacy` they are
+those of OpenCV before 4.6 (`setLegacyPattern`): with an even number of rows the top left square is white. With `:start=N` the
+first tag is N of the dictionary.
 """
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from calib_patterns._cells import CellGrid, bit_rectangles
-from calib_patterns._pattern import format_length_mm, parse_length
+from calib_patterns._pattern import Pattern, format_length_mm, format_start, parse_length
 from calib_patterns.corner_kind import CornerKind, squares_kind
+from calib_patterns.inverted import Inverted
 from calib_patterns.options import DetectionOptions, FitOptions
 from calib_patterns.partial import grown, own
 from calib_patterns.saddle_points import Lattice
@@ -46,6 +49,9 @@ class ChArUco(TagBoard):
     square_m: float
     marker_m: float
     dictionary: str
+    legacy: bool = False
+    """Whether it has the layout of OpenCV before 4.6."""
+    first_tag: int = 0
 
     def __post_init__(self) -> None:
         if min(self.nx, self.ny) < 3 or not 0.3 * self.square_m <= self.marker_m <= 0.95 * self.square_m:
@@ -53,7 +59,7 @@ class ChArUco(TagBoard):
                 f"A ChArUco board needs at least 3x3 squares and tags of 0.3 to 0.95 of a square, found {self.nx}x{self.ny}, "
                 f"squares of {self.square_m} m and tags of {self.marker_m} m; measure both on the print."
             )
-        tags = self.nx * self.ny // 2
+        tags = self.first_tag + len(self._squares(white=True))
         if tags > TAGS_OF_DICTIONARY.get(self.dictionary, 0):
             known = ", ".join(name for name, count in TAGS_OF_DICTIONARY.items() if count >= tags)
             raise InputError(
@@ -62,28 +68,36 @@ class ChArUco(TagBoard):
 
     @classmethod
     def _from_arguments(cls, arguments: str) -> "ChArUco":
-        match = re.fullmatch(r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*:([^:]*):([^:]*):\s*(\w+)\s*", arguments)
+        match = re.fullmatch(
+            r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*:([^:]*):([^:]*):\s*(\w+)\s*(:\s*legacy\s*)?(?::\s*start=(\d{1,4})\s*)?",
+            arguments,
+        )
         if not match:
             raise InputError(
                 f"Expected charuco:NXxNY:SQUARE:TAG:DICTIONARY such as charuco:9x7:30mm:22mm:DICT_5X5_100 (squares along x and "
-                f"y, sizes of squares and tags), found 'charuco:{arguments}'; write it in that form."
+                f"y, sizes of squares and tags; after it :legacy, :start=N or :inverted where the board is so), found "
+                f"'charuco:{arguments}'; write it in that form."
             )
-        whole = f"charuco:{arguments}"
-        return cls(int(match[1]), int(match[2]), parse_length(match[3], whole), parse_length(match[4], whole), match[5])
+        nx, ny, square, tag, dictionary, legacy, first_tag = match.groups()
+        square_m, tag_m = (parse_length(text, f"charuco:{arguments}") for text in (square, tag))
+        return cls(int(nx), int(ny), square_m, tag_m, dictionary, legacy is not None, int(first_tag or 0))
 
     @classmethod
-    def examples(cls) -> "Sequence[ChArUco]":
-        """Odd and even counts, large and small tags."""
+    def examples(cls) -> "Sequence[Pattern]":
+        """Odd and even counts, large and small tags, the old layout, white on black, other tags."""
         return (
             cls(9, 7, 0.03, 0.022, "DICT_5X5_100"),
             cls(8, 6, 0.04, 0.03, "DICT_4X4_50"),
             cls(5, 8, 0.035, 0.021, "DICT_APRILTAG_36h11"),
+            cls(8, 6, 0.04, 0.03, "DICT_4X4_50", legacy=True),
+            Inverted(cls(4, 5, 0.054, 0.0405, "DICT_4X4_1000", first_tag=20)),
         )
 
     @property
     def specification(self) -> str:
         lengths = f"{format_length_mm(self.square_m)}:{format_length_mm(self.marker_m)}"
-        return f"{self.NAME}:{self.nx}x{self.ny}:{lengths}:{self.dictionary}"
+        layout = ":legacy" if self.legacy else ""
+        return f"{self.NAME}:{self.nx}x{self.ny}:{lengths}:{self.dictionary}{layout}{format_start(self.first_tag)}"
 
     @property
     def points_m(self) -> Float[np.ndarray, "n 3"]:
@@ -100,12 +114,25 @@ class ChArUco(TagBoard):
 
     @property
     def family(self) -> TagFamily:
-        return TagFamily(self.dictionary.removeprefix("DICT_"), 1, touching=False)
+        return TagFamily(self.dictionary.removeprefix("DICT_"), 1, touching=False, first=self.first_tag)
+
+    @property
+    def layouts(self) -> "tuple[ChArUco, ...]":
+        # With an odd number of rows both are the same.
+        return (self,) if self.ny % 2 else (self, replace(self, legacy=not self.legacy))
+
+    def with_first_tag(self, tag: int) -> "ChArUco":
+        return replace(self, first_tag=tag)
+
+    @property
+    def _first_white(self) -> int:
+        """The column, 0 or 1, of the first white square of the first row."""
+        return 0 if self.legacy and self.ny % 2 == 0 else 1
 
     def _squares(self, white: bool) -> Float[np.ndarray, "n 2"]:
         """Column and row of the white or black squares, row by row."""
         row, column = np.mgrid[: self.ny, : self.nx]
-        chosen = ((row + column) % 2 == 1) == white
+        chosen = ((row + column) % 2 == self._first_white) == white
         return np.stack([column[chosen], row[chosen]], -1).astype(np.float64)
 
     @property
@@ -132,7 +159,9 @@ class ChArUco(TagBoard):
     def corner_kind(self, options: FitOptions) -> CornerKind:
         corners = self.points_m[:, :2]
         column, row = np.rint(corners / self.square_m).astype(np.int64).T
-        return squares_kind(corners, np.where((column + row) % 2 == 1, 1.0, -1.0), self.square_m, self._strip(options))
+        return squares_kind(
+            corners, np.where((column + row) % 2 == self._first_white, 1.0, -1.0), self.square_m, self._strip(options)
+        )
 
     def _with_more_corners(
         self, grey: np.ndarray, piece: Lattice, factors: Float[np.ndarray, "2"], options: DetectionOptions

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from calib_patterns._pattern import Detection, Pattern, PlainGrid, check_image, format_length_mm, parse_length
 from calib_patterns.corner_kind import CornerKind
 from calib_patterns.detection import detect_checkerboard, stretched
+from calib_patterns.inverted import Inverted
 from calib_patterns.options import DetectionOptions, FitOptions
 from calib_patterns.partial import BLOCK_CORNERS
 from calib_patterns.saddle_points import lattices, saddle_points
@@ -59,9 +60,10 @@ class Checkerboard(Pattern):
         return cls(int(match[1]), int(match[2]), parse_length(match[3], f"checkerboard:{arguments}"))
 
     @classmethod
-    def examples(cls) -> "Sequence[Checkerboard]":
-        """Even, odd and mixed counts, and a square grid."""
-        return (cls(8, 6, 0.0325), cls(11, 7, 0.03), cls(7, 6, 0.03), cls(5, 5, 0.1), cls(4, 9, 0.0123))
+    def examples(cls) -> "Sequence[Pattern]":
+        """Even, odd and mixed counts, a square grid, and white on black."""
+        plain = (cls(8, 6, 0.0325), cls(11, 7, 0.03), cls(7, 6, 0.03), cls(5, 5, 0.1), cls(4, 9, 0.0123))
+        return (*plain, Inverted(cls(7, 6, 0.03)))
 
     @property
     def specification(self) -> str:

@@ -145,6 +145,11 @@ VISIBLE_PART = "at least 3 x 3 corners with their squares have to be seen, some 
 
 def why_not(grey: Grey, name: str, options: SearchOptions, needs: str = VISIBLE_PART) -> str:
     """One sentence: the likeliest reason why a target was not found; `needs` ends it where the photo itself is good."""
+    return photo_flaw(grey, name, options) or f"No {name} was found: {needs}."
+
+
+def photo_flaw(grey: Grey, name: str, options: SearchOptions) -> str | None:
+    """One sentence: why a photo cannot show a target; None where it is good."""
     if min(grey.shape) < LEAST_SIDE_PX:
         size = f"{grey.shape[1]}x{grey.shape[0]} px"
         return f"The photo of {size} is too small to show a {name}: give one of {LEAST_SIDE_PX} px or more."
@@ -162,7 +167,7 @@ def why_not(grey: Grey, name: str, options: SearchOptions, needs: str = VISIBLE_
         return (
             f"The photo is too blurred to show a {name}: its steepest edges rise by {steepest:.0f} of 255 grey levels per pixel."
         )
-    return f"No {name} was found: {needs}."
+    return None
 
 
 def _detection(fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], order: np.ndarray) -> Detection:

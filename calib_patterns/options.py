@@ -188,6 +188,16 @@ class AppearanceOptions(NamedTuple):
     """Nor once so many that had more corners around them do not: the photo shows another board, or texture."""
 
 
+class RecognitionOptions(NamedTuple):
+    """How a board with tags is printed where its specification does not say so, decided on a few of the photos."""
+
+    photos: int = 8
+    """Photos that are looked through, spread over all; four times as many where these show no tag of the board."""
+    clear_factor: float = 1.2
+    """How many times as many tags must agree with another print as with the one given. Of the wrong layout of a ChArUco board
+    every other row agrees: half of the tags, and two thirds where three rows are seen."""
+
+
 class GuidedOptions(NamedTuple):
     """Corners that a camera leads to."""
 
@@ -261,6 +271,7 @@ class DetectionOptions:
     growth: GrowthOptions = GrowthOptions()
     pieces: PieceOptions = PieceOptions()
     tags: TagOptions = TagOptions()
+    recognition: RecognitionOptions = RecognitionOptions()
     appearance: AppearanceOptions = AppearanceOptions()
     guided: GuidedOptions = GuidedOptions()
     views: ViewOptions = ViewOptions()

@@ -35,6 +35,15 @@ class TagBoard(Pattern):
 
     @property
     @abstractmethod
+    def layouts(self) -> "tuple[TagBoard, ...]":
+        """This board and those that a specification easily mistakes it for: other orders of the same tags."""
+
+    @abstractmethod
+    def with_first_tag(self, tag: int) -> "TagBoard":
+        """The same board with tags of its dictionary from another one on. Raises InputError where there are too few."""
+
+    @property
+    @abstractmethod
     def tag_corners_m(self) -> Float[np.ndarray, "tags 4 2"]:
         """Corners of every tag on the board, rows by id, in OpenCV's order."""
 
@@ -69,11 +78,14 @@ class TagBoard(Pattern):
             return Detection.empty(), self._why_not(grey, options, tags_found=False)
         if mirrored:
             grey = np.ascontiguousarray(grey[:, ::-1])
-        tags = find_tags(stretched(grey), self.family, self.tag_corners_m, options)
+        rivals_m = [layout.tag_corners_m for layout in self.layouts if layout != self]
+        tags = find_tags(stretched(grey), self.family, self.tag_corners_m, options, rivals_m)
         found = self._grown(grey, tag_corners(tags, self.tag_corners_m), options) if len(tags.ids) else Detection.empty()
         if len(found) < options.appearance.found_share * len(self.points_m):
             by_look = self._seeds_by_appearance(grey, options)
             again = Detection.empty() if by_look is None else self._grown(grey, by_look, options)
+            if len(again) > len(found) == 0 and self._reads_otherwise(grey, options):
+                again = found
             found = max(found, again, key=len)
         if not len(found):
             return found, self._why_not(grey, options, tags_found=bool(len(tags.ids)))
@@ -81,6 +93,11 @@ class TagBoard(Pattern):
             pixels = np.array([grey.shape[1] - 1.0, 0.0]) + found.pixels * [-1.0, 1.0]
             found = Detection(found.ids, pixels, found.sigma_px, found.blur_px)
         return found, None
+
+    def _reads_otherwise(self, grey: np.ndarray, options: DetectionOptions) -> bool:
+        """Whether tags are read that lie as on another of the layouts: much of this one looks like it."""
+        image, rivals = stretched(grey), (layout for layout in self.layouts if layout != self)
+        return any(len(find_tags(image, self.family, rival.tag_corners_m, options).ids) for rival in rivals)
 
     def _grown(self, grey: np.ndarray, seeds: KnownCorners, options: DetectionOptions) -> Detection:
         """The corners grown from known places, none where the tags among them are not seen to be those of the board: clutter

@@ -6,8 +6,8 @@ of which lies where the local affine maps of its neighbours expect it.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import cv2
@@ -35,16 +35,23 @@ class TagFamily:
     """Width of the black border in bits."""
     touching: bool
     """Whether the tags' corners touch other black: they are then parted by widening the white by a pixel."""
+    first: int = 0
+    """Which tag of the dictionary is tag 0 of the board."""
 
     @property
     def opencv(self) -> "cv2.aruco.Dictionary":
         """OpenCV's dictionary."""
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
 
+    @property
+    def count(self) -> int:
+        """Number of tags of the dictionary."""
+        return len(self.opencv.bytesList)
+
     def bits(self, tag: int) -> Bool[np.ndarray, "n n"]:
-        """Black cells of a tag, the border included, in OpenCV's orientation."""
+        """Black cells of a tag of the board, the border included, in OpenCV's orientation."""
         side = self.opencv.markerSize + 2 * self.border_bits
-        return cv2.aruco.generateImageMarker(self.opencv, tag, side, borderBits=self.border_bits) == 0
+        return cv2.aruco.generateImageMarker(self.opencv, self.first + tag, side, borderBits=self.border_bits) == 0
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,11 @@ class Tags:
     ids: Int[np.ndarray, " n"]
     pixels: Float[np.ndarray, "n 4 2"]
     sigma_px: Float[np.ndarray, " n"]
+
+
+_NEXT = 4
+"""Nearest tags that lie next to a tag."""
+_NO_TAGS = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -87,7 +99,7 @@ def _detector(family: TagFamily) -> "cv2.aruco.ArucoDetector":
     return cv2.aruco.ArucoDetector(family.opencv, parameters)
 
 
-def _searched(image: np.ndarray, family: TagFamily, count: int, options: DetectionOptions) -> Iterator[Tags]:
+def read_tags(image: np.ndarray, family: TagFamily, count: int, options: DetectionOptions) -> Iterator[Tags]:
     """What each search finds of the first `count` tags, in pixels of the photo (8 bits)."""
     detector = _detector(family)
     codes = codes_of(family, count, options.tags.corrected_share)
@@ -125,24 +137,41 @@ def _unshrunk(pixels: Float[np.ndarray, "n 4 2"], widen: int) -> Float[np.ndarra
     return middle + (pixels - middle) * (1.0 + 2.0 * widen / np.maximum(side, 1.0))[:, None, None]
 
 
-def find_tags(image: np.ndarray, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"], options: DetectionOptions) -> Tags:
-    """The tags of a board in a photo of 8 bits, each at most once, none that disagrees with the others, and so many that chance
-    does not explain them: two of the tags of 16 bits, one of most others. None where most tags disagree, as they do on a board
-    of another number of squares.
+def find_tags(
+    image: np.ndarray,
+    family: TagFamily,
+    board_m: Float[np.ndarray, "tags 4 2"],
+    options: DetectionOptions,
+    rivals_m: Sequence[Float[np.ndarray, "tags 4 2"]] = (),
+) -> Tags:
+    """The tags of a board in a photo of 8 bits, as `agreeing` takes them; none where more lie as on one of the `rivals_m`.
 
     `board_m`: the corners of every tag of the board, in OpenCV's order, rows by id. The search ends when all are found, or some
     and then no more.
     """
-    found = kept = none = Tags(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
-    for tags in _searched(image, family, len(board_m), options):
-        before = len(kept.ids)
-        found = Tags(*(np.concatenate(columns) for columns in _columns(found, tags)))
-        kept = _agreeing(found, board_m, options.tags.max_misfit)
-        if len(kept.ids) == len(board_m) or len(kept.ids) == before > 0:
+    found, kept = _NO_TAGS, 0
+    for tags in read_tags(image, family, len(board_m), options):
+        before = kept
+        found = joined(found, tags)
+        kept = len(_agreeing(found, board_m, options.tags.max_misfit).ids)
+        if kept == len(board_m) or kept == before > 0:
             break
+    own = agreeing(found, family, board_m, options)
+    if not len(own.ids):
+        return own
+    others = [tags_in_place(agreeing(found, family, m, options), m, options.tags.max_misfit) for m in rivals_m]
+    rivalled = others and max(others) > tags_in_place(own, board_m, options.tags.max_misfit)
+    return _NO_TAGS if rivalled else own
+
+
+def agreeing(found: Tags, family: TagFamily, board_m: Float[np.ndarray, "tags 4 2"], options: DetectionOptions) -> Tags:
+    """Of the tags read in a photo those of a board, each at most once, none that disagrees with the others, and so many that
+    chance does not explain them: two of the tags of 16 bits, one of most others. None where most tags disagree, as they do on a
+    board of another number of squares."""
+    kept = _agreeing(found, board_m, options.tags.max_misfit)
     most = 2 * len(kept.ids) >= len(np.unique(found.ids))
     bits = _evidence_bits(kept, family, codes_of(family, len(board_m), options.tags.corrected_share))
-    return kept if most and bits > options.tags.min_evidence_bits else none
+    return kept if most and bits > options.tags.min_evidence_bits else _NO_TAGS
 
 
 def _evidence_bits(tags: Tags, family: TagFamily, codes: Codes) -> float:
@@ -155,20 +184,35 @@ def _evidence_bits(tags: Tags, family: TagFamily, codes: Codes) -> float:
     return len(tags.ids) * (bits - math.log2(alike)) - math.log2(4 * len(codes.black))
 
 
-def _columns(a: Tags, b: Tags) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    return (a.ids, b.ids), (a.pixels, b.pixels), (a.sigma_px, b.sigma_px)
+def joined(*parts: Tags) -> Tags:
+    """All of several searches."""
+    return Tags(*(np.concatenate([getattr(tags, field.name) for tags in parts]) for field in fields(Tags)))
 
 
 def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"], max_misfit: float) -> Tags:
     """The largest set of tags that agree with each other; of several of one id the first found."""
     if not len(tags.ids):
         return tags
-    on_board = board_m[tags.ids]
+    pairs, linked, right_handed = _linked(tags, board_m[tags.ids], _NEIGHBOURS, max_misfit)
+    # Only true links: SciPy takes a stored False for an edge as well.
+    pairs = pairs[:, linked]
+    graph = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(tags.ids),) * 2)
+    member = connected_components(graph, directed=False)[1]
+    sizes = np.array([len(np.unique(tags.ids[(member == k) & right_handed])) for k in range(member.max() + 1)])
+    in_largest = np.flatnonzero((member == sizes.argmax()) & right_handed)
+    kept = in_largest[np.unique(tags.ids[in_largest], return_index=True)[1]]
+    return Tags(tags.ids[kept], tags.pixels[kept], tags.sigma_px[kept])
+
+
+def _linked(
+    tags: Tags, on_board: Float[np.ndarray, "n 4 2"], neighbours: int, max_misfit: float
+) -> tuple[Int[np.ndarray, "2 m"], Bool[np.ndarray, " m"], Bool[np.ndarray, " n"]]:
+    """Pairs of neighbours on the board, which of them agree, and which tags are not mirrored."""
     # Affine map of each tag: its centre and the mean of opposite sides.
     sides = _sides(tags.pixels) @ np.linalg.inv(_sides(on_board))
     right_handed = np.linalg.det(sides) > 0
     centre_m, centre_px = on_board.mean(1), tags.pixels.mean(1)
-    count = min(_NEIGHBOURS + 1, len(tags.ids))
+    count = min(neighbours + 1, len(tags.ids))
     neighbour = np.asarray(cKDTree(centre_m).query(centre_m, k=count)[1], dtype=np.int64).reshape(-1, count)
     pairs = np.stack([np.repeat(np.arange(len(tags.ids)), count), neighbour.ravel()])
     pairs = np.concatenate([pairs, pairs[::-1]], 1)
@@ -181,14 +225,18 @@ def _agreeing(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"], max_misfit: fl
     size_px = np.sqrt(np.abs(np.linalg.det(_sides(tags.pixels))))[pairs[0]]
     linked = np.where(same, distance_px < 0.3 * size_px, off < max_misfit * distance_px)
     linked &= right_handed[pairs[0]] & right_handed[pairs[1]]
-    # Only true links: SciPy takes a stored False for an edge as well.
-    pairs = pairs[:, linked]
-    graph = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(tags.ids),) * 2)
-    member = connected_components(graph, directed=False)[1]
-    sizes = np.array([len(np.unique(tags.ids[(member == k) & right_handed])) for k in range(member.max() + 1)])
-    in_largest = np.flatnonzero((member == sizes.argmax()) & right_handed)
-    kept = in_largest[np.unique(tags.ids[in_largest], return_index=True)[1]]
-    return Tags(tags.ids[kept], tags.pixels[kept], tags.sigma_px[kept])
+    return pairs, linked, right_handed
+
+
+def tags_in_place(tags: Tags, board_m: Float[np.ndarray, "tags 4 2"], max_misfit: float) -> int:
+    """How many of the tags of a board agree with most of those next to them. On a board with the tags in another order most agree
+    with some that are farther off, and few with their neighbours."""
+    if len(tags.ids) < 2:
+        return len(tags.ids)
+    pairs, linked, _ = _linked(tags, board_m[tags.ids], _NEXT, max_misfit)
+    apart = pairs[0] != pairs[1]
+    seen, agree = (np.bincount(pairs[0][chosen], minlength=len(tags.ids)) for chosen in (apart, apart & linked))
+    return int((2 * agree > seen).sum())
 
 
 def _sides(corners: Float[np.ndarray, "n 4 2"]) -> Float[np.ndarray, "n 2 2"]:

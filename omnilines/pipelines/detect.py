@@ -18,6 +18,7 @@ from camera_models.pose import Pose
 from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
 from omnilines.files.sets import claimed
 from omnilines.pipelines.camera_search import completed, searched
+from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
@@ -47,6 +48,8 @@ class PhotoCorners:
     """With which they were found, and more of them are."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What they were made from, for the provenance of results."""
+    recognised: str | None = None
+    """What the photos show of the print of the target that was not given."""
 
     @staticmethod
     def of_table(
@@ -76,7 +79,7 @@ class PhotoCorners:
     def notes(self) -> tuple[str, ...]:
         """What a person should know of all photos together."""
         remark = None if self.pattern is None else counts_remark(self.pattern, self.corners)
-        return (remark,) if remark else ()
+        return tuple(note for note in (self.recognised, remark) if note)
 
     def detection(self, name: str) -> Detection:
         """The corners of the photo of that name, none where it was skipped."""
@@ -110,6 +113,7 @@ def detect(
     *,
     camera: CameraModel | None = None,
     mirrored: bool = False,
+    recognise: bool = True,
     options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
@@ -117,7 +121,9 @@ def detect(
 
     `photos` are a folder, files and folders, or a mapping of names to arrays (NumPy or torch, grey or BGR); `pattern` may be its
     specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
-    a mirror. A photo that cannot be read, is of another size than most, or shows no target is skipped with its reason.
+    a mirror. `recognise`: a board with tags that a few photos show in another print than the one given (white on black, in the
+    layout of OpenCV before 4.6, with other tags of its dictionary) is taken for what it is. A photo that cannot be read, is of
+    another size than most, or shows no target is skipped with its reason.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
     another image size.
@@ -129,7 +135,9 @@ def detect(
         ((384, 2), (384, 3))
     """
     found_photos = photos_of(photos)
-    target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
+    target, otherwise = parse_pattern(pattern) if isinstance(pattern, str) else pattern, None
+    if recognise:
+        target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
     def look(photo: Photo) -> tuple[Detection, str | None, tuple[int, int] | None]:
         """What one photo shows of the target, why it was skipped, and its size."""
@@ -173,6 +181,7 @@ def detect(
         mirrored,
         options,
         {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
+        otherwise,
     )
 
 

@@ -17,6 +17,7 @@ from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photos_of, write_corners
 from omnilines.files.sets import claimed
 from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
+from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
 
@@ -181,6 +182,13 @@ def detect_rig(
     several = len(boards) > 1
     found: list[CameraCorners] = []
     notes = list(_mismatches(by_camera))
+    every = [photo for own in by_camera.values() for photo in own]
+    for k, board in enumerate(boards):
+        # Of several boards each may show the tags of another.
+        boards[k], otherwise = as_printed(
+            board, every, any_tags=not several, mirrored=mirrored, options=options, progress=progress
+        )
+        notes += [otherwise] if otherwise else []
     for camera, own in by_camera.items():
         perhaps = perhaps_mirrored is None or camera in perhaps_mirrored
         for board in boards:
@@ -250,12 +258,12 @@ def _look(
     progress: ProgressCallback,
 ) -> PhotoCorners:
     try:
-        return detect(photos, pattern, mirrored=mirrored, options=options, progress=progress)
+        return detect(photos, pattern, mirrored=mirrored, recognise=False, options=options, progress=progress)
     except InputError:
         # Tags are not read in a mirror image; the corners of a plain board are found either way.
         if pattern.plain_grid is not None or not perhaps_mirrored or mirrored:
             raise
-        return detect(photos, pattern, mirrored=True, options=options, progress=progress)
+        return detect(photos, pattern, mirrored=True, recognise=False, options=options, progress=progress)
 
 
 def _numbering(pattern: Pattern) -> Numbering:
