@@ -27,9 +27,12 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
+from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
@@ -42,6 +45,7 @@ FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
 class Stages(NamedTuple):
     """The options of what `calibrate` does, as --set names them."""
 
+    frames: FrameOptions
     detection: DetectionOptions
     calibration: CalibrationOptions
 
@@ -67,6 +71,7 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
+    from omnilines.files.videos import find_videos
     from omnilines.pipelines.detect_rig import is_rig
 
     tables = [path for path in photos if path.suffix.lower() == ".csv"]
@@ -79,7 +84,7 @@ def calibrate(
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model, "--model")
-    rig = is_rig(photos)
+    rig = is_rig(photos) or len(find_videos(photos)) > 1
     if not rig and (boards != "fixed" or calibration is not None or hold or set(models) != {""} or set(sizes) - {""}):
         raise InputError(
             "A rig was expected with --boards, --calibration, --hold and options by camera, found one camera; give a folder with "
@@ -91,6 +96,7 @@ def calibrate(
         from camera_models import load
         from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
         from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
+        from omnilines.commands.frames import with_frames
         from omnilines.pipelines.calibrate_rig import RigSetup
 
         options = CalibrationOptions(
@@ -101,16 +107,29 @@ def calibrate(
             mirror=mirror,
             refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
         )
-        detection, options = with_settings(Stages(DetectionOptions(), options), settings or ())
+        frame_options, detection, options = with_settings(Stages(FrameOptions(), DetectionOptions(), options), settings or ())
         if not rig and tables:
             return calibrate_corners(tables[0], sizes[""], out, options, progress=progress)
+
+        def from_frames(command: "Callable[[list[Path]], CommandResult]", target: str) -> "CommandResult":
+            """On the frames of videos, where photos are videos."""
+            return with_frames(
+                command, photos, out, target, mirror=mirror, detection=detection, options=frame_options, progress=progress
+            )
+
         if not rig:
-            return calibrate_photos(photos, pattern or "", out, options, detection=detection, progress=progress)
+            return from_frames(
+                lambda paths: calibrate_photos(paths, pattern or "", out, options, detection=detection, progress=progress),
+                pattern or "",
+            )
         setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
         if tables:
             return calibrate_rig_corners(tables[0], sizes, out, setup, progress=progress)
         patterns = [text.strip() for text in (pattern or "").split(",")]
-        return calibrate_rig_photos(photos[0], patterns, out, setup, detection=detection, progress=progress)
+        return from_frames(
+            lambda paths: calibrate_rig_photos(paths[0], patterns, out, setup, detection=detection, progress=progress),
+            patterns[0],
+        )
 
     run(command, as_json)
 

@@ -10,8 +10,10 @@ from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, app, run
 from omnilines.triangulation import method_options
 
 if TYPE_CHECKING:
+    from omnilines.commands.result import CommandResult
     from omnilines.extraction import ExtractionOptions
     from omnilines.pipelines.options import SceneOptions
+    from omnilines.progress import ProgressCallback
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
@@ -23,7 +25,7 @@ PoseSource = Annotated[
         show_default=False,
     ),
 ]
-ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]
+ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
     Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
@@ -120,6 +122,7 @@ def reconstruct(
             "`robust`, `pose_sigma_deg` and `pose_sigma_m` are for `segments` without photos, found with photos: wrong arcs are "
             "always left out, and their poses have no prior; leave them out."
         )
+    from omnilines.commands.frames import with_frames
     from omnilines.commands.reconstruct import reconstruct_photos
 
     of_photos = bool(photos)
@@ -140,14 +143,18 @@ def reconstruct(
         assert segments is not None
         _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
         return
-    run(
-        lambda progress: reconstruct_photos(
-            photos, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-            scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
-        ),
-        as_json,
-        kept=out / "work",
-    )  # fmt: skip
+
+    def reconstructed(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        return with_frames(
+            lambda paths: reconstruct_photos(
+                paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
+            ),
+            photos or [], out, progress=progress,
+        )  # fmt: skip
+
+    run(reconstructed, as_json, kept=out / "work")
 
 
 PARTS = ("posing.", "matching.", "adjustment.", "structure.")
