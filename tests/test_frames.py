@@ -85,7 +85,8 @@ def test_the_example_holds(video: Path, tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_second_run_leaves_no_frame_of_the_first(video: Path, tmp_path: Path) -> None:
     for most in (6, 3):
         with pytest.raises(SystemExit) as ended:
-            main(["frames", str(video), "--out", str(tmp_path / "f"), "--set", f"frames.most_of_scene={most}"])
+            settings = ["--set", f"frames.most_of_scene={most}", "--set", "frames.step_share=0"]
+            main(["frames", str(video), "--out", str(tmp_path / "f"), *settings])
         assert ended.value.code == 0
     assert len(list((tmp_path / "f").glob("*.png"))) == 3
 
@@ -143,9 +144,8 @@ def test_videos_of_other_rates_are_put_together_by_time(tmp_path: Path) -> None:
 def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:
     """Against all sets of the same size."""
     generator = torch.Generator().manual_seed(seed)
-    factors = torch.randn(9, 2, 4, generator=generator, dtype=torch.float64) * torch.rand(
-        9, 1, 1, generator=generator, dtype=torch.float64
-    )
+    sizes = torch.rand(9, 1, 1, generator=generator, dtype=torch.float64)
+    factors = sizes * torch.randn(9, 2, 4, generator=generator, dtype=torch.float64)
     matrix = factors.mT @ factors
     names = tuple(str(k) for k in range(9))
     chosen = telling_instants([ViewInformation(names, matrix)], {name: k for k, name in enumerate(names)}, 9, 4)
@@ -165,7 +165,7 @@ def test_what_is_no_video_is_refused(kind: str, video: Path, tmp_path: Path) -> 
     }
     file = tmp_path / "film.mp4"
     file.write_bytes(contents[kind])
-    with pytest.raises(InputError, match="film.mp4"):
+    with pytest.raises(InputError, match=r"film\.mp4"):
         ol.frames(file)
 
 
