@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         write_poses,
         write_segments,
     )
+    from omnilines.footage.options import FrameOptions
     from omnilines.matching.options import MatchingOptions
     from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
     from omnilines.pipelines.arcs import PhotoArcs, extract
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import PhotoCorners, detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+    from omnilines.pipelines.frames import ChosenFrames, frames
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.options import SceneOptions
     from omnilines.pipelines.poses import estimate_poses
@@ -61,7 +63,9 @@ if TYPE_CHECKING:
 _provide_cache()
 
 _HOMES = {
-    # Photos of a target -> cameras.
+    # Videos -> frames; photos of a target -> cameras.
+    "omnilines.pipelines.frames": ("frames", "ChosenFrames"),
+    "omnilines.footage.options": ("FrameOptions",),
     "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
     "calib_patterns.options": ("DetectionOptions",),
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
@@ -107,10 +111,12 @@ __all__ = [
     "CalibrationOptions",
     "CalibrationResult",
     "Cancelled",
+    "ChosenFrames",
     "ConversionResult",
     "Corners",
     "DetectionOptions",
     "ExtractionOptions",
+    "FrameOptions",
     "GeometryError",
     "ImagePoses",
     "InputError",
@@ -142,6 +148,7 @@ __all__ = [
     "detect_rig",
     "estimate_poses",
     "extract",
+    "frames",
     "given_arcs",
     "load",
     "read_corners",

@@ -25,7 +25,7 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     if not len(data):
         raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
     try:
-        with _quiet_codecs():
+        with quiet_codecs():
             pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error as error:
         raise InputError(f"The image {file} cannot be decoded ({error.err}); convert it to PNG or JPEG.") from None
@@ -40,7 +40,7 @@ _stderr_is_taken = threading.Lock()
 
 
 @contextlib.contextmanager
-def _quiet_codecs() -> Iterator[None]:
+def quiet_codecs() -> Iterator[None]:
     # libjpeg and libpng write about damaged files to the process's standard error, past OpenCV's logging and past Python.
     with _stderr_is_taken:
         try:

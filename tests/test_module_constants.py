@@ -13,7 +13,18 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 REGISTER = Path(__file__).parent / "module_constants"
-PARTS = ("geometry", "costs", "least_squares", "triangulation", "adjustment", "structure", "extraction", "matching", "posing")
+PARTS = (
+    "geometry",
+    "costs",
+    "least_squares",
+    "triangulation",
+    "adjustment",
+    "structure",
+    "extraction",
+    "footage",
+    "matching",
+    "posing",
+)
 PACKAGES = ("camera_models", "calib_patterns", *(f"omnilines/{part}" for part in (*PARTS, "calibration", "pipelines")))
 MOST_BEHAVIOUR = 99
 

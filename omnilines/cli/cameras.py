@@ -28,9 +28,12 @@ from omnilines.cli._shared import (
     run,
 )
 from omnilines.cli.counts import IN_RIG
+from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
@@ -43,6 +46,7 @@ FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
 class Stages(NamedTuple):
     """The options of what `calibrate` does, as --set names them."""
 
+    frames: FrameOptions
     detection: DetectionOptions
     calibration: CalibrationOptions
 
@@ -90,6 +94,7 @@ def calibrate(
         from camera_models import load
         from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
         from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
+        from omnilines.commands.frames import with_frames
         from omnilines.pipelines.calibrate_rig import RigSetup
 
         options = CalibrationOptions(
@@ -100,17 +105,30 @@ def calibrate(
             mirror=mirror,
             refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
         )
-        detection, options = with_settings(Stages(DetectionOptions(), options), settings or ())
+        frame_options, detection, options = with_settings(Stages(FrameOptions(), DetectionOptions(), options), settings or ())
         if not rig and tables:
             return calibrate_corners(tables[0], sizes[""], out, options, progress=progress)
+
+        def from_frames(command: "Callable[[list[Path]], CommandResult]", target: str) -> "CommandResult":
+            """On the frames of videos, where photos are videos."""
+            return with_frames(
+                command, photos, out, target, mirror=mirror, detection=detection, options=frame_options, progress=progress
+            )
+
         if not rig:
-            return calibrate_photos(photos, pattern or "", out, options, detection=detection, progress=progress)
+            return from_frames(
+                lambda paths: calibrate_photos(paths, pattern or "", out, options, detection=detection, progress=progress),
+                pattern or "",
+            )
         setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
         start = [] if calibration is None else [calibration]
         if tables:
             return calibrate_rig_corners(tables[0], sizes, out, setup, read=start, progress=progress)
         patterns = [text.strip() for text in (pattern or "").split(",")]
-        return calibrate_rig_photos(photos[0], patterns, out, setup, detection=detection, read=start, progress=progress)
+        return from_frames(
+            lambda paths: calibrate_rig_photos(paths[0], patterns, out, setup, detection=detection, read=start, progress=progress),
+            patterns[0],
+        )
 
     run(command, as_json)
 

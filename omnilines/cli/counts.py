@@ -50,6 +50,12 @@ def _of_table(call: Call) -> bool:
     return any(Path(path).suffix.lower() == ".csv" for path in call.values["photos"])
 
 
+def _of_video(call: Call) -> bool:
+    from omnilines.files.videos import find_videos
+
+    return bool(find_videos(call.values["photos"]))
+
+
 def _of_rig(call: Call) -> bool:
     from omnilines.pipelines.detect_rig import is_rig
 
@@ -81,11 +87,18 @@ WITH_PHOTOS = "with photos, found `segments` without them"
 OF_SCENE = ("matching.", "posing.", "structure.", "rough_poses.", "rounds.", "kept_lines.", "frame.", "advice.")
 
 RULES: dict[str, tuple[Rule, ...]] = {
+    "frames": (
+        Rule(("mirror", "detection.", "frames.most_of_target"), lambda call: call.has("pattern"), "with `pattern`"),
+        Rule(("frames.most_of_scene", "frames.step_share"), lambda call: not call.has("pattern"), "without `pattern`"),
+        Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
+    ),
     "detect": (
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),
     "calibrate": (
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
+        Rule(("frames.",), _of_video, "with a video"),
+        Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
         Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "calibration.rig."), _of_rig, IN_RIG),
         Rule(("calibration.duplicates.",), lambda call: not _of_rig(call), "with one camera, found a rig"),

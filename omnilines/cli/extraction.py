@@ -1,13 +1,17 @@
 """The command on arcs: extract."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from omnilines.cli._shared import Json, Out, Settings, app, run
 
-ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)]
+if TYPE_CHECKING:
+    from omnilines.commands.result import CommandResult
+    from omnilines.progress import ProgressCallback
+
+ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
 
 
 @app.command()
@@ -21,8 +25,17 @@ def extract(
 ) -> None:
     """Find arcs of straight lines in photos -> segments.csv and pictures."""
     from omnilines.commands.extract import extract as command
+    from omnilines.commands.frames import with_frames
     from omnilines.extraction import ExtractionOptions
     from omnilines.options import with_settings
 
     options = with_settings(ExtractionOptions(), settings or (), "extraction.")
-    run(lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress), as_json)
+
+    def extracted(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        return with_frames(
+            lambda paths: command(paths, calibration, out, mask=mask, options=options, progress=progress),
+            photos, out, progress=progress,
+        )  # fmt: skip
+
+    run(extracted, as_json)

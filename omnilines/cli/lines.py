@@ -13,8 +13,10 @@ from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
 if TYPE_CHECKING:
+    from omnilines.commands.result import CommandResult
     from omnilines.extraction import ExtractionOptions
     from omnilines.pipelines.options import SceneOptions
+    from omnilines.progress import ProgressCallback
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
@@ -26,7 +28,7 @@ PoseSource = Annotated[
         show_default=False,
     ),
 ]
-ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, or folders of photos.", show_default=False)]
+ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
     Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
@@ -116,6 +118,7 @@ def reconstruct(
         raise InputError(
             "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
+    from omnilines.commands.frames import with_frames
     from omnilines.commands.reconstruct import reconstruct_photos
 
     of_photos = bool(photos)
@@ -135,14 +138,18 @@ def reconstruct(
         assert segments is not None
         _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
         return
-    run(
-        lambda progress: reconstruct_photos(
-            photos, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-            scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
-        ),
-        as_json,
-        kept=out / "work",
-    )  # fmt: skip
+
+    def reconstructed(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        return with_frames(
+            lambda paths: reconstruct_photos(
+                paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
+            ),
+            photos or [], out, progress=progress,
+        )  # fmt: skip
+
+    run(reconstructed, as_json, kept=out / "work")
 
 
 def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":

@@ -1,4 +1,4 @@
-"""Commands on calibration targets: pattern, detect, render targets."""
+"""Commands on calibration targets: pattern, frames, detect, render targets."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +27,8 @@ from omnilines.cli._shared import (
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:
-    pass
+    from omnilines.commands.result import CommandResult
+    from omnilines.progress import ProgressCallback
 
 
 @app.command()
@@ -57,12 +58,52 @@ def detect(
     """Find target corners in photos -> corners.csv."""
     from calib_patterns import DetectionOptions
     from omnilines.commands.detect import detect as command
+    from omnilines.commands.frames import with_frames
 
     options = with_settings(DetectionOptions(), settings or (), "detection.")
+
+    def detected(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        return with_frames(
+            lambda paths: command(
+                paths, pattern, out, calibration=calibration, mirror=mirror, options=options, progress=progress
+            ),
+            photos, out, pattern, mirror=mirror, detection=options, progress=progress,
+        )  # fmt: skip
+
+    run(detected, as_json)
+
+
+@app.command()
+def frames(
+    videos: Annotated[
+        list[Path],
+        typer.Argument(help="A video, or of a rig one for each camera, or a folder of these.", show_default=False),
+    ],
+    out: Out,
+    pattern: Annotated[
+        str | None, typer.Option("--pattern", help="Target: take what tells most of the camera; else of a scene.")
+    ] = None,
+    mirror: Mirror = False,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Choose the frames of a video: still, sharp and telling -> photos, frames.csv."""
+    from typing import NamedTuple
+
+    from calib_patterns import DetectionOptions
+    from omnilines.commands.frames import frames as command
+    from omnilines.footage.options import FrameOptions
+
+    class Stages(NamedTuple):
+        """As --set names them."""
+
+        frames: FrameOptions
+        detection: DetectionOptions
+
+    options, detection = with_settings(Stages(FrameOptions(), DetectionOptions()), settings or ())
     run(
-        lambda progress: command(
-            photos, pattern, out, calibration=calibration, mirror=mirror, options=options, progress=progress
-        ),
+        lambda progress: command(videos, out, pattern, mirror=mirror, detection=detection, options=options, progress=progress),
         as_json,
     )
 

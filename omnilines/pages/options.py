@@ -11,6 +11,7 @@ from typing import Any
 from omnilines.options import walk
 
 STAGES: tuple[tuple[str, str], ...] = (
+    ("frames", "omnilines.footage.options:FrameOptions"),
     ("detection", "calib_patterns.options:DetectionOptions"),
     ("calibration", "omnilines.calibration.options:CalibrationOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),

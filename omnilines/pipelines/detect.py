@@ -98,7 +98,12 @@ class PhotoCorners:
         kept = [(photo, detection) for photo, detection in kept if len(detection)]
         seen = {photo.name for photo, _ in kept}
         skipped = tuple(view for view in self.skipped if view.name not in seen)
-        return replace(self, corners=_table(kept, self.pattern), skipped=skipped, blur_px=_blur_px(kept))
+        return replace(
+            self,
+            corners=corner_table([(photo.name, seen) for photo, seen in kept], self.pattern),
+            skipped=skipped,
+            blur_px=_blur_px(kept),
+        )
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `corners.csv` into a folder, which is made if absent; returns the files."""
@@ -171,7 +176,7 @@ def detect(
             skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
     folder = photo_folder(found_photos)
     return PhotoCorners(
-        _table(kept, target),
+        corner_table([(photo.name, detection) for photo, detection in kept], target),
         size,
         tuple(skipped),
         folder,
@@ -261,8 +266,9 @@ def _blur_px(kept: Sequence[tuple[Photo, Detection]]) -> Float[np.ndarray, "n 2"
     return np.concatenate(blurs) if len(blurs) == len(kept) else None
 
 
-def _table(kept: Sequence[tuple[Photo, Detection]], pattern: Pattern) -> Corners:
-    names = tuple(photo.name for photo, _ in kept)
+def corner_table(kept: Sequence[tuple[str, Detection]], pattern: Pattern) -> Corners:
+    """The corners seen in photos, which are given by their names."""
+    names = tuple(name for name, _ in kept)
     ids = np.concatenate([d.ids for _, d in kept])
     view = np.repeat(np.arange(len(kept)), [len(d) for _, d in kept])
     pixels: Float[np.ndarray, "n 2"] = np.concatenate([d.pixels for _, d in kept])

@@ -16,6 +16,7 @@ from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photos_of, write_corners
 from omnilines.files.sets import claimed
+from omnilines.files.videos import find_videos
 from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
 from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, silent
@@ -131,7 +132,9 @@ def _frames(corners: Corners, cameras: Sequence[str]) -> tuple[str, ...]:
 
 def is_rig(paths: Sequence[Path]) -> bool:
     """Whether this is a rig: a table with several cameras or boards; one folder whose photos all lie in two or more sub-folders,
-    at least one file name standing in two of them."""
+    at least one file name standing in two of them; or several videos."""
+    if len(find_videos(paths)) > 1:
+        return True
     if len(paths) != 1:
         return False
     path = paths[0]

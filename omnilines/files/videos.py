@@ -1,0 +1,166 @@
+"""Videos on disk: found by their suffix, read frame by frame by OpenCV's FFmpeg, never whole in memory."""
+
+import contextlib
+import os
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from camera_models.errors import InputError
+from camera_models.formats.disk import read_bytes
+from omnilines.files.photos import PHOTO_SUFFIXES
+from omnilines.photo_file import quiet_codecs
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".insv", ".360")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of a video."""
+
+    index: int
+    """From 0, of those that can be decoded."""
+    time_s: float
+    """From the beginning of the video, as its container says; by the frame rate where it does not."""
+    pixels: UInt8[np.ndarray, "h w 3"]
+    """BGR, upright as the container says."""
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video file that can be read."""
+
+    path: Path
+    frames_per_s: float
+    count: int
+    """Of its frames, as the container says: an estimate."""
+    image_size: tuple[int, int]
+
+    @staticmethod
+    def of(path: str | Path) -> "Video":
+        """Raises InputError where the file does not exist, or is no video that OpenCV decodes."""
+        file = Path(path)
+        read_bytes(file, most=1)  # says what is wrong with a path, and refuses pipes and devices
+        with _opened(file) as source:
+            rate, count = source.get(cv2.CAP_PROP_FPS), source.get(cv2.CAP_PROP_FRAME_COUNT)
+            read, pixels = source.read()
+        if not read:
+            raise InputError(f"The video {file} cannot be decoded: it is damaged, empty or of another format; convert it to MP4.")
+        size = (pixels.shape[1], pixels.shape[0])
+        # Containers of streams state no length, or a nonsense rate.
+        return Video(file, rate if 1.0 <= rate <= 1000.0 else 30.0, int(count) if 0 < count < 1e8 else 0, size)
+
+    @property
+    def name(self) -> str:
+        """Of the camera that took it, where nothing else is known."""
+        return self.path.stem
+
+    @property
+    def duration_s(self) -> float:
+        """About; 0 where the container does not say."""
+        return self.count / self.frames_per_s
+
+    def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
+        """All frames, or those of the indices wanted, in order; ends where the video does, or where it is damaged."""
+        last = None if wanted is None else max(wanted, default=-1)
+        with _opened(self.path) as source:
+            index = 0
+            while (last is None or index <= last) and _grabbed(source):
+                if wanted is None or index in wanted:
+                    time_ms = source.get(cv2.CAP_PROP_POS_MSEC)
+                    read, pixels = source.retrieve()
+                    if not read:
+                        return
+                    yield Frame(index, 1e-3 * time_ms if time_ms > 0 or not index else index / self.frames_per_s, pixels)
+                index += 1
+
+
+def is_video(path: str | Path) -> bool:
+    """Whether the name is that of a video."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+
+
+def find_videos(paths: Sequence[str | Path]) -> list[Path]:
+    """The videos among files, and in folders that hold videos and no photos, in order of their names; none where there are
+    photos alone. Raises InputError where there are both."""
+    videos: list[Path] = []
+    others: list[Path] = []
+    for path in map(Path, paths):
+        inside = sorted(entry for entry in path.iterdir() if is_video(entry)) if path.is_dir() else []
+        if is_video(path) and not path.is_dir():
+            videos.append(path)
+        elif inside and not any(entry.suffix.lower() in PHOTO_SUFFIXES for entry in path.iterdir()):
+            videos += inside
+        else:
+            others.append(path)
+    if videos and others:
+        raise InputError(f"Videos or photos were expected, found {videos[0]} and {others[0]}; give them one after the other.")
+    return list(dict.fromkeys(videos))
+
+
+def together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
+    """The frames of all videos at each instant: by number where their rates and lengths agree, else each frame of the first with
+    the nearest of the others by time from their beginnings. It ends with the first video that does."""
+    first = videos[0]
+    if all(_alike(first, video) for video in videos):
+        yield from zip(*(video.frames() for video in videos), strict=False)
+        return
+    others = [_Nearest(video.frames()) for video in videos[1:]]
+    for frame in first.frames():
+        beside = [other.at(frame.time_s) for other in others]
+        found = [one for one in beside if one is not None]
+        if len(found) < len(beside):
+            return
+        yield (frame, *found)
+
+
+def _alike(one: Video, other: Video) -> bool:
+    return abs(one.frames_per_s - other.frames_per_s) < 1e-3 * one.frames_per_s and abs(one.count - other.count) <= 1
+
+
+class _Nearest:
+    """The frames of a video by time, which only goes forward."""
+
+    def __init__(self, frames: Iterator[Frame]) -> None:
+        self._frames = frames
+        self._now, self._after = next(frames, None), next(frames, None)
+
+    def at(self, time_s: float) -> Frame | None:
+        """The nearest frame; None where the video has ended."""
+        while self._now is not None and self._after is not None:
+            if abs(self._after.time_s - time_s) >= abs(self._now.time_s - time_s):
+                return self._now
+            self._now, self._after = self._after, next(self._frames, None)
+        return None
+
+
+OPEN_WITH = {
+    # A file may name other files, or addresses, to be played in its place: nothing but the file itself is read.
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": "protocol_whitelist;file|format_whitelist;mov,mp4,matroska,webm,avi,mpeg,mpegts",
+    "OPENCV_FFMPEG_LOGLEVEL": "-8",
+}
+"""Environment that OpenCV reads as it opens a video."""
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    source = cv2.VideoCapture()
+    os.environ.update(OPEN_WITH)
+    try:
+        with quiet_codecs(), contextlib.suppress(cv2.error):
+            source.open(str(path.absolute()), cv2.CAP_FFMPEG)
+        yield source
+    finally:
+        source.release()
+
+
+def _grabbed(source: Any) -> bool:
+    try:
+        return bool(source.grab())
+    except cv2.error:
+        return False

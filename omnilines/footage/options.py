@@ -1,0 +1,23 @@
+"""What decides which frames of a video are taken: frozen, the same for the Python API, the command line and sweeps."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """Of every video of a command."""
+
+    most_of_target: int = 40
+    """Frames that are taken at most of a target, for a calibration."""
+    most_of_scene: int = 100
+    """Frames that are taken at most of a scene, for arcs and lines."""
+    looked_per_s: float = 4.0
+    """Of so many frames of a second one, the stillest, is looked at closely."""
+    most_looked: int = 200
+    """Frames that are looked at closely at most; of a long video fewer of each second."""
+    least_sharpness_share: float = 0.9
+    """The stillest frame is taken among those with this share of the sharpness of the sharpest one near it."""
+    step_share: float = 0.03
+    """Of a scene, a frame is taken once what it shows has moved by this share of the image's width since the last one."""
+    flow_width_px: int = 240
+    """Width to which frames are reduced to measure how fast what they show moves."""

@@ -1,0 +1,188 @@
+"""Videos: which frames are taken, what comes of them, and what is said of files that are none."""
+
+import csv
+import doctest
+import inspect
+import itertools
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from rendered_video import Path6, Shutter, random_path, write_video
+
+import camera_models
+import omnilines as ol
+from calib_patterns import pattern
+from calib_patterns.board_poses import random_board_poses
+from camera_models import InputError
+from camera_models.pose import Pose
+from omnilines.calibration.telling import ViewInformation, telling_instants
+from omnilines.cli import main
+from omnilines.files.videos import Video, find_videos, together
+from omnilines.footage.options import FrameOptions
+from omnilines.footage.stillness import spaced
+
+BOARD = "checkerboard:8x6:30mm"
+LENS = camera_models.OpenCVFisheye([120.0, 120.0, 191.5, 143.5, 0.02, -0.004, 0.0, 0.0], (384, 288))
+OTHER = camera_models.OpenCVFisheye([125.0, 125.0, 190.0, 145.0, 0.01, -0.002, 0.0, 0.0], (384, 288))
+RATE = 10.0
+OPTIONS = FrameOptions(most_of_target=12)
+
+
+@pytest.fixture(scope="module")
+def path() -> Path6:
+    poses = random_board_poses(pattern(BOARD), LENS, 12, math.radians(60), seed=2)
+    return random_path(poses, move_s=0.5, rest_s=0.3)
+
+
+@pytest.fixture(scope="module")
+def video(path: Path6, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A board moved by hand before a fisheye, blurred and sheared as it moves."""
+    file = tmp_path_factory.mktemp("video") / "board.avi"
+    write_video(file, pattern(BOARD), LENS, path, Shutter(0.03, 0.03, 3), RATE)
+    return file
+
+
+def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
+    chosen = ol.frames(video, BOARD, options=OPTIONS)
+    assert 8 <= len(chosen.taken) <= 12 and chosen.notes == ()
+    cycle = path.move_s + path.rest_s
+    resting = [0.0 <= row.time_s % cycle <= path.rest_s for row in chosen.taken]
+    every = path.rest_s / cycle
+    assert np.mean(resting) > 2 * every
+    assert all(row.corners >= 20 for row in chosen.taken)
+    assert {row.reason for row in chosen.taken} == {"it tells much of the camera"}
+    assert all(row.reason for row in chosen.rows)
+    still = np.median([row.motion_px for row in chosen.taken])
+    assert still < 0.5 * np.median([row.motion_px for row in ol.frames(video, options=FrameOptions(looked_per_s=RATE)).rows])
+
+
+def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", str(video), "--pattern", BOARD, "--model", "opencv-fisheye", "--out", str(tmp_path / "out")])
+    assert ended.value.code == 0
+    assert "frames that were looked at closely were taken" in capsys.readouterr().err
+    rows = list(csv.DictReader((tmp_path / "out/frames/frames.csv").read_text().splitlines()))
+    taken = {row["image"] for row in rows if row["taken"] == "yes"}
+    assert taken == {path.name for path in (tmp_path / "out/frames").glob("*.png")} and len(taken) >= 8
+    found = ol.load(tmp_path / "out/calibration.yaml")["cam0"]
+    focal = found.named_parameters()
+    assert abs(focal["fx"] - 120.0) < 0.5 and abs(focal["cx"] - 191.5) < 0.7
+
+
+def test_the_example_holds(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("board.mp4").write_bytes(video.read_bytes())
+    example = doctest.DocTestParser().get_doctest(str(inspect.getdoc(ol.frames)), {"ol": ol}, "frames", None, None)
+    told: list[str] = []
+    doctest.DocTestRunner().run(example, out=told.append)
+    assert example.examples and not told, "".join(told)
+
+
+def test_a_second_run_leaves_no_frame_of_the_first(video: Path, tmp_path: Path) -> None:
+    for most in (6, 3):
+        with pytest.raises(SystemExit) as ended:
+            settings = ["--set", f"frames.most_of_scene={most}", "--set", "frames.step_share=0"]
+            main(["frames", str(video), "--out", str(tmp_path / "f"), *settings])
+        assert ended.value.code == 0
+    rows = csv.DictReader((tmp_path / "f/frames.csv").read_text().splitlines())
+    taken = {row["image"] for row in rows if row["taken"] == "yes"}
+    assert taken == {path.name for path in (tmp_path / "f").glob("*.png")} and 1 <= len(taken) <= 3
+
+
+def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path) -> None:
+    right_from_left = Pose(torch.eye(3, dtype=torch.float64), torch.tensor([-0.05, 0.0, 0.0], dtype=torch.float64))
+    few = Path6(Pose(path.poses.rotation[:6], path.poses.translation[:6]), path.move_s, path.rest_s)
+    beside = Path6(right_from_left @ few.poses, few.move_s, few.rest_s)
+    write_video(tmp_path / "left.avi", pattern(BOARD), LENS, few, frames_per_s=RATE)
+    write_video(tmp_path / "right.avi", pattern(BOARD), OTHER, beside, frames_per_s=RATE)
+    chosen = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=6))
+    left, right = ([row for row in chosen.taken if row.video == number] for number in (0, 1))
+    assert [row.index for row in left] == [row.index for row in right] and len(left) == 6
+    assert left[0].image == f"left/{left[0].index:06d}.png"
+    files = chosen.save(tmp_path / "out")
+    assert len(files) == 13 and all(file.is_file() for file in files)
+    found = ol.detect_rig(tmp_path / "out", BOARD)
+    assert set(found.image_sizes) == {"left", "right"}
+
+
+def test_frames_of_a_scene_are_apart(video: Path) -> None:
+    chosen = ol.frames(video, options=FrameOptions(step_share=0.05, looked_per_s=RATE))
+    assert 0 < len(chosen.taken) < len(chosen.rows)
+    assert [photo.name for photo in chosen.photos()] == [row.image for row in chosen.taken]
+    assert spaced([0.0, 1.0, 2.0, 3.0, 10.0], 2.5, 10) == [0, 3, 4]
+    assert spaced([0.0, 1.0, 2.0, 3.0, 10.0], 0.1, 2) == [0, 4]
+    assert spaced([], 1.0, 3) == []
+
+
+def test_frames_are_read_again_as_they_were(video: Path) -> None:
+    source = Video.of(video)
+    every = {frame.index: frame.pixels for frame in source.frames()}
+    assert list(every) == list(range(len(every))) and abs(len(every) - source.count) <= 1
+    again = list(source.frames([3, 17, 5]))
+    assert [frame.index for frame in again] == [3, 5, 17]
+    assert all(np.array_equal(frame.pixels, every[frame.index]) for frame in again)
+    assert [round(frame.time_s * RATE) for frame in again] == [3, 5, 17]
+
+
+def _plain_video(file: Path, rate: float, seconds: float) -> Path:
+    writer = cv2.VideoWriter(str(file), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), rate, (64, 48))
+    for k in range(int(rate * seconds)):
+        writer.write(np.full((48, 64, 3), k % 256, np.uint8))
+    writer.release()
+    return file
+
+
+def test_videos_of_other_rates_are_put_together_by_time(tmp_path: Path) -> None:
+    slow, fast = (Video.of(_plain_video(tmp_path / f"{rate}.avi", rate, 3.0)) for rate in (10.0, 25.0))
+    pairs = list(together([slow, fast]))
+    assert len(pairs) >= 28
+    assert max(abs(one.time_s - other.time_s) for one, other in pairs) <= 0.5 / 25.0 + 1e-6
+
+
+def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:
+    """Against all sets of the same size."""
+    generator = torch.Generator().manual_seed(seed)
+    sizes = torch.rand(9, 1, 1, generator=generator, dtype=torch.float64)
+    factors = sizes * torch.randn(9, 2, 4, generator=generator, dtype=torch.float64)
+    matrix = factors.mT @ factors
+    names = tuple(str(k) for k in range(9))
+    chosen = telling_instants([ViewInformation(names, matrix)], {name: k for k, name in enumerate(names)}, 9, 4)
+    best = max(float(torch.logdet(matrix[list(group)].sum(0))) for group in itertools.combinations(range(9), 4))
+    assert len(set(chosen)) == 4 and float(torch.logdet(matrix[chosen].sum(0))) > best - 0.05
+
+
+@pytest.mark.parametrize("kind", ["text", "cut", "playlist", "empty"])
+def test_what_is_no_video_is_refused(kind: str, video: Path, tmp_path: Path) -> None:
+    other = tmp_path / "secret.avi"
+    other.write_bytes(video.read_bytes())
+    contents = {
+        "text": b"not a video",
+        "cut": video.read_bytes()[:3000],
+        "playlist": f"#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\n{other}\n#EXT-X-ENDLIST\n".encode(),
+        "empty": b"",
+    }
+    file = tmp_path / "film.mp4"
+    file.write_bytes(contents[kind])
+    with pytest.raises(InputError, match=r"film\.mp4"):
+        ol.frames(file)
+
+
+def test_videos_and_photos_together_are_refused(video: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 20), np.uint8))
+    with pytest.raises(InputError, match="one after the other"):
+        find_videos([video, tmp_path / "a.png"])
+    (tmp_path / "film.avi").write_bytes(video.read_bytes())
+    assert find_videos([tmp_path]) == []
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "film.avi").write_bytes(video.read_bytes())
+    with pytest.raises(InputError, match="two called film"):
+        ol.frames([tmp_path / "film.avi", tmp_path / "b" / "film.avi"])
+
+
+def test_a_video_without_the_target_says_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found in none"):
+        ol.frames(_plain_video(tmp_path / "grey.avi", 10.0, 1.0), BOARD)
