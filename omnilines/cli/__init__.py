@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import typer
 
 from camera_models.errors import OmnilinesError
-from omnilines.cli._shared import app, printable, shortened
+from omnilines.cli._shared import app, bounded, printable
 from omnilines.cli._stopping import stoppable
 from omnilines.cli.spelling import with_flags
 
@@ -48,5 +48,5 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _refuse(sentence: str) -> NoReturn:
     with contextlib.suppress(OSError):  # where standard error cannot be written either, the status says it
-        typer.echo(f"omnilines: {printable(shortened(sentence))}", err=True)
+        typer.echo(f"omnilines: {bounded(printable(sentence))}", err=True)
     sys.exit(2)

@@ -90,12 +90,11 @@ LARGEST_SIDE_PX, LARGEST_PX = 100_000, 2**28
 """Of an image that is asked for: OpenCV's own limits are little above."""
 
 
-LONGEST_SENTENCE, LONGEST_WORD = 1400, 300
+LONGEST_SENTENCE = 1400
 
 
-def shortened(sentence: str) -> str:
-    """A sentence without the middle of what is endless in it: names and values may have any length."""
-    sentence = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:100]}...{word[0][-60:]}", sentence)
+def bounded(sentence: str) -> str:
+    """A sentence without its middle where it is endless: values may have any length."""
     half = LONGEST_SENTENCE // 2
     return sentence if len(sentence) <= LONGEST_SENTENCE else f"{sentence[:half]} ... {sentence[-half:]}"
 
