@@ -21,6 +21,9 @@ from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.calibration.telling import ViewInformation, telling_instants
 from omnilines.cli import main
+from omnilines.commands.frames import with_frames
+from omnilines.commands.result import CommandResult
+from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import spaced
@@ -100,13 +103,44 @@ def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path)
     write_video(tmp_path / "left.avi", pattern(BOARD), LENS, few, frames_per_s=RATE)
     write_video(tmp_path / "right.avi", pattern(BOARD), OTHER, beside, frames_per_s=RATE)
     chosen = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=6))
-    left, right = ([row for row in chosen.taken if row.video == number] for number in (0, 1))
+    left, right = ([row for row in chosen.taken if row.lens == number] for number in (0, 1))
     assert [row.index for row in left] == [row.index for row in right] and len(left) == 6
     assert left[0].image == f"left/{left[0].index:06d}.png"
     files = chosen.save(tmp_path / "out")
     assert len(files) == 13 and all(file.is_file() for file in files)
     found = ol.detect_rig(tmp_path / "out", BOARD)
     assert set(found.image_sizes) == {"left", "right"}
+
+
+def test_lenses_side_by_side_are_cut_apart(tmp_path: Path) -> None:
+    (tmp_path / "both").mkdir()
+    rng = np.random.default_rng(0)
+    left, right = rng.integers(0, 256, (2, 48, 64, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "both/7.png"), np.hstack([left, right]))
+    film = cv2.VideoWriter(str(tmp_path / "both.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (128, 48))
+    for _ in range(5):
+        film.write(np.hstack([left, right]))
+    film.release()
+    chosen = ol.frames(tmp_path / "both.avi", split="left,right")
+    assert [lens.image_size for lens in chosen.lenses] == [(64, 48)] * 2
+    photos = {photo.name: photo.pixels for photo in chosen.photos()}
+    assert sorted(photos) == ["left/000000.png", "right/000000.png"]
+    assert np.abs(photos["right/000000.png"].astype(int) - right).mean() < 3.0  # colours of half resolution
+    assert [part.shape for part in Split.of("top/bottom").parts(left)] == [(24, 64, 3)] * 2
+    seen: list[list[Path]] = []
+
+    def command(paths: list[Path]) -> CommandResult:
+        seen.append(paths)
+        return CommandResult((), {})
+
+    with_frames(command, [tmp_path / "both"], tmp_path / "out", split="left,right")
+    assert seen == [[tmp_path / "out/frames"]]
+    assert np.array_equal(cv2.imread(str(tmp_path / "out/frames/right/7.png")), right)
+    for wrong in ("left", "a,a", "a,b/c", "../x,y"):
+        with pytest.raises(InputError, match="names of lenses"):
+            Split.of(wrong)
+    with pytest.raises(InputError, match="equal parts"):
+        Split.of("a,b,c").parts(left)
 
 
 def test_frames_of_a_scene_are_apart(video: Path) -> None:

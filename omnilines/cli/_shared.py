@@ -56,6 +56,10 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="An option by its name, such as scene.min_views=3; may be given again.", show_default=False),
 ]
+SplitInto = Annotated[
+    str | None,
+    typer.Option("--split", help="Lenses side by side in every image, as left,right; one above the other, as top/bottom."),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 

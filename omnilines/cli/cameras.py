@@ -21,6 +21,7 @@ from omnilines.cli._shared import (
     Seed,
     Settings,
     Size,
+    SplitInto,
     Views,
     app,
     parse_each,
@@ -69,6 +70,7 @@ def calibrate(
     boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
     calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
+    split: SplitInto = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -85,7 +87,7 @@ def calibrate(
         raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model or "", "--model")
-    rig = is_rig(photos)
+    rig = is_rig(photos) or split is not None
     if not rig and (set(models) - {""} or set(sizes) - {""}):
         raise InputError(f"Options by camera count only {IN_RIG}, found one camera; name no camera.")
 
@@ -112,8 +114,9 @@ def calibrate(
         def from_frames(command: "Callable[[list[Path]], CommandResult]", target: str) -> "CommandResult":
             """On the frames of videos, where photos are videos."""
             return with_frames(
-                command, photos, out, target, mirror=mirror, detection=detection, options=frame_options, progress=progress
-            )
+                command, photos, out, target, split=split, mirror=mirror, detection=detection, options=frame_options,
+                progress=progress,
+            )  # fmt: skip
 
         if not rig:
             return from_frames(

@@ -59,7 +59,7 @@ def _of_video(call: Call) -> bool:
 def _of_rig(call: Call) -> bool:
     from omnilines.pipelines.detect_rig import is_rig
 
-    return is_rig(call.values["photos"])
+    return is_rig(call.values["photos"]) or call.has("split")
 
 
 def _of_board_photos(call: Call) -> bool:
@@ -98,6 +98,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "calibrate": (
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
+        Rule(("split",), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
         Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "calibration.rig."), _of_rig, IN_RIG),
@@ -112,6 +113,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "scene": (Rule(("texture_m", "textured"), lambda call: call.has("textures"), "with `textures`"),),
     "reconstruct": (
         Rule(("mask", "extraction."), lambda call: not call.has("segments"), "without `segments`: arcs are not looked for then"),
+        Rule(("split",), _of_photos, WITH_PHOTOS),
         Rule(("robust",), _of_segments, "with `segments` in place of photos: wrong arcs of photos are always left out"),
         Rule(("pose_sigma_deg", "pose_sigma_m"), _of_segments, "with `segments` in place of photos"),
         Rule(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Out, Settings, app, run
+from omnilines.cli._shared import Json, Out, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -20,6 +20,7 @@ def extract(
     calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
     out: Out,
     mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    split: SplitInto = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -35,7 +36,7 @@ def extract(
         """What these options ask for."""
         return with_frames(
             lambda paths: command(paths, calibration, out, mask=mask, options=options, progress=progress),
-            photos, out, progress=progress,
+            photos, out, split=split, progress=progress,
         )  # fmt: skip
 
     run(extracted, as_json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, app, run
+from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -110,6 +110,7 @@ def reconstruct(
     device: Device = "cpu",
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
+    split: SplitInto = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -146,7 +147,7 @@ def reconstruct(
                 paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
                 scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
             ),
-            photos or [], out, progress=progress,
+            photos or [], out, split=split, progress=progress,
         )  # fmt: skip
 
     run(reconstructed, as_json, kept=out / "work")

@@ -18,6 +18,7 @@ from omnilines.cli._shared import (
     Seed,
     Settings,
     Size,
+    SplitInto,
     Views,
     app,
     parse_size,
@@ -81,6 +82,7 @@ def frames(
         typer.Argument(help="A video, or of a rig one for each camera, or a folder of these.", show_default=False),
     ],
     out: Out,
+    split: SplitInto = None,
     pattern: Annotated[
         str | None, typer.Option("--pattern", help="Target: take what tells most of the camera; else of a scene.")
     ] = None,
@@ -103,7 +105,9 @@ def frames(
 
     options, detection = with_settings(Stages(FrameOptions(), DetectionOptions()), settings or ())
     run(
-        lambda progress: command(videos, out, pattern, mirror=mirror, detection=detection, options=options, progress=progress),
+        lambda progress: command(
+            videos, out, pattern, split=split, mirror=mirror, detection=detection, options=options, progress=progress
+        ),
         as_json,
     )
 

@@ -3,12 +3,15 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from calib_patterns import DetectionOptions
 from omnilines.commands.result import CommandResult
+from omnilines.files import find_photos, write_png
 from omnilines.files.folders import check_results
+from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
+from omnilines.files.split import Split
 from omnilines.files.videos import find_videos
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.frames import TABLE, ChosenFrames
@@ -25,6 +28,7 @@ def frames(
     out: Path,
     pattern_spec: str | None = None,
     *,
+    split: str | None = None,
     mirror: bool = False,
     detection: DetectionOptions = DetectionOptions(),
     options: FrameOptions = FrameOptions(),
@@ -35,7 +39,7 @@ def frames(
     Frames of an earlier run that are not taken any more are removed. Raises InputError as `pipelines.frames.frames` does.
     """
     check_results(out, [TABLE], videos)
-    chosen = pipeline(videos, pattern_spec, mirrored=mirror, detection=detection, options=options, progress=progress)
+    chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
     with claimed(out, chosen.names, videos, by="frames") as folder:
         files = chosen.save(folder, progress)
     return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes)
@@ -47,48 +51,68 @@ def with_frames(
     out: Path,
     pattern_spec: str | None = None,
     *,
+    split: str | None = None,
     mirror: bool = False,
     detection: DetectionOptions = DetectionOptions(),
     options: FrameOptions = FrameOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """The result of a command on photos; where videos are given, on their frames, which are written to `out/frames`."""
-    if not find_videos(paths):
-        return command(list(paths))
+    """The result of a command on photos; where videos are given, on their frames, which are written to `out/frames`, and with
+    `split` on what each lens sees of the photos, written there too."""
     folder = out / FOLDER
-    made = frames(paths, folder, pattern_spec, mirror=mirror, detection=detection, options=options, progress=progress)
+    if not find_videos(paths):
+        if split is None:
+            return command(list(paths))
+        _cut(paths, folder, Split.of(split), progress)
+        return command([folder])
+    made = frames(
+        paths, folder, pattern_spec, split=split, mirror=mirror, detection=detection, options=options, progress=progress
+    )
     taken, looked = made.data["taken"], made.data["looked_at"]
     note = f"{taken} of {looked} frames that were looked at closely were taken; {folder / TABLE} says why."
     result = command([folder])
     return replace(result, warnings=(note, *made.warnings, *result.warnings))
 
 
+def _cut(paths: Sequence[Path], folder: Path, split: Split, progress: ProgressCallback) -> None:
+    """Write what each lens sees of photos into a folder for each."""
+    photos = find_photos(paths)
+    require_distinct_stems(photos)
+    names = {photo.name: str(PurePosixPath(photo.name).with_suffix(".png")) for photo in photos}
+    results = [f"{lens}/{name}" for lens in split.names for name in names.values()]
+    with claimed(folder, results, [*paths, *(photo.path for photo in photos)], by="split"):
+        for done, photo in enumerate(photos, 1):
+            for lens, pixels in zip(split.names, split.parts(photo.read()), strict=True):
+                path = folder / lens / names[photo.name]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_png(path, pixels)
+            progress("cutting photos", done, len(photos))
+
+
 def _summaries(chosen: ChosenFrames, out: Path) -> list[Summary]:
     found = []
-    for number, video in enumerate(chosen.videos):
-        rows = [row for row in chosen.rows if row.video == number]
+    for number, lens in enumerate(chosen.lenses):
+        rows = [row for row in chosen.rows if row.lens == number]
         taken = [row for row in rows if row.taken]
         left = Counter(row.reason for row in rows if not row.taken)
         lines = [
-            ("video", f"{video.duration_s:.1f} s, {video.count} frames of {'x'.join(map(str, video.image_size))} px"),
+            ("video", f"{lens.video.duration_s:.1f} s, {lens.video.count} frames of {'x'.join(map(str, lens.image_size))} px"),
             ("looked at closely", f"{len(rows)} frames"),
-            (
-                "taken",
-                f"{len(taken)} frames, at {', '.join(f'{row.time_s:.1f}' for row in taken[:8])}{' ...' * (len(taken) > 8)} s",
-            ),
+            ("taken", f"{len(taken)} frames"),
             *((reason, f"{count} frames") for reason, count in left.most_common(4)),
         ]
-        found.append(Summary(f"Frames of {video.path.name}", tuple(lines), (f"written to {out}",)))
+        title = f"Frames of {lens.video.path.name}" + (f", {lens.name}" if lens.split else "")
+        found.append(Summary(title, tuple(lines), (f"written to {out}",)))
     return found
 
 
 def _data(chosen: ChosenFrames) -> dict[str, object]:
     return {
-        "videos": [str(video.path) for video in chosen.videos],
+        "videos": list(dict.fromkeys(str(lens.video.path) for lens in chosen.lenses)),
         "looked_at": len(chosen.rows),
         "taken": len(chosen.taken),
         "frames": [
-            {"image": row.image, "video": chosen.videos[row.video].path.name, "frame": row.index, "time_s": row.time_s,
+            {"image": row.image, "video": chosen.lenses[row.lens].video.path.name, "frame": row.index, "time_s": row.time_s,
              "motion_px": row.motion_px, "sharpness": row.sharpness, "corners": row.corners, "taken": row.taken,
              "reason": row.reason}
             for row in chosen.rows

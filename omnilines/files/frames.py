@@ -17,8 +17,8 @@ class FrameRow:
 
     image: str
     """Its name as a photo."""
-    video: int
-    """Number of its video."""
+    lens: int
+    """Number of its camera."""
     index: int
     """From 0, within the video."""
     time_s: float
@@ -34,11 +34,11 @@ class FrameRow:
 
 
 def write_frames(path: str | Path, rows: Sequence[FrameRow], videos: Sequence[str]) -> None:
-    """Write the table; `videos` are their names. Raises InputError where it cannot be written."""
+    """Write the table; `videos` are the names of the files of its cameras. Raises InputError where it cannot be written."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for row in rows:
         measures = (f"{row.time_s:.4f}", f"{row.motion_px:.3f}", f"{row.sharpness:.3f}", row.corners)
-        writer.writerow((row.image, videos[row.video], row.index, *measures, "yes" if row.taken else "no", row.reason))
+        writer.writerow((row.image, videos[row.lens], row.index, *measures, "yes" if row.taken else "no", row.reason))
     write_atomically(path, text.getvalue())

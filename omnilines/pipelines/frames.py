@@ -3,7 +3,7 @@
 import itertools
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,22 +15,66 @@ from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
 from omnilines.files.frames import FrameRow, write_frames
+from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, Look, Meter, spaced, stillest
 from omnilines.pipelines.detect import corner_table
+from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 GUIDE = "scaramuzza"
 """The model by which views are compared: it fits lenses of every width."""
 TABLE = "frames.csv"
+LOOKED_FIRST = 16
+"""Frames of each video, evenly spread over it, that show how a board of tags is printed."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera: a video, or a part of one that shows what several lenses see."""
+
+    video: Video
+    split: Split | None
+    part: int
+    name: str
+
+    def of(self, pixels: np.ndarray) -> np.ndarray:
+        """What it sees of a frame of its video."""
+        return pixels if self.split is None else self.split.parts(pixels)[self.part]
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height (px)."""
+        width, height = self.video.image_size
+        share = 1 if self.split is None else len(self.split.names)
+        return (width, height // share) if self.split is not None and self.split.stacked else (width // share, height)
+
+
+def _lenses(videos: Sequence[Video], split: Split | None) -> tuple[Lens, ...]:
+    """In order. Raises InputError where two would have one name."""
+    if split is None:
+        lenses = tuple(Lens(video, None, 0, video.name) for video in videos)
+    else:
+        several = len(videos) > 1
+        lenses = tuple(
+            Lens(video, split, part, f"{video.name}-{name}" if several else name)
+            for video in videos
+            for part, name in enumerate(split.names)
+        )
+    names = [lens.name for lens in lenses]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"Videos with names of their own were expected, found two called {twice}; rename one of them.")
+    return lenses
 
 
 @dataclass(frozen=True)
 class ChosenFrames:
     """The frames of one or more videos that were looked at closely, and which of them were taken."""
 
-    videos: tuple[Video, ...]
+    lenses: tuple[Lens, ...]
+    """The cameras."""
     rows: tuple[FrameRow, ...]
     """Of every frame that was looked at, with why it was taken or not."""
     notes: tuple[str, ...] = ()
@@ -47,17 +91,20 @@ class ChosenFrames:
 
     def read(self) -> Iterator[PhotoArray]:
         """The frames taken, as photos; the videos are decoded once more."""
-        for number, video in enumerate(self.videos):
-            wanted = {row.index: row.image for row in self.taken if row.video == number}
+        for video in dict.fromkeys(lens.video for lens in self.lenses):
+            wanted: dict[int, list[FrameRow]] = {}
+            for row in self.taken:
+                if self.lenses[row.lens].video == video:
+                    wanted.setdefault(row.index, []).append(row)
             for frame in video.frames(wanted.keys()):
-                yield PhotoArray(wanted[frame.index], frame.pixels)
+                yield from (PhotoArray(row.image, self.lenses[row.lens].of(frame.pixels)) for row in wanted[frame.index])
 
     def photos(self) -> list[PhotoArray]:
         """`read`, all in memory: for `detect`, `extract` and the like."""
         return list(self.read())
 
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
-        """Write the frames as PNG, of several videos one folder for each, and `frames.csv`, which says why; returns the files."""
+        """Write the frames as PNG, of several cameras a folder for each, and `frames.csv`, which says why; returns the files."""
         files = []
         for done, photo in enumerate(self.read(), 1):
             path = Path(folder) / photo.name
@@ -66,7 +113,7 @@ class ChosenFrames:
             files.append(path)
             progress("writing frames", done, len(self.taken))
         table = Path(folder) / TABLE
-        write_frames(table, self.rows, [video.path.name for video in self.videos])
+        write_frames(table, self.rows, [lens.video.path.name for lens in self.lenses])
         return (*files, table)
 
 
@@ -74,6 +121,7 @@ def frames(
     videos: str | Path | Sequence[str | Path],
     pattern: Pattern | str | None = None,
     *,
+    split: Split | str | None = None,
     mirrored: bool = False,
     detection: DetectionOptions = DetectionOptions(),
     options: FrameOptions = FrameOptions(),
@@ -86,7 +134,8 @@ def frames(
     by motion (rolling shutter) count as noise. Without one, those are taken between which the scene has moved.
 
     Videos of the same rate and length belong together frame by frame, others by time from their beginning. Raises InputError
-    where there is no video, one cannot be decoded, or no frame shows the pattern.
+    where there is no video, one cannot be decoded, or no frame shows the pattern. `split`, such as `left,right`, cuts frames that
+    show two lenses side by side into those of two cameras.
 
         >>> chosen = ol.frames("board.mp4", "checkerboard:8x6:30mm")
         >>> 10 <= len(chosen.taken) <= 40, chosen.taken[0].reason
@@ -99,23 +148,30 @@ def frames(
     sources = tuple(Video.of(path) for path in find_videos(given))
     if not sources:
         raise InputError(f"A video was expected, found none in {' '.join(map(str, given)) or 'an empty list'}; give one.")
-    _require_distinct_names(sources)
+    lenses = _lenses(sources, Split.of(split) if isinstance(split, str) else split)
     target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
-    search = _Search(sources, target, mirrored, detection, options)
+    notes: tuple[str, ...] = ()
+    if target is not None and target.plain_grid is None:
+        first = _spread(sources)
+        target, otherwise = as_printed(target, first, any_tags=True, mirrored=mirrored, options=detection, progress=progress)
+        notes = () if otherwise is None else (otherwise,)
+    search = _Search(lenses, target, mirrored, detection, options)
     looked = search.looked(progress)
     if not looked:
         raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
     if target is None:
-        rows = _of_scene(sources, looked, options)
-        return ChosenFrames(sources, rows)
-    return _of_target(sources, looked, target, options)
+        return ChosenFrames(lenses, _of_scene(lenses, looked, options))
+    chosen = _of_target(lenses, looked, target, options)
+    return replace(chosen, notes=notes + chosen.notes)
 
 
-def _require_distinct_names(videos: Sequence[Video]) -> None:
-    names = [video.name for video in videos]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"Videos with names of their own were expected, found two called {twice}; rename one of them.")
+def _spread(videos: Sequence[Video]) -> list[PhotoArray]:
+    """A few frames from all over each video."""
+    found = []
+    for video in videos:
+        wanted = {int(index) for index in np.linspace(0, max(video.count - 1, LOOKED_FIRST), LOOKED_FIRST)}
+        found += [PhotoArray(f"{video.path.name}, frame {frame.index}", frame.pixels) for frame in video.frames(wanted)]
+    return found
 
 
 @dataclass(frozen=True)
@@ -133,7 +189,7 @@ class _Looked:
 class _Search:
     """What is looked for in the frames."""
 
-    videos: tuple[Video, ...]
+    lenses: tuple[Lens, ...]
     target: Pattern | None
     mirrored: bool
     detection: DetectionOptions
@@ -141,7 +197,7 @@ class _Search:
 
     def looked(self, progress: ProgressCallback) -> list[_Looked]:
         """The stillest instants, a few at a time in memory, their targets found on all cores."""
-        longest_s = max(video.duration_s for video in self.videos)
+        longest_s = max(lens.video.duration_s for lens in self.lenses)
         stretch_s = max(1.0 / self.options.looked_per_s, longest_s / self.options.most_looked)
         still = stillest(self._instants(progress), stretch_s, self.options)
         found: list[_Looked] = []
@@ -157,50 +213,49 @@ class _Search:
         return _Looked(instant.index, instant.time_s, instant.looks, tuple(d for d, _ in seen), tuple(r for _, r in seen))
 
     def _instants(self, progress: ProgressCallback) -> Iterator[Instant]:
-        meters = [Meter(self.options) for _ in self.videos]
-        total = max(video.count for video in self.videos)
-        for done, shown in enumerate(together(self.videos), 1):
-            looks = tuple(meter.look(frame.pixels) for meter, frame in zip(meters, shown, strict=True))
-            yield Instant(
-                tuple(frame.index for frame in shown),
-                tuple(frame.time_s for frame in shown),
-                tuple(frame.pixels for frame in shown),
-                looks,
-            )
+        videos = tuple(dict.fromkeys(lens.video for lens in self.lenses))
+        place = [videos.index(lens.video) for lens in self.lenses]
+        meters = [Meter(self.options) for _ in self.lenses]
+        total = max(video.count for video in videos)
+        for done, shown in enumerate(together(videos), 1):
+            frames = [shown[number] for number in place]
+            pixels = tuple(lens.of(frame.pixels) for lens, frame in zip(self.lenses, frames, strict=True))
+            looks = tuple(meter.look(own) for meter, own in zip(meters, pixels, strict=True))
+            yield Instant(tuple(f.index for f in frames), tuple(f.time_s for f in frames), pixels, looks)
             progress("reading frames", min(done, total), total)
 
 
-def _of_scene(videos: Sequence[Video], looked: Sequence[_Looked], options: FrameOptions) -> tuple[FrameRow, ...]:
+def _of_scene(lenses: Sequence[Lens], looked: Sequence[_Looked], options: FrameOptions) -> tuple[FrameRow, ...]:
     """Those between which what the first camera sees has moved."""
     way = [instant.looks[0].travelled_px for instant in looked]
-    kept = set(spaced(way, options.step_share * videos[0].image_size[0], options.most_of_scene))
+    kept = set(spaced(way, options.step_share * lenses[0].image_size[0], options.most_of_scene))
     reasons = ["the scene has moved since the frame before" if place in kept else "it shows what another frame shows"
                for place in range(len(looked))]  # fmt: skip
-    return _rows(videos, looked, kept, [[reason] * len(videos) for reason in reasons])
+    return _rows(lenses, looked, kept, [[reason] * len(lenses) for reason in reasons])
 
 
-def _of_target(videos: tuple[Video, ...], looked: Sequence[_Looked], target: Pattern, options: FrameOptions) -> ChosenFrames:
+def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Pattern, options: FrameOptions) -> ChosenFrames:
     """Those that tell most of the cameras."""
     instants: dict[str, int] = {}
     cameras: list[ViewInformation] = []
     notes: list[str] = []
-    for number, video in enumerate(videos):
-        named = [(_image(videos, number, one), one.seen[number]) for one in looked if len(one.seen[number])]
-        instants |= {_image(videos, number, one): place for place, one in enumerate(looked)}
+    for number, lens in enumerate(lenses):
+        named = [(_image(lenses, number, one), one.seen[number]) for one in looked if len(one.seen[number])]
+        instants |= {_image(lenses, number, one): place for place, one in enumerate(looked)}
         if not named:
             why = (looked[0].reasons[number] or "").rstrip(".")
-            if len(videos) == 1:
+            if len(lenses) == 1:
                 raise InputError(
                     f"The pattern {target.specification} was expected in at least one of the {len(looked)} stillest frames "
-                    f"of {video.path}, found in none (first reason: {why}); check its counts of inner corners."
+                    f"of {lens.video.path}, found in none (first reason: {why}); check its counts of inner corners."
                 )
-            notes.append(f"{video.path.name}: the pattern {target.specification} was found in none of {len(looked)} frames.")
+            notes.append(f"{lens.name}: the pattern {target.specification} was found in none of {len(looked)} frames.")
             continue
         corners = corner_table(named, target)
         try:
-            cameras.append(view_information(corners, calibrate_camera(corners, video.image_size, GUIDE)))
+            cameras.append(view_information(corners, calibrate_camera(corners, lens.image_size, GUIDE)))
         except (InputError, GeometryError) as error:
-            notes.append(f"{video.path.name}: its frames are not compared by what they tell of the camera: {error}")
+            notes.append(f"{lens.name}: its frames are not compared by what they tell of the camera: {error}")
     seen = [place for place, one in enumerate(looked) if any(map(len, one.seen))]
     if cameras:
         kept = set(telling_instants(cameras, instants, len(looked), options.most_of_target))
@@ -218,27 +273,27 @@ def _of_target(videos: tuple[Video, ...], looked: Sequence[_Looked], target: Pat
             return "it tells much of the camera" if len(one.seen[number]) else "another camera sees the target"
         if not len(one.seen[number]):
             return one.reasons[number] or "no corner was found"
-        fits = not cameras or _image(videos, number, one) in known
+        fits = not cameras or _image(lenses, number, one) in known
         return "others tell more of the camera" if fits else "its corners do not fit the camera"
 
-    reasons = [[reason(place, number) for number in range(len(videos))] for place in range(len(looked))]
-    return ChosenFrames(videos, _rows(videos, looked, kept, reasons), tuple(notes))
+    reasons = [[reason(place, number) for number in range(len(lenses))] for place in range(len(looked))]
+    return ChosenFrames(lenses, _rows(lenses, looked, kept, reasons), tuple(notes))
 
 
-def _image(videos: Sequence[Video], number: int, looked: _Looked) -> str:
-    """The name of a frame as a photo; of several videos those of one instant have the same in folders of their own."""
-    if len(videos) == 1:
+def _image(lenses: Sequence[Lens], number: int, looked: _Looked) -> str:
+    """The name of a frame as a photo; of several cameras those of one instant have the same in folders of their own."""
+    if len(lenses) == 1:
         return f"{looked.index[0]:06d}.png"
-    return f"{videos[number].name}/{looked.index[0]:06d}.png"
+    return f"{lenses[number].name}/{looked.index[0]:06d}.png"
 
 
 def _rows(
-    videos: Sequence[Video], looked: Sequence[_Looked], kept: set[int], reasons: Sequence[Sequence[str]]
+    lenses: Sequence[Lens], looked: Sequence[_Looked], kept: set[int], reasons: Sequence[Sequence[str]]
 ) -> tuple[FrameRow, ...]:
     return tuple(
         FrameRow(
-            image=_image(videos, number, one),
-            video=number,
+            image=_image(lenses, number, one),
+            lens=number,
             index=one.index[number],
             time_s=one.time_s[number],
             motion_px=one.looks[number].motion_px,
@@ -248,5 +303,5 @@ def _rows(
             reason=reasons[place][number],
         )
         for place, one in enumerate(looked)
-        for number in range(len(videos))
+        for number in range(len(lenses))
     )
