@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "reconstruct": (("reconstruct", *SCENE), ("reconstruct", *SCENE, "--triangulation", "svd")),
     "calibrate": ((*CORNERS, "unified"), (*CORNERS, "opencv-fisheye")),
     "extract": (("extract", "IN/photos", *LENS), ("extract", "IN/photos/0.png", *LENS)),
-    "rectify": ((*RECTIFY, "--view", "cube"), (*RECTIFY, "--poses", "IN/poses.csv")),
+    "rectify": ((*RECTIFY, "--fov-deg", "80"), (*RECTIFY, "--poses", "IN/poses.csv")),
     "targets": ((*TARGETS, "--seed", "1"), (*TARGETS, "--seed", "2")),
     "detect": (
         ("detect", "IN/photos/0.png", "--pattern", "checkerboard:7x5:30mm", "--out", "OUT"),
