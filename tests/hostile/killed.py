@@ -27,13 +27,12 @@ from omnilines.files.sets import settle
 SCENE = ("--calibration", "IN/calibration.yaml", "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT")
 TARGETS = ("render", "targets", "--pattern", "checkerboard:4x3:30mm", "--size", "320x240", "--views", "2", "--out", "OUT")
 LENS = ("--calibration", "IN/calibration.yaml", "--out", "OUT")
-CORNERS = ("calibrate", "IN/corners.csv", "--image-size", "646x482", "--out", "OUT", "--model")
 RECTIFY = ("rectify", "IN/photos", *LENS, "--size", "64x48")
 CONVERT = ("convert", "IN/rig.yaml", "OUT/rig", "--to", "ros")
 COMMANDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "convert": (CONVERT, (*CONVERT, "--fov", "90", "--model", "pinhole")),
     "reconstruct": (("reconstruct", *SCENE), ("reconstruct", *SCENE, "--triangulation", "svd")),
-    "calibrate": ((*CORNERS, "unified"), (*CORNERS, "opencv-fisheye")),
+    "pattern": (("pattern", "checkerboard:4x3:30mm", "--out", "OUT"), ("pattern", "checkerboard:4x3:30mm", "--out", "OUT")),
     "extract": (("extract", "IN/photos", *LENS), ("extract", "IN/photos/0.png", *LENS)),
     "rectify": ((*RECTIFY, "--fov-deg", "80"), (*RECTIFY, "--poses", "IN/poses.csv")),
     "targets": ((*TARGETS, "--seed", "1"), (*TARGETS, "--seed", "2")),
@@ -106,7 +105,7 @@ def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Cal
     before, command = COMMANDS[name]
     clean = folder / "clean"
     clean.mkdir()
-    give("omnilines", "omnilines-rig", "poses.csv", "segments.csv", "corners.csv", "photos")(clean)
+    give("omnilines", "omnilines-rig", "poses.csv", "segments.csv", "photos")(clean)
     (clean / "OUT").mkdir()
     old, new, again = (shutil.copytree(clean, folder / part) for part in ("old", "new", "again"))
     assert forked(before, old, NEVER)[0] == 0
