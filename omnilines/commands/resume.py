@@ -5,8 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from camera_models import InputError
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_text, write_atomically
 from omnilines.commands.result import CommandResult
 from omnilines.files.fingerprint import content_hash
 from omnilines.files.sets import claimed
@@ -23,14 +22,14 @@ class Stamp:
     def result(self) -> CommandResult | None:
         """The last result, if it was made from the same inputs and all its files are there with the contents they had."""
         try:
-            kept = json.loads(self.path.read_text(encoding="utf-8"))
+            kept = json.loads(read_text(self.path))
             files = {Path(name): content for name, content in kept["files"]}
             whole = kept["inputs"] == self.inputs and all(content_hash(file) == content for file, content in files.items())
             summaries = tuple(
                 Summary(one["title"], tuple(map(tuple, one["rows"])), tuple(one["notes"])) for one in kept["summaries"]
             )
             report = Path(kept["report"])
-        except (OSError, ValueError, KeyError, TypeError, InputError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):  # InputError is a ValueError
             return None
         if not whole:
             return None

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from omnilines.commands.reconstruct import reconstruct_photos
+from omnilines.commands.reconstruct import RESULTS, WORK, reconstruct_photos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PAGE, PHOTOS
-from omnilines.files.folders import check_results
+from omnilines.files.folders import check_results, check_work_folder
 from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
@@ -35,6 +35,8 @@ def validate_scene(
     """
     folder = Path(out)
     check_results(folder, [PAGE])
+    check_results(folder / SCENE, RESULTS)
+    check_work_folder(folder / SCENE / WORK)
     truth = render_scene(scene, model, options, progress=progress)
     shown = truth.save(folder / PHOTOS, progress)
     photos = [folder / PHOTOS / name for name in truth.photos]

@@ -80,9 +80,9 @@ def way_out(folder: Path, name: str) -> str | None:
     for part in parts.parts[:-1]:
         step = step / part
         if step.is_symlink() or step.is_mount():
-            return f"that {step} is a link out of it; give another --out"
+            return f"that {step} is a link out of it; give another `out`"
         if step.exists() and not (step.is_dir() and os.access(step, os.W_OK)):
-            return f"that {step} is no folder that can be written to; give another --out"
+            return f"that {step} is no folder that can be written to; give another `out`"
     return None
 
 
@@ -92,17 +92,17 @@ def _check_result(folder: Path, name: str, own: set[str], inputs: Sequence[Path]
     target = folder / name
     real = Path(os.path.realpath(target))
     if real in inputs:
-        raise InputError(f"A folder without the inputs was expected to write to, found that {target} is one; give another --out.")
+        raise InputError(f"A folder without the inputs was expected to write to, found that {target} is one; give another `out`.")
     if os.path.lexists(target) and (name not in own or (target.is_dir() and not target.is_symlink())):
         raise InputError(
             f"Results go over nothing but earlier results, found {target}, which is not in {MANIFEST} there (nor is what "
-            "versions without that list wrote); give another --out, or remove it."
+            "versions without that list wrote); give another `out`, or remove it."
         )
     among = [path for path in inputs if path.is_dir() and real.is_relative_to(path)]
     if among and target.suffix.lower() in PHOTO_SUFFIXES:
         raise InputError(
             f"Pictures were expected outside of the photos, found {target} in {among[0]}, where they would be taken for "
-            "photos the next time; give another --out."
+            "photos the next time; give another `out`."
         )
 
 
@@ -112,7 +112,7 @@ def check_work_folder(work: Path, inputs: Iterable[str | Path] = ()) -> None:
     if work.is_symlink() or (work.exists() and any(work.iterdir()) and not (work / MANIFEST).is_file()):
         raise InputError(
             f"What is found is kept in {work}, found a folder there that is not of an earlier run (it holds no {MANIFEST}); give "
-            "another --out, or rename it."
+            "another `out`, or rename it."
         )
     for path in inputs:
         if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(work)):

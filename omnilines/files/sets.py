@@ -176,5 +176,5 @@ def _told(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(
             f"Results were expected to find their place in {folder}, found {error.strerror or error}; make room, or give another "
-            "--out."
+            "`out`."
         ) from error

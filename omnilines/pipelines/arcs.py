@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_bytes, write_atomically
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
 from omnilines.files.fingerprint import revision
@@ -215,10 +215,7 @@ def _kept_or_found(photo: Photo, model: CameraModel, least_angle_rad: float, wan
     """The arrays of one photo, from the folder where they are there; they are kept in it."""
     if wanted.folder is None or not isinstance(photo, PhotoRef):
         return _found(photo, model, least_angle_rad, wanted)
-    try:
-        content = photo.path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{photo.path} cannot be read ({error.strerror}).") from error
+    content = read_bytes(photo.path)
     path = wanted.folder / f"{_fingerprint(content, model, least_angle_rad, wanted)}.npz"
     known = _read(path)
     if known is None:
@@ -254,7 +251,7 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path) as file:
+        with np.load(io.BytesIO(read_bytes(path))) as file:
             return {key: file[key] for key in _ARRAYS}
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None

@@ -16,7 +16,7 @@ import torch
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraModel, InputError, load
 from camera_models.errors import OmnilinesError
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_bytes, write_atomically
 from camera_models.pose import Pose
 from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
 from omnilines.files.fingerprint import fingerprint, revision
@@ -315,7 +315,7 @@ def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
 def _read(path: Path, inputs: str) -> PhotoPoses | None:
     """The poses in a file; None where it is absent, damaged, or of other inputs."""
     try:
-        with np.load(path) as file:
+        with np.load(io.BytesIO(read_bytes(path))) as file:
             words = json.loads(str(file["words"]))
             if words["inputs"] != inputs:
                 return None

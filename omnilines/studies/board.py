@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from camera_models import CameraModel, InputError
+from camera_models.formats.disk import read_text
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
@@ -77,7 +78,7 @@ def _image_size(corners_csv: Path, photo: Path) -> tuple[int, int]:
     reference = corners_csv.parent / "reference.json"
     if reference.is_file():
         try:
-            width, height = json.loads(reference.read_text(encoding="utf-8"))["image_size"]
+            width, height = json.loads(read_text(reference))["image_size"]
             return int(width), int(height)
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f'{reference}: "image_size": [width, height] was expected, found none; add it.') from error

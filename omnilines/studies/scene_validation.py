@@ -1,5 +1,6 @@
 """What `omnilines validate --scene` compares: the arcs and lines of a scene folder against the rendered truth."""
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from camera_models import Calibration, GeometryError, load
+from camera_models.formats.disk import read_bytes
 from omnilines.adjustment.lines import motion_across
 from omnilines.evaluation.arcs import MIN_PX, ArcScores, arc_scores
 from omnilines.evaluation.scene import MIN_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
@@ -83,7 +85,7 @@ class RebuiltScene:
 
 def read_rebuilt(folder: Path, said: Mapping[str, Any]) -> RebuiltScene:
     """The scene folder of `reconstruct PHOTOS` as any user would read it, and its JSON."""
-    with np.load(folder / "covariance.npz") as file:
+    with np.load(io.BytesIO(read_bytes(folder / "covariance.npz"))) as file:
         covariance, centre, scale = (file[name] for name in ("line_covariance", "line_chart_centre_m", "line_chart_scale_m"))
     return RebuiltScene(
         read_lines(folder / "lines.csv"),

@@ -10,6 +10,8 @@ from hostile.case import Case
 from hostile.damage import PLACES
 from hostile.good import give
 
+from camera_models.formats.disk import MANIFEST, MOVING
+
 PATTERN = ("--pattern", "checkerboard:7x5:30mm")
 LENS = ("--calibration", "IN/calibration.yaml")
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -148,11 +150,34 @@ def over_inputs() -> Iterator[Case]:
         "convert": ("convert", "IN/calibration.yaml", "IN/calibration.yaml"),
         "convert-by-link": ("convert", "IN/calibration.yaml", "IN/link.yaml"),
         "pattern": ("pattern", "checkerboard:7x5:30mm", "--out", "IN/mine.pdf"),
+        "pattern-folder": ("pattern", "checkerboard:7x5:30mm", "--out", "IN"),
+        "detect": command("detect", "IN"),
+        "calibrate-photos": command("calibrate", "IN"),
+        "extract": command("extract", "IN"),
+        "rectify-calibration": command("rectify", "IN"),
+        "convert-own": ("convert", "IN/calibration.yaml", "IN/mine.yml"),
+        "convert-errors": ("convert", "IN/calibration.yaml", "IN/new.yml", "--model", "unified", "--fov", "90"),
+        "board": ("experiment", "board", "--data", "IN", "--out", "IN"),
+        "wide": ("experiment", "wide", "--out", "IN"),
+        "validate": ("validate", "--out", "IN"),
+        "validate-scene": ("validate", "--scene", "room", "--out", "IN"),
+        "scene": ("render", "scene", "--views", "2", "--size", "64x48", "--out", "IN/photos"),
+        "work": command("reconstruct", "IN/mine"),
+        "work-poses": (*command("reconstruct", "IN/ours"), "--poses", "IN/ours/work/poses.csv"),
+        "half-moved": ("adjust", "--calibration", "IN/half/calibration.yaml", *scene[2:], "--out", "OUT"),
     }
 
     def with_own_files(folder: Path) -> None:
         own(folder)
-        (folder / "IN/mine.pdf").write_bytes(b"%PDF mine")
+        for name in ("mine.pdf", "mine.yml", "checkerboard_7x5_30mm.svg", "report.html", "new_conversion.csv", "mine/work/notes"):
+            (folder / "IN" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / "IN" / name).write_bytes(b"mine")
+        (folder / "IN/ours/work").mkdir(parents=True)
+        (folder / "IN/ours/work" / MANIFEST).write_text('{"written": {}}')
+        (folder / "IN/ours/work/poses.csv").write_bytes((folder / "IN/poses.csv").read_bytes())
+        (folder / "IN/half" / MOVING).mkdir(parents=True)
+        for name in ("calibration.yaml", f"{MOVING}/calibration.yaml"):
+            (folder / "IN/half" / name).write_bytes((folder / "IN/calibration.yaml").read_bytes())
         (folder / "IN/link.yaml").symlink_to("calibration.yaml")
         (folder / "IN/photos/view00.png").write_bytes((folder / "IN/photos/0.png").read_bytes())
 

@@ -1,4 +1,4 @@
-"""Kills aimed at every moment of writing: what is found is the old result or the new one, file by file, and a rerun mends it.
+"""Kills aimed at every moment of writing: what is found is the old set of results or the new one, whole, and a rerun mends it.
 
     python -m hostile.killed COUNT      # from tests/; prints one line for each kill, exits with 1 where something was torn
 
@@ -20,14 +20,21 @@ import torch
 from hostile.good import give
 
 from camera_models.formats import disk
+from camera_models.formats.disk import MANIFEST, MOVING
 from omnilines import cli
+from omnilines.files.sets import settle
 
 SCENE = ("--calibration", "IN/calibration.yaml", "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT")
 TARGETS = ("render", "targets", "--pattern", "checkerboard:4x3:30mm", "--size", "320x240", "--views", "2", "--out", "OUT")
+LENS = ("--calibration", "IN/calibration.yaml", "--out", "OUT")
+RECTIFY = ("rectify", "IN/photos", *LENS, "--size", "64x48")
 CONVERT = ("convert", "IN/rig.yaml", "OUT/rig", "--to", "ros")
 COMMANDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "convert": (CONVERT, (*CONVERT, "--fov", "90", "--model", "pinhole")),
     "reconstruct": (("reconstruct", *SCENE), ("reconstruct", *SCENE, "--triangulation", "svd")),
+    "pattern": (("pattern", "checkerboard:4x3:30mm", "--out", "OUT"), ("pattern", "checkerboard:4x3:30mm", "--out", "OUT")),
+    "extract": (("extract", "IN/photos", *LENS), ("extract", "IN/photos/0.png", *LENS)),
+    "rectify": ((*RECTIFY, "--fov-deg", "80"), (*RECTIFY, "--poses", "IN/poses.csv")),
     "targets": ((*TARGETS, "--seed", "1"), (*TARGETS, "--seed", "2")),
     "detect": (
         ("detect", "IN/photos/0.png", "--pattern", "checkerboard:7x5:30mm", "--out", "OUT"),
@@ -67,17 +74,30 @@ def forked(arguments: tuple[str, ...], folder: Path, last: int) -> tuple[int, in
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """What lies in OUT."""
-    found = sorted(path for path in (folder / "OUT").rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+    """What lies in OUT, hidden files but for its list aside."""
+    out = folder / "OUT"
+    found = {path.relative_to(out): path for path in sorted(out.rglob("*")) if path.is_file()}
+    shown = {name: path for name, path in found.items() if name.name == MANIFEST or name.parts[0][0] != "."}
+    return {name.as_posix(): path.read_bytes() for name, path in shown.items()}
 
 
-def torn(now: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> list[str]:
-    """Files that are neither what they were nor what they become."""
-    wrong = [
-        name for name, content in now.items() if not name.endswith(".part") and content not in (old.get(name), new.get(name))
-    ]
-    return wrong + [f"{name} is gone" for name in old if name not in now]
+def hidden(folder: Path) -> list[str]:
+    """What a run that was ended left in OUT."""
+    return [path.name for path in (folder / "OUT").rglob(".*") if path.name != MANIFEST]
+
+
+def torn(folder: Path, old: dict[str, bytes], new: dict[str, bytes]) -> list[str]:
+    """What is wrong with a folder that holds neither the old set nor the new one, nor the new one to be moved."""
+    if (folder / "OUT" / MOVING).exists():
+        settle(folder / "OUT")
+        return different(results(folder), new)
+    now = results(folder)
+    return [] if now in (old, new) else different(now, old)
+
+
+def different(now: dict[str, bytes], wanted: dict[str, bytes]) -> list[str]:
+    """Names of files that are not as they should be."""
+    return [f"{name} differs" for name in sorted({*now, *wanted}) if now.get(name) != wanted.get(name)]
 
 
 def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Callable[[str], None]) -> tuple[int, int]:
@@ -91,16 +111,18 @@ def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Cal
     assert forked(before, old, NEVER)[0] == 0
     moments = forked(command, new, NEVER)[1]
     assert moments and forked(command, again, NEVER)[0] == 0
-    assert results(new) == results(again), f"{name} is not the same twice: {torn(results(again), {}, results(new))}"
+    assert results(new) == results(again), f"{name} is not the same twice: {different(results(again), results(new))}"
     count = failures = 0
     for start, last in [(part, last) for part in (clean, old) for last in chosen(moments)]:
         work = shutil.copytree(start, folder / "work")
         status, _ = forked(command, work, last)
-        wrong = torn(results(work), results(start), results(new)) if status == -signal.SIGKILL else [f"status {status}"]
+        wrong = [] if status == -signal.SIGKILL else [f"status {status}"]
+        copy = shutil.copytree(work, folder / "copy")
+        wrong += torn(copy, results(start), results(new))
+        shutil.rmtree(copy)
         forked(command, work, NEVER)
-        after = results(work)
-        wrong += [f"{path} is left" for path in after if path.endswith(".part")]
-        wrong += [f"{path} differs after a rerun" for path, content in results(new).items() if after.get(path) != content]
+        wrong += [f"{path} is left" for path in hidden(work)]
+        wrong += [f"{path} after a rerun" for path in different(results(work), results(new))]
         tell(f"{name} from {start.name} at {last} of {moments}: {', '.join(wrong) or 'whole'}")
         count, failures = count + 1, failures + bool(wrong)
         shutil.rmtree(work)
@@ -111,11 +133,11 @@ def main(wanted: int) -> int:
     """Spread a number of kills over the commands and their moments."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    each = max(1, wanted // (2 * len(COMMANDS)))
+    each = -(-wanted // (2 * len(COMMANDS)))
 
     def chosen(moments: int) -> list[int]:
-        # Repeated where there are fewer moments than kills, for what happens between two of them.
-        return [k * moments // each if each <= moments else k % moments for k in range(each)]
+        # The last ones are those at which results are moved; repeated where there are fewer moments than kills.
+        return [(k + 1) * moments // each - 2 if 2 * each <= moments else k % moments for k in range(each)]
 
     total = failed = 0
     for name in COMMANDS:
