@@ -142,7 +142,9 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
     for warning in result.warnings:
         typer.echo(f"note: {printable(with_flags(warning))}", err=True)
     if as_json:
-        checks = [vars(check) for check in result.checks]
+        from omnilines.commands.result import known_numbers
+
+        checks = known_numbers([vars(check) for check in result.checks])
         report = str(result.report) if result.report else None
         files = [str(path) for path in result.files]
         data = {**result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
@@ -154,6 +156,8 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
 
 
 def _print_tables(result: "CommandResult") -> None:
+    from omnilines.report.numbers import figure
+
     for summary in result.summaries:
         typer.echo(summary.title)
         width = max((len(name) for name, _ in summary.rows), default=0)
@@ -164,6 +168,6 @@ def _print_tables(result: "CommandResult") -> None:
         width = max(len(check.name) for check in result.checks)
         for check in result.checks:
             verdict = "holds" if check.holds else "DOES NOT HOLD"
-            typer.echo(f"  {check.name:<{width}}  {check.value:.4g} {check.unit} (limit {check.limit:.4g})  {verdict}")
+            typer.echo(f"  {check.name:<{width}}  {figure(check.value, '.4g', check.unit)} (limit {check.limit:.4g})  {verdict}")
     if result.report:
         typer.echo(f"Report: {result.report}")

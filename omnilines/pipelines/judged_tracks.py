@@ -111,8 +111,8 @@ def _rough(misfit_px: float, options: JudgeOptions) -> tuple[str, ...]:
     if misfit_px <= options.rough_px:
         return ()
     return (
-        f"Half of the tracks lie {misfit_px:.2g} px or more from any line, far more than segments are off by: poses, calibration or "
-        "tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+        f"Half of the tracks lie {misfit_px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
+        "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
     )
 
 
