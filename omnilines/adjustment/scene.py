@@ -55,9 +55,10 @@ class AdjustedScene:
     """Of every camera, where the rig was refined."""
 
     def rms_px(self, before: bool = False) -> float:
-        """Root mean square of all orthogonal distances."""
+        """Root mean square of all orthogonal distances; NaN where there is none."""
         values = self.residual_before_px if before else self.residual_px
-        return float(np.sqrt(np.nanmean(values**2)))
+        known = values[np.isfinite(values)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
 
 
 def reconstruct_lines(

@@ -191,7 +191,9 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
 
 def _data(result: "CommandResult") -> dict[str, Any]:
     """What --json prints."""
-    checks = [vars(check) for check in result.checks]
+    from omnilines.commands.result import known_numbers
+
+    checks = known_numbers([vars(check) for check in result.checks])
     files = [str(path) for path in result.files]
     report = str(result.report) if result.report else None
     return {"notes": result.notes, **result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
@@ -217,6 +219,8 @@ def said_in_full() -> "Iterator[None]":
 
 
 def _print_tables(result: "CommandResult") -> None:
+    from omnilines.report.numbers import figure
+
     for summary in result.summaries:
         typer.echo(printable(summary.title))
         rows = rows_shown(summary.rows) if summary.of_photos else summary.rows
@@ -229,6 +233,6 @@ def _print_tables(result: "CommandResult") -> None:
         width = max(len(check.name) for check in result.checks)
         for check in result.checks:
             verdict = "holds" if check.holds else "DOES NOT HOLD"
-            typer.echo(f"  {check.name:<{width}}  {check.value:.4g} {check.unit} (limit {check.limit:.4g})  {verdict}")
+            typer.echo(f"  {check.name:<{width}}  {figure(check.value, '.4g', check.unit)} (limit {check.limit:.4g})  {verdict}")
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))

@@ -1,5 +1,6 @@
 """What every command hands back to the command line."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ class CommandResult:
 
     summaries: tuple[Summary, ...]
     data: Mapping[str, Any]
+    """Numbers that are not known, which are NaN or infinite, become None: JSON has neither."""
     checks: tuple[Check, ...] = ()
     files: tuple[Path, ...] = ()
     report: Path | None = None
@@ -29,7 +31,19 @@ class CommandResult:
         """Every sentence, what matters most first."""
         return [*self.warnings, *(one.text for one in self.details)]
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", known_numbers(self.data))
+
     @property
     def holds(self) -> bool:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
+
+
+def known_numbers(value: Any) -> Any:
+    """The same with None for every number that is NaN or infinite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: known_numbers(part) for name, part in value.items()}
+    return [known_numbers(part) for part in value] if isinstance(value, list | tuple) else value

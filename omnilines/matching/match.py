@@ -38,6 +38,8 @@ class Matched:
     tracks: Tracks
     tolerance_px: float
     """The slack."""
+    beyond_chance: bool = True
+    """Whether lines stand out by more than sampling explains, where the slack was chosen by that."""
 
     def agreeing_photos(self) -> Int[np.ndarray, " n"]:
         """Number of other photos that support the best line of every arc."""
@@ -69,12 +71,14 @@ def match_arcs(
         )
     _require_parallax(arcs)
     near = _near(arcs, neighbours)
+    beyond_chance = True
     if tolerance_px is None:
-        tolerance_px = evidence_of_lines(arcs, near, seed, options, progress).tolerance_px
+        its = evidence_of_lines(arcs, near, seed, options, progress)
+        tolerance_px, beyond_chance = its.tolerance_px, its.beyond_chance
     widened = arcs.widened(tolerance_px)
     found = find_hypotheses(widened, near, options=options, progress=progress)
     tracks = build_tracks(widened, found, min_views, options, progress)
-    return Matched(widened, found, tracks, tolerance_px)
+    return Matched(widened, found, tracks, tolerance_px, beyond_chance)
 
 
 def _near(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:

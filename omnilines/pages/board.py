@@ -10,6 +10,7 @@ from jaxtyping import Float
 from omnilines import report
 from omnilines.records import ImagePoses, Lines, Polyline, Summary
 from omnilines.report import Section
+from omnilines.report.numbers import figure
 from omnilines.studies.board_figures import FIGURES, Agreement, BoardExperiment, LineState
 
 STEPS_PER_LINE = 40
@@ -51,7 +52,7 @@ def _agreement_summary(experiment: BoardExperiment) -> Summary:
         ("RMS distance of the lines' ends from the board's", f"{1e3 * noise.actual_m:.4g} mm"),
         ("predicted from independent noise of the end points", _described(noise)),
         ("predicted from the scatter between photos", _described(photos)),
-        ("noise of the end points", f"{experiment.adjusted.noise_factor:.4g} px"),
+        ("noise of the end points", figure(experiment.adjusted.noise_factor, ".4g", "px")),
         ("effective degrees of freedom of the error", f"{experiment.predicted.effective_freedom:.1f}"),
     )
     notes = (

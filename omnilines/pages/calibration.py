@@ -17,6 +17,7 @@ from omnilines.calibration.uncertainty import projection_covariance_px2, support
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
+from omnilines.report.numbers import figure, with_sigma
 
 STEPS_PER_LINE = 40
 """Points per reprojected board line: a fisheye bends it."""
@@ -66,16 +67,16 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
         ("model", model.label),
         ("views used", f"{len(used)} of {len(result.views)}"),
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
-        ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
-        ("rms_px_per_point", f"{result.rms_px_per_point:.4f}"),
+        ("rms_px_per_axis", figure(result.rms_px_per_axis, ".4f")),
+        ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("field of view supported by the data", f"{result.min_angle_deg:.1f} to {result.max_angle_deg:.1f} degrees off axis"),
-        ("projection uncertainty in it", f"{median:.3g} px (median), {largest:.3g} px (worst)"),
+        ("projection uncertainty in it", f"{figure(median, unit='px')} (median), {figure(largest, unit='px')} (worst)"),
     )
     notes = result.notes if selection is None else (selection.reason, *result.notes)
     parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
     summaries = [Summary("Calibration", rows, notes), Summary("Parameters ± one standard deviation", parameters)]
     if result.board_terms:
-        terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
+        terms = tuple((name, with_sigma(value, result.board_sigma[name], ".3g")) for name, value in result.board_terms.items())
         summaries.append(Summary("Board ± one standard deviation", terms))
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
@@ -84,8 +85,7 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
 
 def _parameter_text(result: CameraCalibration, name: str, value: float) -> str:
     sigma, (low, high) = result.sigma[name], result.intervals[name]
-    text = f"{value:.8g} ± {sigma:.2g}" if sigma > 0 else f"{value:.8g} (held)"
-    return text + (f", 95 %: {low:.6g} to {high:.6g}" if result.curved and low < high else "")
+    return with_sigma(value, sigma) + (f", 95 %: {low:.6g} to {high:.6g}" if result.curved and low < high else "")
 
 
 def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
@@ -94,7 +94,7 @@ def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
         if trial.failure is not None:
             text = f"not fitted: {trial.failure}"
         else:
-            text = f"{trial.in_sample_px:.4f}, {trial.held_out_px:.4f}, {trial.parameters} parameters"
+            text = f"{figure(trial.in_sample_px, '.4f')}, {figure(trial.held_out_px, '.4f')}, {trial.parameters} parameters"
             text += "" if trial.monotone else ", folds back just beyond the data"
         rows.append((trial.candidate.label + (" (taken)" if trial is selection.chosen else ""), text))
     return tuple(rows)

@@ -25,6 +25,7 @@ from omnilines.pages.calibration import (
 from omnilines.pipelines.calibrate_rig import RigResult
 from omnilines.records import Corners, Summary
 from omnilines.report import Section
+from omnilines.report.numbers import figure, with_sigma
 from omnilines.report.rig import RigCameraDrawing, RigLinkDrawing, rig_section
 
 PHOTOS_A_CAMERA = 4
@@ -40,8 +41,8 @@ def rig_summaries(result: RigCalibration) -> tuple[Summary, ...]:
         ("frames", str(len(result.frames))),
         ("views used", f"{len(used)} of {len(result.views)}"),
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
-        ("rms_px_per_axis", f"{result.rms_px_per_axis:.4f}"),
-        ("rms_px_per_point", f"{result.rms_px_per_point:.4f}"),
+        ("rms_px_per_axis", figure(result.rms_px_per_axis, ".4f")),
+        ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
     summaries = [Summary("Calibration of the rig", rows, result.notes)]
@@ -74,8 +75,8 @@ def _place_text(member: RigMember) -> str:
     sigma = np.sqrt(np.diag(centre_covariance(member.cam_from_rig, member.pose_covariance))).tolist()
     angle = math.degrees(float(member.cam_from_rig.log()[:3].norm()))
     turn = math.degrees(float(np.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1].clip(0))))
-    xyz = ", ".join(f"{value:.5f} ± {spread:.2g}" for value, spread in zip(centre, sigma, strict=True))
-    return f"centre {xyz} m; turned by {angle:.3f} ± {turn:.2g} degrees"
+    xyz = ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(centre, sigma, strict=True))
+    return f"centre {xyz} m; turned by {angle:.3f} ± {figure(turn, '.2g')} degrees"
 
 
 def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "3 3"]:
@@ -87,24 +88,21 @@ def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float
 def _board_text(result: RigCalibration, board: int) -> str:
     place = result.target_from_board[board].translation.tolist()
     sigma = np.sqrt(np.diag(result.board_covariance[board])[3:]).tolist()
-    return ", ".join(f"{value:.5f} ± {spread:.2g}" for value, spread in zip(place, sigma, strict=True)) + " m"
+    return ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(place, sigma, strict=True)) + " m"
 
 
 def _link_row(result: RigCalibration, link: Link) -> tuple[str, str]:
+    apart, turn = figure(link.baseline_sigma_m, ".2g"), figure(link.rotation_sigma_deg, ".2g", "degrees")
     text = (
-        f"{link.corners} common corners in {link.frames} frames; {link.rms_px_per_point:.4f} px; apart "
-        f"{link.baseline_m:.5f} ± {link.baseline_sigma_m:.2g} m; rotation to {link.rotation_sigma_deg:.2g} degrees, translation "
-        f"to {1e3 * link.translation_sigma_m:.2g} mm"
+        f"{link.corners} common corners in {link.frames} frames; {link.rms_px_per_point:.4f} px; apart {link.baseline_m:.5f} ± "
+        f"{apart} m; rotation to {turn}, translation to {figure(1e3 * link.translation_sigma_m, '.2g', 'mm')}"
     )
     return _names(result, link) + (" (weakest)" if link is result.weakest else ""), text
 
 
 def _parameters(member: RigMember) -> tuple[tuple[str, str], ...]:
     sigma = member.sigma
-    return tuple(
-        (name, f"{value:.8g} ± {sigma[name]:.2g}" if sigma[name] > 0 else f"{value:.8g} (held)")
-        for name, value in member.model.named_parameters().items()
-    )
+    return tuple((name, with_sigma(value, sigma[name])) for name, value in member.model.named_parameters().items())
 
 
 def rig_data(result: RigCalibration) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from omnilines.report.line_scene import (
     photo_arcs_section,
     stage_section,
 )
+from omnilines.report.numbers import figure
 from omnilines.structure.families import Families
 
 SHOWN_SUSPECTS = 5
@@ -43,9 +44,9 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         *((stage.stage, _stage(stage.kept, stage.dropped)) for stage in scene.stages),
         ("length of all lines", f"{float(length.sum()):.2f} {lines.unit.sign}"),
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
-        ("rms_px", f"{scene.adjusted.rms_px():.3f}"),
+        ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
         ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
-        ("median of the largest sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
+        ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
     return rows, (*_outcome(scene), *noise_notes(scene.adjusted.adjusted.noise))
@@ -71,9 +72,9 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
         ("photos", str(len(scene.poses))),
         ("triangulation and cost", f"{options.triangulation}, {options.cost}"),
         ("refined", ", ".join(options.refine)),
-        ("rms_px before", f"{adjusted.rms_px(before=True):.4f}"),
-        ("rms_px after", f"{adjusted.rms_px():.4f}"),
-        ("median of the largest sigma of a line's ends across it", f"{scene.median_sigma_m():.3g} {lines.unit.sign}"),
+        ("rms_px before", figure(adjusted.rms_px(before=True), ".4f")),
+        ("rms_px after", figure(adjusted.rms_px(), ".4f")),
+        ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         ("noise of the end points", noise_row(adjusted.adjusted.noise)),
     )
     notes = _named("do not belong to their track and were left out", adjusted.wrong)
@@ -111,7 +112,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
         "lines": len(lines),
         "rms_px": scene.adjusted.rms_px(),
         "slack_px": of_photos.tolerance_px,
-        "median_sigma_m": float(np.median(lines.sigma_m)),
+        "median_sigma_m": scene.median_sigma_m(),
         "noise": noise_data(adjusted.noise),
         "outcome": adjusted.outcome.name.lower(),
         **_data_of_families(of_photos.families),
@@ -137,14 +138,14 @@ def _data_of_families(families: Families) -> dict[str, Any]:
 
 
 def _data_of_tables(scene: Scene) -> dict[str, Any]:
-    adjusted, sigma = scene.adjusted, scene.median_sigma_m()
+    adjusted = scene.adjusted
     return {
         "tracks": len(scene.lines),
         UNIT_KEY: scene.lines.unit.sign,
         "status": dict(Counter(scene.lines.status)),
         "rms_px_before": adjusted.rms_px(before=True),
         "rms_px": adjusted.rms_px(),
-        "median_sigma_m": sigma if np.isfinite(sigma) else None,
+        "median_sigma_m": scene.median_sigma_m(),
         "noise": noise_data(adjusted.adjusted.noise),
         "outcome": adjusted.adjusted.outcome.name.lower(),
         "iterations": adjusted.adjusted.iterations,

@@ -14,6 +14,7 @@ from omnilines.geometry.line import end_radius_sigmas
 from omnilines.records import Summary
 from omnilines.report import Section
 from omnilines.report.line_scene import line_photos_section, stage_section
+from omnilines.report.numbers import figure
 from omnilines.studies.scene_validation import TOLERANCE_PX, SceneValidation
 
 CURVE_PX = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)
@@ -34,7 +35,7 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
         ("arcs", f"{arcs.arcs}, {arcs.mean_arc_px:.0f} px long on average"),
         ("on true edges", f"{_percent(arcs.on_line_share)} (worst photo {_percent(float(validation.on_edge_of_photo.min()))})"),
         ("edge length under arcs", _percent(arcs.covered_share)),
-        ("arcs per stretch of edge", _figure(arcs.arcs_per_stretch)),
+        ("arcs per stretch of edge", figure(arcs.arcs_per_stretch)),
         ("direction of arcs, median and 95th percentile", _pair(arcs.direction_deg(50), arcs.direction_deg(95), "degrees")),
         ("slack that was found", f"{rebuilt.slack_px:g} px"),
     )
@@ -196,10 +197,6 @@ def _percent(share: float) -> str:
 
 def _pair(first: float, second: float, unit: str) -> str:
     return f"{first:.3g} and {second:.3g} {unit}" if math.isfinite(first) else "not known"
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "not known"
 
 
 def _known(value: float) -> float | None:

@@ -92,18 +92,18 @@ def adjust(
             arcs_from_segments(segments, table, cameras).arcs, table.cam_from_world, options=options.judge, seed=options.seed
         )
         raise
-    _judge(scene, table.cam_from_world, options)
+    told = (*scene.table.left_out, *_judged(scene, table.cam_from_world, options))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     made_from = {"options": options} if inputs is None else inputs
-    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, scene.table.left_out, options=options)
+    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, told, options=options)
 
 
-def _judge(scene: AdjustedScene, given: Pose, options: SceneOptions) -> None:
-    """Raises InputError where nothing explains the tracks."""
+def _judged(scene: AdjustedScene, given: Pose, options: SceneOptions) -> tuple[str, ...]:
+    """What is to be said of the tracks. Raises InputError where nothing explains them."""
     arcs = scene.table.arcs
     final = arcs.seen_by(scene.cameras) if scene.cameras else arcs
-    judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
+    return judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
 
 
 def triangulate(

@@ -19,6 +19,7 @@ from omnilines.matching.match import Evidence, Matched, evidence_of_poses
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
 from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
+from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import instants
 from omnilines.posing.from_rig import cam_from_rig_of
@@ -36,7 +37,10 @@ def better_poses(
     options: SceneOptions,
     progress: ProgressCallback,
 ) -> PhotoPoses:
-    """The given poses, or better ones of the same world with a note that says so; `from_photos` is structure from motion."""
+    """The given poses, or better ones of the same world with a note that says so; `from_photos` is structure from motion.
+
+    Raises InputError where lines stand out only if the poses are read in another way.
+    """
     progress("judging the poses", 0, 0)
     limits = options.rough_poses
 
@@ -54,6 +58,8 @@ def better_poses(
     except GeometryError:
         # Too few photos or places: matching says so, with the counts that it has.
         return posed
+    if not held.beyond_chance:
+        refuse_reading(found, posed, cameras, options, progress)
     trial = turned(given)
     its = evidence(trial)
     if its.gain > limits.min_gain * held.gain:

@@ -1,5 +1,6 @@
 """Tracks that poses and cameras hardly explain: refused, with what is wrong with them where the tracks themselves tell it."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -66,26 +67,35 @@ def judge_tracks(
     refined: tuple[MatchedArcs, Pose] | None = None,
     options: JudgeOptions = JudgeOptions(),
     seed: int = 0,
-) -> None:
+) -> tuple[str, ...]:
     """Refuse tracks that fit no better than random ones do, and those that another reading of the poses explains far better.
 
     `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Tracks of two segments, and fewer
-    than three of them, tell nothing.
+    than three of them, tell nothing. Returns what is to be said of the others.
 
     Raises InputError that says which reading of the poses, or which camera, explains the tracks, or that nothing does.
     """
     chosen = _sample(arcs, options, seed)
     if chosen(arcs).tracks < LEAST_TRACKS:
-        return
-    cases = [(chosen(own), poses) for own, poses in ((arcs, given), *([refined] if refined else []))]
-    # An adjustment that went astray says nothing of what was given.
-    sampled, poses, square = min(((own, at, own.misfit(at)) for own, at in cases), key=lambda case: float(case[2].median()))
-    if float(square.median()) <= options.fitting_px**2:
-        return
+        return ()
+    sampled, poses = chosen(arcs), given
+    square = sampled.misfit(poses)
+    enough = options.fitting_px**2
+    if float(square.median()) <= enough:
+        return ()
+    # An adjustment may mend poses that were read wrongly, but in a world of its own.
+    _refuse_reading(sampled, given, square)
+    if refined is not None:
+        final, end = chosen(refined[0]), refined[1]
+        better = final.misfit(end)
+        # One that went astray says nothing of what was given.
+        if float(better.median()) < float(square.median()):
+            sampled, poses, square = final, end, better
+    if float(square.median()) <= enough:
+        return ()
     held = sampled.stand_out(poses)
     if held.tracks < LEAST_TRACKS:
-        return
-    _refuse_reading(chosen(arcs), given, square)
+        return ()
     _refuse_camera(sampled, poses, square)
     if held.chance > options.max_chance:
         raise InputError(
@@ -93,6 +103,17 @@ def judge_tracks(
             f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
             "calibration of the same photos were expected; correct what is of others."
         )
+    return _rough(math.sqrt(float(square.median())), options)
+
+
+def _rough(misfit_px: float, options: JudgeOptions) -> tuple[str, ...]:
+    """A sentence where tracks fit worse than segments are found."""
+    if misfit_px <= options.rough_px:
+        return ()
+    return (
+        f"Half of the tracks lie {misfit_px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
+        "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+    )
 
 
 def _sample(arcs: MatchedArcs, options: JudgeOptions, seed: int) -> Callable[[MatchedArcs], _Sampled]:
@@ -144,7 +165,8 @@ def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], squa
         return False
     if sampled.explained(other, other) < options.gain * sampled.explained(square, other):
         return False
-    return sampled.stand_out(poses).chance <= options.sure
+    found = sampled.stand_out(poses)
+    return 2 * found.standing_out >= found.tracks and found.chance <= options.sure
 
 
 def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> None:

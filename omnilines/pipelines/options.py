@@ -71,6 +71,8 @@ class JudgeOptions(NamedTuple):
 
     fitting_px: float = 1.0
     """Misfit of half of the tracks up to which nothing is asked: no choice of segments at random has it."""
+    rough_px: float = 3.0
+    """Misfit of half of the tracks from which on it is spoken of."""
     max_chance: float = 0.02
     """They are refused where as much would be explained by chance with a larger probability."""
     sure: float = 1e-4

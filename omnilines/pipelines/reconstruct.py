@@ -17,6 +17,7 @@ from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import PhotoArcs, calibration_of
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
+from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
@@ -65,7 +66,8 @@ def reconstruct(
     `inputs` is what the scene says that it was made from. Poses that have to be found in the photos are kept in the folder
     `work`, where one is given.
 
-    Raises InputError on bad options or tables, and GeometryError naming the stage where no line is left.
+    Raises InputError on bad options or tables, and where poses explain the photos only if they are read in another way, and
+    GeometryError naming the stage where no line is left.
 
         >>> camera = ol.load("room/calibration.yaml")["cam0"]
         >>> arcs, poses = ol.extract("room/", camera), ol.read_poses("room/poses.csv")
@@ -101,8 +103,11 @@ def reconstruct(
     try:
         found = lines_of_arcs(arcs.photos, posed.poses, cameras, options, progress)
     except GeometryError as error:
+        refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
         raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}") from None
+    if not found.matched.beyond_chance:
+        refuse_reading(arcs.photos, posed, cameras, options, progress)
     made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs
     return _scene(arcs, posed, found, cameras, options, distance, made_from, progress)
 
@@ -133,6 +138,7 @@ def _scene(
     lost = _without_poses(posed, found.scene.poses)
     told = (
         *arcs.notes,
+        *_by_chance(found),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *frame.notes,
         *advice(found, options, progress),
@@ -143,6 +149,17 @@ def _scene(
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, unused, of_photos, options)
+
+
+def _by_chance(found: KeptLines) -> tuple[str, ...]:
+    """Where hardly anything is explained."""
+    if found.matched.beyond_chance:
+        return ()
+    kept, arcs = (sum(getattr(photo, stage) for photo in found.photos) for stage in ("in_lines", "arcs"))
+    return (
+        f"The arcs of the photos agree no more than by chance, and the lines explain {kept} of {arcs}: do not rely on them, and "
+        "check that poses and calibration are of these photos.",
+    )
 
 
 def _without_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[Detail, ...]:

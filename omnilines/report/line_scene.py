@@ -1,6 +1,5 @@
 """Sections of a line scene: what every stage kept, families of parallel lines, the lines themselves, and the photos with both."""
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
@@ -16,6 +15,7 @@ from camera_models.errors import InputError
 from omnilines.geometry.line import end_radius_sigmas
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount
+from omnilines.report.numbers import figure
 from omnilines.report.page import Section
 from omnilines.report.photos import photos_section
 
@@ -142,9 +142,9 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
             lines.status[k],
             f"{lines.views[k]:,}",
             f"{length[k]:.3f}",
-            _figure(1e3 * lines.sigma_m[k]),
-            _figure(sigma_deg[k]),
-            _figure(lines.rms_px[k]),
+            figure(1e3 * lines.sigma_m[k]),
+            figure(sigma_deg[k]),
+            figure(lines.rms_px[k]),
         )
         for k in order[:SHOWN_LINES].tolist()
     ]
@@ -234,10 +234,6 @@ def _direction_sigma_rad(lines: Lines) -> Float[np.ndarray, " n"]:
     finite = np.isfinite(part).all((1, 2))
     largest = np.linalg.eigvalsh(np.where(finite[:, None, None], part, 0.0))[:, -1]
     return np.where(finite, np.sqrt(largest.clip(0)), np.nan)
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "not known"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnilines.records import ImagePoses, LengthUnit, Lines
+from omnilines.report.numbers import figure
 from omnilines.report.page import Section, fragment
 from omnilines.report.plots import PALETTE, QUIET, Trace, axis, broken, numbers, plot, sample, sample_note
 
@@ -134,9 +135,10 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
 
 
 def _describe(lines: Lines, row: int) -> str:
+    sigma = figure(1e3 * lines.sigma_m[row], unit=lines.unit.thousandth)
     return (
         f"{lines.tracks[row]}: {lines.status[row]}, {lines.views[row]} views<br>"
-        f"largest sigma across {1e3 * lines.sigma_m[row]:.3g} {lines.unit.thousandth}, residual {lines.rms_px[row]:.3g} px"
+        f"largest sigma across {sigma}, residual {figure(lines.rms_px[row], unit='px')}"
     )
 
 

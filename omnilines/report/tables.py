@@ -8,6 +8,7 @@ from jaxtyping import Float
 from markupsafe import Markup
 
 from omnilines.records import Check, Summary, ViewResult
+from omnilines.report.numbers import NOT_KNOWN, figure
 from omnilines.report.page import Section, fragment
 
 
@@ -70,7 +71,7 @@ def views_section(views: Sequence[ViewResult], title: str = "Views") -> Section:
 def _figure(value: float, digits: int = 4) -> str:
     """A number with `digits` significant digits, without an exponent where it is of ordinary size."""
     if not math.isfinite(value):
-        return "not known" if math.isnan(value) else str(value)
+        return NOT_KNOWN
     if value == int(value) and abs(value) < 1e6:
         return str(int(value))
     exponent = math.floor(math.log10(abs(value)))
@@ -82,7 +83,7 @@ def _figure(value: float, digits: int = 4) -> str:
 def _with_sigma(value: float, sigma: float) -> Markup:
     """`value ± sigma`, both cut at the second significant digit of sigma; a power of ten is taken out of small numbers."""
     if not (math.isfinite(sigma) and sigma > 0 and math.isfinite(value)):
-        return Markup(_power_of_ten(f"{value:.7g}"))
+        return Markup(_power_of_ten(figure(value, ".7g")))
     size = math.floor(math.log10(max(abs(value), sigma)))
     power = size if size < -2 or size > 6 else 0
     decimals = max(0, 1 - math.floor(math.log10(sigma)) + power)
