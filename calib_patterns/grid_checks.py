@@ -112,6 +112,8 @@ def _goes_on(grey: np.ndarray, fit: SaddleFit, options: DetectionOptions) -> boo
     """
     ny, nx = fit.contrast.shape
     ring, start = _ring(ny, nx, options.grid.goes_on_share), _extended(fit.pixels)
+    if not ring.few.any():
+        return False
     first, second = grid_derivatives(start, typical_sigma_px(fit, options.grid.finder_sigma_px), options.grid)
     usual, blur_px = median(checks(ny, nx) * fit.contrast), typical_blur_px(fit)
 

@@ -65,7 +65,20 @@ def with_settings(options: O, settings: Iterable[str], prefix: str = "") -> O:
             meant = f"; did you mean {' or '.join(near)}?" if near else "; docs/options.md lists them."
             raise InputError(f"An option was expected as NAME=VALUE, found '{setting}', of which no option has the name{meant}")
         options = _with(options, name.removeprefix(prefix).split("."), _parsed(name, text, known[name]))
+    _require_ordered(options, prefix)
     return options
+
+
+def _require_ordered(options: Any, prefix: str) -> None:
+    """Raises InputError where the least of something is set above its most."""
+    values = {f"{prefix}{name}": value for name, value, _ in walk(options)}
+    for name, low in values.items():
+        group, dot, last = name.rpartition(".")
+        high = values.get(f"{group}{dot}max_{last.removeprefix('min_')}") if last.startswith("min_") else None
+        if high is not None and low > high:
+            raise InputError(
+                f"{name} was expected to be at most {high:g}, found {low:g}; set {name.replace('min_', 'max_')} too."
+            )
 
 
 def _with(options: Any, path: list[str], value: Any) -> Any:
@@ -84,34 +97,74 @@ def _parsed(name: str, text: str, default: Any) -> Any:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):
-            return tuple(_number(name, part, default[0] if default else "") for part in text.split(","))
-        return text if isinstance(default, str) else _number(name, text, default)
+            _require_few(name, text, default)
+            return tuple(_number(name, part, default or ("",)) for part in text.split(","))
+        return text if isinstance(default, str) else _number(name, text, (default,))
+    except InputError:
+        raise
     except (KeyError, ValueError):
         kind = "true or false" if isinstance(default, bool) else "a number" if default is None else f"a value like {default}"
         raise InputError(f"{name} was expected to be {kind}, found '{text}'; correct it.") from None
 
 
-def _number(name: str, text: str, default: Any) -> Any:
-    if isinstance(default, str):
+PRIORS = "priors"
+"""At the end of the names of lists that have a value for each order of a polynomial."""
+
+
+def _require_few(name: str, text: str, default: tuple[Any, ...]) -> None:
+    count, fixed = text.count(",") + 1, name.endswith(PRIORS)
+    most = len(default) if fixed else max(MOST_LISTED, 2 * len(default))
+    if count > most or (fixed and count < most):
+        raise InputError(f"{name} was expected as a list of {'' if fixed else 'at most '}{most}, found {count}; correct it.")
+
+
+def _number(name: str, text: str, defaults: tuple[Any, ...]) -> Any:
+    """A number like those that stand by default."""
+    first = defaults[0]
+    if isinstance(first, str):
         return text
-    whole = isinstance(default, int) or (default is None and text.isdecimal())
+    whole = isinstance(first, int) or (first is None and text.isdecimal())
     value: float | int = int(text) if whole else float(text)
     if math.isnan(value):
         raise ValueError(text)
-    low, high = range_of(name, default)
+    if value in defaults:
+        return value
+    finite = tuple(default for default in defaults if default is None or math.isfinite(default))
+    low, high = range_of(name, first) if first is None else (range_of(name, min(finite))[0], range_of(name, max(finite))[1])
     if not low <= value <= high:
         raise InputError(f"{name} was expected to be a number from {low:g} to {high:g}, found '{text}'; correct it.")
     return value
 
 
-UNITS = {"share": (0.0, 1.0), "cosine": (-1.0, 1.0), "grey": (0.0, 255.0), "rad": (0.0, 2 * math.pi), "deg": (0.0, 360.0)}
+UNITS = {
+    "share": (0.0, 1.0),
+    "cosine": (-1.0, 1.0),
+    "grey": (0.0, 255.0),
+    "rad": (0.0, 2 * math.pi),
+    "deg": (0.0, 360.0),
+    "sigmas": (0.0, 30.0),
+}
 """Ranges of values, by the unit that the name of an option ends in."""
-SEED, REASON = "seed", 100
+SEED, ROUNDS = "seed", ("rounds", "searches")
+MOST_ROUNDS, MOST_LISTED = 100, 10
+SCALES = {"smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets"}
+"""Words in names of what is divided by, or steps and sizes are made of: not 0."""
 
 
 def range_of(name: str, default: float | int | None) -> tuple[float | int, float | int]:
-    """Lowest and highest value within reason: those of the unit, else from 0 to 100, or to 100 times the default."""
+    """Lowest and highest value within reason: those of the unit, else from 0 to 100 times the default or what is said below."""
     last = name.split(".")[-1]
+    words = last.split("_")
     if last == SEED:
         return 0, 2**63 - 1
-    return UNITS.get(last.split("_")[-1], (0, REASON * max(1, default or 0)))
+    if words[-1] in ROUNDS:
+        return 0, MOST_ROUNDS
+    if words[0] == "min" and words[-1] not in UNITS:
+        # What has to reach it is compared with it, and no more is made.
+        return (1, 1_000_000) if isinstance(default, int) else (0, 1e12)
+    low = 1e-3 * (default or 0.0) if SCALES & set(words) else -math.inf
+    if words[-1] not in UNITS and isinstance(default, int):
+        # A count, or a size in pixels: time and memory may grow with its square.
+        return max(default // 10 if "side" in words else 0, 0 if words[0] == "max" else 1), max(1000, 10 * default)
+    lowest, highest = UNITS.get(words[-1], (0, 100 * max(1.0, default or 0.0)))
+    return max(low, lowest), highest

@@ -89,7 +89,7 @@ def calibrate(
     models = parse_each(model or "", "--model")
     rig = is_rig(photos) or split is not None
     if not rig and (set(models) - {""} or set(sizes) - {""}):
-        raise InputError(f"Options by camera count only {IN_RIG}, found one camera; name no camera.")
+        raise InputError(f"`image_size` and `model` by camera count only {IN_RIG}; found one camera: name none.")
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

@@ -38,8 +38,10 @@ def image_circle(
     way = np.stack([np.cos(turn), np.sin(turn)], -1)
     room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
     border = room.min(-1) - 1.0
-    outermost = centre + np.maximum(border[:, None] - np.arange(options.min_dark_px), 0.0)[..., None] * way[:, None]
-    outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), 2, axis=1)
+    # The outer half of the pixels that are dark, and the inner one.
+    depth_px = max(2, options.min_dark_px)
+    outermost = centre + np.maximum(border[:, None] - np.arange(depth_px), 0.0)[..., None] * way[:, None]
+    outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), [depth_px // 2], axis=1)
     dark = float(np.percentile(outer, 2))
     # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
     darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(options.min_dark_rays * RAYS)]]

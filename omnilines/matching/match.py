@@ -171,7 +171,7 @@ def _shown_slack(
     arcs: ViewedArcs, rows: Int[np.ndarray, " k"], found: Hypotheses, tolerance_px: float, showing_share: float
 ) -> float:
     """What the residuals show beyond the stated noise: of the arcs whose line stands out most, with their supporters."""
-    best = np.argsort(found.rival - found.score, kind="stable")[: math.ceil(showing_share * len(rows))]
+    best = np.argsort(found.rival - found.score, kind="stable")[: max(1, math.ceil(showing_share * len(rows)))]
     support = found.support[best]
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
