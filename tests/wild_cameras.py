@@ -1,6 +1,6 @@
 """Cameras with finite, wild parameters, through what reads photos with them. For a process of its own, since it might end it:
 
-    python tests/wild_cameras.py SEED COUNT
+python tests/wild_cameras.py SEED COUNT
 """
 
 import random

@@ -16,8 +16,16 @@ from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, write_atomically
+from omnilines.files.photo_size import size_of_photo
+from omnilines.machine import available_bytes
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
+MOST_PIXELS = 1 << 29
+"""Of a photo: a panorama of 32766 x 16383, the widest that `rectify` takes. Larger ones in a few bytes are made to harm."""
+_HEADER_BYTES = 1 << 16
+"""Of a photo, that mostly hold its size."""
+_SHARE = 0.5
+"""Of the memory that can be taken, for photos being worked on."""
 
 
 @dataclass(frozen=True)
@@ -158,13 +166,15 @@ def _natural(name: str) -> tuple[list[tuple[str, int]], str]:
 def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
 
-    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, or holds
-    other numbers than 8 or 16 bit ones.
+    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, holds
+    other numbers than 8 or 16 bit ones, or more pixels than MOST_PIXELS or than fit into memory.
     """
     file = Path(path)
-    data = np.frombuffer(read_bytes(file), dtype=np.uint8)
+    content = read_bytes(file)
+    data = np.frombuffer(content, dtype=np.uint8)
     if not len(data):
         raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
+    _require_room(file, size_of_photo(content))
     try:
         with _quiet_codecs():
             pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
@@ -175,6 +185,42 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
     return pixels
+
+
+def _require_room(file: Path, size: tuple[int, int] | None) -> None:
+    """Raises InputError where a photo of this size should not be decoded."""
+    if size is None:
+        return
+    pixels, available = size[0] * size[1], available_bytes()
+    if pixels > MOST_PIXELS:
+        raise InputError(
+            f"The image {file} was expected to have at most {MOST_PIXELS / 1e6:.0f} megapixels, found {size[0]} x {size[1]} px; "
+            "give a smaller one."
+        )
+    if available is not None and 3 * pixels > available:
+        raise InputError(
+            f"Memory for the image {file} of {size[0]} x {size[1]} px was expected, found {available / 1e9:.1f} GB; give a "
+            "smaller one, or more memory."
+        )
+
+
+def photos_at_once(photos: Sequence[Photo], bytes_per_pixel: int) -> int:
+    """How many photos can be worked on at a time where each takes so many bytes for a pixel; one at least."""
+    available, most = available_bytes(), max((_pixels(photo) for photo in photos), default=0)
+    if available is None or not most:
+        return len(photos)
+    return max(1, int(_SHARE * available / (bytes_per_pixel * most)))
+
+
+def _pixels(photo: Photo) -> int:
+    """Of one photo; 0 where its first bytes do not say."""
+    if isinstance(photo, PhotoArray):
+        return photo.pixels.shape[0] * photo.pixels.shape[1]
+    try:
+        size = size_of_photo(read_bytes(photo.path, _HEADER_BYTES))
+    except InputError:
+        return 0
+    return 0 if size is None or size[0] * size[1] > MOST_PIXELS else size[0] * size[1]
 
 
 def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
