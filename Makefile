@@ -13,7 +13,7 @@ INSTALL = @echo "Installing $(1) into $(VENV); the first time takes a few minute
 	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e "$(1)"
 
-.PHONY: help setup demo test test-all lint bench clean
+.PHONY: help setup demo test test-all lint audit bench clean
 # Two pips must not write into one environment at a time.
 .NOTPARALLEL:
 
@@ -21,6 +21,7 @@ help:
 	@echo "make demo      install, calibrate a camera from photos it renders, rebuild the lines; ends by naming the report"
 	@echo "make test      install and run the tests          make test-all   with all Monte Carlo seeds, and every benchmark once"
 	@echo "make setup     install the omnilines command      make lint       style, types and the import contract"
+	@echo "make audit     known weaknesses of the packages that constraints.txt pins (asks pypi.org)"
 	@echo "make bench     speed and accuracy tables          make clean      remove what the targets made"
 
 $(BIN)/python:
@@ -60,6 +61,12 @@ lint: $(VENV)/.installed-lint
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Needs the network, hence no part of lint. Its own packages are no concern of ours either.
+audit:
+	$(PYTHON) -m venv .venv-audit
+	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check "pip-audit>=2.7"
+	.venv-audit/bin/pip-audit --strict --no-deps --disable-pip --progress-spinner off -r constraints.txt
+
 # Other implementations to compare with have an environment of their own: what they depend on is no concern of ours.
 .venv-peers/.installed: tests/bench/peers.txt
 	$(PYTHON) -m venv .venv-peers
@@ -72,4 +79,4 @@ bench: $(VENV)/.installed-test .venv-peers/.installed
 		-o python_files="bench_*.py" -o python_functions="bench_*" $(PYTEST_ARGS)
 
 clean:
-	rm -rf $(VENV) .venv-peers build dist demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-peers .venv-audit build dist demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -41,6 +41,13 @@ def note_on_cache() -> str | None:
     )
 
 
+def is_first_use() -> bool:
+    """Whether nothing of this installation has been compiled yet, as far as the folders show in which numba keeps it."""
+    named = os.environ.get(VARIABLE)
+    folders = [Path(named)] if named else [Path(__file__).parent, _cache_of_user()]
+    return not any(next(folder.rglob("*.nbi"), None) for folder in folders)
+
+
 def _is_ours(folder: Path) -> bool:
     return folder.parent == Path(tempfile.gettempdir()) and folder.name.startswith("omnilines-") and folder.is_dir()
 

@@ -12,18 +12,25 @@ from jaxtyping import UInt
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
+from omnilines.machine import available_bytes
+from omnilines.photo_size import size_of_photo
+
+MOST_PIXELS = 1 << 29
+"""Of a photo: a panorama of 32766 x 16383, the widest that `rectify` takes. Larger ones in a few bytes are made to harm."""
 
 
 def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
 
-    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, or holds
-    other numbers than 8 or 16 bit ones.
+    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, holds
+    other numbers than 8 or 16 bit ones, or more pixels than MOST_PIXELS or than fit into memory.
     """
     file = Path(path)
-    data = np.frombuffer(read_bytes(file), dtype=np.uint8)
+    content = read_bytes(file)
+    data = np.frombuffer(content, dtype=np.uint8)
     if not len(data):
         raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
+    _require_room(file, size_of_photo(content))
     try:
         with quiet_codecs():
             pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
@@ -34,6 +41,23 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
     return pixels
+
+
+def _require_room(file: Path, size: tuple[int, int] | None) -> None:
+    """Raises InputError where a photo of this size should not be decoded."""
+    if size is None:
+        return
+    pixels, available = size[0] * size[1], available_bytes()
+    if pixels > MOST_PIXELS:
+        raise InputError(
+            f"The image {file} was expected to have at most {MOST_PIXELS / 1e6:.0f} megapixels, found {size[0]} x {size[1]} px; "
+            "give a smaller one."
+        )
+    if available is not None and 3 * pixels > available:
+        raise InputError(
+            f"Memory for the image {file} of {size[0]} x {size[1]} px was expected, found {available / 1e9:.1f} GB; give a "
+            "smaller one, or more memory."
+        )
 
 
 _stderr_is_taken = threading.Lock()

@@ -4,13 +4,14 @@ Kernels release the interpreter's lock, and plain threads run them. A threading 
 torch's: OpenMP's must not be forked, and the simplest one must not be entered twice, which worker pools of photos would do.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
 import torch
+
+from omnilines.machine import cores
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -34,8 +35,7 @@ def on_all_cores(
     """The results in order, one item per core at a time, `at_once` at most where each takes much memory. Torch starts no threads
     within them: every core has its item, and they would wait for each other at several times the cost of the work."""
     results = []
-    cores = os.cpu_count() or 1
-    pool = ThreadPoolExecutor(min(cores, at_once or cores), initializer=torch.set_num_threads, initargs=(1,))
+    pool = ThreadPoolExecutor(min(cores(), at_once or cores()), initializer=torch.set_num_threads, initargs=(1,))
     try:
         for done, result in enumerate(pool.map(work, items), 1):
             results.append(result)

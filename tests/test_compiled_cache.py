@@ -89,3 +89,21 @@ def test_a_temporary_cache_is_said_once(tmp_path: Path, monkeypatch: pytest.Monk
     assert compiled_cache.note_on_cache() is None
     monkeypatch.delenv(compiled_cache.VARIABLE)
     assert compiled_cache.note_on_cache() is None
+
+
+def test_the_first_use_is_told_from_later_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(compiled_cache.VARIABLE, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiled_cache, "__file__", str(tmp_path / "package" / "compiled_cache.py"))
+    kept = (tmp_path / "package/kernels/__pycache__/a.nbi", tmp_path / "cache/numba/kernels_0/a.nbi")
+    for path in kept if sys.platform.startswith("linux") else kept[:1]:
+        assert compiled_cache.is_first_use()
+        path.parent.mkdir(parents=True)
+        path.write_text("")
+        assert not compiled_cache.is_first_use()
+        path.unlink()
+    monkeypatch.setenv(compiled_cache.VARIABLE, str(tmp_path / "named"))
+    assert compiled_cache.is_first_use()
+    (tmp_path / "named/a").mkdir(parents=True)
+    (tmp_path / "named/a/a.nbi").write_text("")
+    assert not compiled_cache.is_first_use()

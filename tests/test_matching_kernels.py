@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ import torch
 from matching_scenes import VIEWS, every_neighbour, room
 
 from camera_models.pose import Pose
+from omnilines import progress
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching import hypotheses
 from omnilines.matching.arcs import ViewedArcs
@@ -273,7 +273,7 @@ def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.Monke
     arcs = some(room("scaramuzza").arcs(0.3, 1), 500)
     near, every = every_neighbour(arcs.images), None
     for cores, portion in itertools.product((1, 2), (7, 256, 1000)):
-        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        monkeypatch.setattr(progress, "cores", lambda cores=cores: cores)
         monkeypatch.setattr(hypotheses, "AT_ONCE", portion)
         steps = []
         found = find_hypotheses(arcs, near, progress=lambda stage, done, total, to=steps: to.append((done, total)))

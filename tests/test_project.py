@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from typing import Any
 
 import pytest
@@ -189,6 +189,25 @@ def test_constraints_are_complete() -> None:
     assert len(installed) > 30
     pins = dict(re.findall(r"^([\w.-]+)==([\w.]+)$", (ROOT / "constraints.txt").read_text(), re.M))
     assert installed.items() <= pins.items(), dict(installed.items() - pins.items())
+
+
+PERMISSIVE = (
+    "mit", "mit-cmu", "bsd", "0bsd", "bsd license", "bsd-2-clause", "bsd-3-clause", "apache-2.0", "apache software license",
+    "apache-2.0 with llvm-exception", "isc license (iscl)", "mit license", "bsl-1.0", "zlib", "cc0-1.0", "psf-2.0",
+    "python software foundation license",
+)  # fmt: skip
+"""Licences as packages state them: an expression, a classifier, or a word."""
+
+
+def test_all_that_is_run_has_a_permissive_licence() -> None:
+    installed = closure([*PYPROJECT["project"]["dependencies"], *PYPROJECT["project"]["optional-dependencies"]["parquet"]])
+    assert len(installed) > 25
+    for name in installed:
+        about = metadata(name)
+        classifiers = [text.rpartition("::")[2] for text in about.get_all("Classifier") or [] if text.startswith("License")]
+        stated = [about["License-Expression"]] if about["License-Expression"] else classifiers or [str(about["License"])]
+        parts = [part.strip().lower() for text in stated for part in re.split(r" AND | OR ", text)]
+        assert parts and all(part in PERMISSIVE for part in parts), (name, stated)
 
 
 HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2", "matplotlib", "numba", "pycolmap", "pyarrow", "rerun")

@@ -11,15 +11,13 @@ pixels and their images take 208 bytes more. The general path takes its Jacobian
     400 MB + n (224 + 1700) + t 900 + 48 k^2.
 """
 
-import os
-from pathlib import Path
-
 from camera_models import InputError
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.problem import LineProblem
 from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import free_bytes
+from omnilines.machine import available_bytes
 
 BASE = 400_000_000
 ARC, ARC_WITH_PIXELS = 224, 432
@@ -41,22 +39,6 @@ def engine_bytes(*, observations: int, lines: int, free: int, pairs: int, width:
 def general_bytes(observations: int, lines: int, kept: int) -> int:
     """What the general path adds to the interpreter and the arcs."""
     return observations * GENERAL_ROW + lines * LINE + 48 * kept**2
-
-
-def available_bytes() -> int | None:
-    """Memory that can still be taken: of the machine and of the control group the process runs in; None where nobody says."""
-    found = []
-    meminfo = Path("/proc/meminfo")
-    if meminfo.is_file():
-        rows = dict(line.split(":", 1) for line in meminfo.read_text().splitlines() if ":" in line)
-        if "MemAvailable" in rows:
-            found.append(1024 * int(rows["MemAvailable"].split()[0]))
-    elif hasattr(os, "sysconf") and {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(os.sysconf_names):
-        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    limit, used = (Path("/sys/fs/cgroup") / name for name in ("memory.max", "memory.current"))
-    if limit.is_file() and used.is_file() and limit.read_text().strip().isdigit():
-        found.append(int(limit.read_text()) - int(used.read_text()))
-    return min(found) if found else None
 
 
 def require_memory(needed: int, observations: int, lines: int, photos: int, available: int | None = None) -> None:

@@ -16,7 +16,7 @@ from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.notes import rows_shown, shortened, told
 from omnilines.cli.spelling import Application, with_flags
-from omnilines.compiled_cache import note_on_cache
+from omnilines.compiled_cache import is_first_use, note_on_cache
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -130,7 +130,7 @@ def parse_each(text: str, option: str) -> dict[str, str]:
 
 @contextmanager
 def progress() -> "Iterator[ProgressCallback]":
-    """A progress line on standard error."""
+    """A progress line on standard error; on the first use of an installation it says that functions are compiled."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -146,6 +146,7 @@ def progress() -> "Iterator[ProgressCallback]":
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
         now = ""
+        compiling = " (first use: compiling, half a minute more)" if is_first_use() else ""
 
         def tell(stage: str, done: int, total: int) -> None:
             """Show how far a stage is."""
@@ -157,7 +158,7 @@ def progress() -> "Iterator[ProgressCallback]":
                 if stage in tasks:
                     bar.reset(tasks[stage], total=total or None, visible=True)
                 else:
-                    tasks[stage] = bar.add_task(stage, total=total or None)
+                    tasks[stage] = bar.add_task(stage + compiling, total=total or None)
                 now = stage
             bar.update(tasks[stage], completed=done, total=total or None)
 

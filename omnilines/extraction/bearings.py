@@ -22,8 +22,8 @@ AT_A_TIME = 8_000
 """Places or rays of which the model is asked at a time: what lies below 32768 numbers torch does without threads of its own,
 which burn more time than they save where every core looks at a photo already."""
 FARTHEST_PX = 1e6
-"""From the first pixel; a place beyond is taken to be at that distance and not seen. Compiled loops count places in whole
-numbers, and a model with coefficients of any size may put one anywhere."""
+"""From the first pixel; a place beyond is taken to be there, and not seen. Compiled loops count places in whole numbers,
+and a model with coefficients of any size may put one anywhere."""
 
 
 def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

@@ -10,6 +10,7 @@ from omnilines.files.photos import (
     Photos,
     find_photos,
     photo_folder,
+    photos_at_once,
     photos_of,
     write_png,
 )
@@ -29,6 +30,7 @@ __all__ = [
     "is_corners_table",
     "is_rig_table",
     "photo_folder",
+    "photos_at_once",
     "photos_of",
     "read_corners",
     "read_lines",

@@ -12,11 +12,17 @@ import numpy as np
 from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_bytes, write_atomically
 from camera_models.formats.values import is_text
-from omnilines.photo_file import read_photo
+from omnilines.machine import available_bytes
+from omnilines.photo_file import MOST_PIXELS, read_photo
+from omnilines.photo_size import size_of_photo
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
+_HEADER_BYTES = 1 << 16
+"""Of a photo, that mostly hold its size."""
+_SHARE = 0.5
+"""Of the memory that can be taken, for photos being worked on."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +158,25 @@ def require_distinct_stems(photos: Sequence[PhotoRef]) -> None:
 def _natural(name: str) -> tuple[list[tuple[str, int]], str]:
     pieces = re.findall(r"([^0-9]*)([0-9]*)", name.lower())
     return [(text, int(digits or -1)) for text, digits in pieces], name
+
+
+def photos_at_once(photos: Sequence[Photo], bytes_per_pixel: int) -> int:
+    """How many photos can be worked on at a time where each takes so many bytes for a pixel; one at least."""
+    available, most = available_bytes(), max((_pixels(photo) for photo in photos), default=0)
+    if available is None or not most:
+        return len(photos)
+    return max(1, int(_SHARE * available / (bytes_per_pixel * most)))
+
+
+def _pixels(photo: Photo) -> int:
+    """Of one photo; 0 where its first bytes do not say."""
+    if isinstance(photo, PhotoArray):
+        return photo.pixels.shape[0] * photo.pixels.shape[1]
+    try:
+        size = size_of_photo(read_bytes(photo.path, _HEADER_BYTES))
+    except InputError:
+        return 0
+    return 0 if size is None or size[0] * size[1] > MOST_PIXELS else size[0] * size[1]
 
 
 def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:

@@ -15,6 +15,9 @@ from omnilines.matching.options import LikenessOptions, MatchingOptions
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
 
+PAIRS_AT_ONCE = 1 << 16
+"""Of an arc and a line, that are compared at a time: each takes a kilobyte or two."""
+
 
 @dataclass(frozen=True)
 class KnownLines:
@@ -79,10 +82,15 @@ class KnownLines:
         self, arcs: ViewedArcs, options: MatchingOptions
     ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
         """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square."""
-        arc, line = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
-        square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line, options.likeness)
-        fits = (square <= options.explained.max_chi_square) & (alike >= options.likeness.min_likeness)
-        return arc[fits], line[fits], alike[fits], square[fits]
+        every, its = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+        found = []
+        for at in range(0, max(len(every), 1), PAIRS_AT_ONCE):
+            arc, line = every[at : at + PAIRS_AT_ONCE], its[at : at + PAIRS_AT_ONCE]
+            square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line, options.likeness)
+            fits = (square <= options.explained.max_chi_square) & (alike >= options.likeness.min_likeness)
+            found.append((arc[fits], line[fits], alike[fits], square[fits]))
+        arc, line, alike, square = (np.concatenate(column) for column in zip(*found, strict=True))
+        return arc, line, alike, square
 
 
 def most_likely(

@@ -11,9 +11,9 @@ from jaxtyping import Float, Shaped, UInt8
 
 from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
-from omnilines.files import Photo
+from omnilines.files import Photo, photos_at_once
 from omnilines.geometry.sphere import angle_between, arc_normal
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL, FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Summary
 
@@ -74,7 +74,8 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
         write_atomically(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
         return path
 
-    return tuple(on_all_cores(draw, arcs.used, "drawing arcs", progress))
+    at_once = photos_at_once([found.photo for found in arcs.used], BYTES_PER_PIXEL)
+    return tuple(on_all_cores(draw, arcs.used, "drawing arcs", progress, at_once))
 
 
 def picture_name(photo: Photo) -> str:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.formats.disk import read_bytes, write_atomically
 from omnilines.extraction import ExtractionOptions, extract_arcs
-from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_at_once, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.sets import claimed
@@ -32,6 +32,8 @@ SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
 """Shorter arcs than by default are used for lines: other photos confirm them or not."""
 MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.photo_file")
 """Whose source decides what the arcs of a photo are, beside this module."""
+BYTES_PER_PIXEL = 80
+"""Of a photo being looked through, measured on one full of edges."""
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
 
 
@@ -150,7 +152,7 @@ def extract(
         pixels, covariance, length, colours = (arrays[key] for key in _ARRAYS)
         return FoundArcs(photo, name, pixels, covariance, length, colours)
 
-    found = on_all_cores(look, refs, "extracting arcs", progress)
+    found = on_all_cores(look, refs, "extracting arcs", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     require_any(found, "photos and calibration")
     return PhotoArcs(tuple(found), cameras, (), {"photos": photo_folder(refs), "extraction": options})
 

@@ -15,13 +15,15 @@ from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
+from omnilines.files import Photo, Photos, photo_folder, photos_at_once, photos_of, write_corners
 from omnilines.files.sets import claimed
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
+BYTES_PER_PIXEL = 40
+"""Of a photo being looked through, at most."""
 CORNERS = "corners.csv"
 IN_MEMORY = "in memory"
 """In the place of a file in the provenance."""
@@ -157,7 +159,7 @@ def detect(
             reason = None if len(detection) else reason
         return detection, reason, size
 
-    found = on_all_cores(look, found_photos, "detecting corners", progress)
+    found = on_all_cores(look, found_photos, "detecting corners", progress, photos_at_once(found_photos, BYTES_PER_PIXEL))
     size = _common_size(found, target)
     if camera is not None and size != camera.image_size:
         photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
@@ -238,7 +240,7 @@ def search_again(
         return known if whole is None else whole
 
     again = [photo for photo in found.photos if may_gain(photo)]
-    better = on_all_cores(look, again, "searching with the camera", progress)
+    better = on_all_cores(look, again, "searching with the camera", progress, photos_at_once(again, BYTES_PER_PIXEL))
     return found.updated({photo.name: detection for photo, detection in zip(again, better, strict=True)})
 
 

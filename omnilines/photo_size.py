@@ -1,0 +1,74 @@
+"""How large a photo is, from its first bytes: asked before it is decoded, since few bytes may stand for gigabytes of pixels."""
+
+import re
+import struct
+
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
+_WIDTH_TAG, _HEIGHT_TAG = 256, 257
+
+
+def size_of_photo(data: bytes) -> tuple[int, int] | None:
+    """Width and height (px) that a PNG, JPEG, TIFF, BMP, WebP or PNM says it has; None of others and of damaged ones."""
+    try:
+        if data.startswith(b"\x89PNG\r\n\x1a\n"):
+            return struct.unpack_from(">II", data, 16)
+        if data.startswith(b"\xff\xd8"):
+            return _jpeg(data)
+        if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            return _tiff(data)
+        if data.startswith(b"BM"):
+            old = struct.unpack_from("<I", data, 14)[0] == 12
+            width, height = struct.unpack_from("<HH" if old else "<ii", data, 18)
+            return abs(width), abs(height)
+        if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+            return _webp(data)
+        found = _PNM.match(data)
+        return (int(found[1]), int(found[2])) if found else None
+    except struct.error:
+        return None
+
+
+def _jpeg(data: bytes) -> tuple[int, int] | None:
+    """That of the frame, behind other segments."""
+    place = 2
+    while True:
+        mark, kind, length = struct.unpack_from(">BBH", data, place)
+        if mark != 0xFF:
+            return None
+        if kind == 0xFF:  # filling
+            place += 1
+        elif kind in _JPEG_FRAMES:
+            height, width = struct.unpack_from(">HH", data, place + 5)
+            return width, height
+        else:
+            place += 2 + length
+
+
+def _tiff(data: bytes) -> tuple[int, int] | None:
+    """That of the first page, the one that is read; of BigTIFF too."""
+    order, big = "<" if data.startswith(b"II") else ">", data[2:4] in (b"+\0", b"\0+")
+    (place,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
+    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
+    place, entry = place + (8 if big else 2), 20 if big else 12
+    found: dict[int, int] = {}
+    for _ in range(min(count, 1000)):
+        tag, kind = struct.unpack_from(order + "HH", data, place)
+        if tag in (_WIDTH_TAG, _HEIGHT_TAG):
+            (found[tag],) = struct.unpack_from(order + {3: "H", 4: "I"}.get(kind, "Q"), data, place + (12 if big else 8))
+        place += entry
+    return (found[_WIDTH_TAG], found[_HEIGHT_TAG]) if len(found) == 2 else None
+
+
+def _webp(data: bytes) -> tuple[int, int] | None:
+    kind = data[12:16]
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8X" and len(data) >= 30:
+        width, height = (int.from_bytes(data[place : place + 3], "little") + 1 for place in (24, 27))
+        return width, height
+    return None

@@ -1,0 +1,99 @@
+"""The size of a photo is known from its header, so that few bytes that stand for gigabytes are refused."""
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_models import InputError
+from omnilines.files import photos, read_photo
+from omnilines.photo_size import size_of_photo
+
+IMAGE = np.random.default_rng(0).integers(0, 255, (37, 53, 3), dtype=np.uint8)
+
+
+def png(width: int, height: int, depth: int, kind: int) -> bytes:
+    """A PNG of zeros, of few bytes: kind 0 is grey, 2 colour, 3 a palette."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    packer, rows = zlib.compressobj(9), []
+    for _ in range(height):
+        rows.append(packer.compress(bytes(1 + (width * depth * (3 if kind == 2 else 1) + 7) // 8)))
+    palette = chunk(b"PLTE", bytes(6)) if kind == 3 else b""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))
+    data = chunk(b"IDAT", b"".join([*rows, packer.flush()]))
+    return b"\x89PNG\r\n\x1a\n" + header + palette + data + chunk(b"IEND", b"")
+
+
+def encoded(suffix: str, *options: int) -> bytes:
+    image = IMAGE[..., 0] if suffix == ".pgm" else IMAGE
+    return bytes(cv2.imencode(suffix, image, options)[1].tobytes())
+
+
+ENCODED = {
+    **{suffix: encoded(suffix) for suffix in (*photos.PHOTO_SUFFIXES, ".ppm")},
+    "progressive": encoded(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    "lossless": encoded(".webp", cv2.IMWRITE_WEBP_QUALITY, 101),
+    "remark": b"P5\n# a remark 7\n53 37\n255\n" + bytes(37 * 53),
+    "big-endian": b"MM\0*\0\0\0\x08\0\x02" + struct.pack(">HHIHHHHII", 256, 3, 1, 53, 0, 257, 4, 1, 37),
+    "big-tiff": b"II+\0\x08\0\0\0" + struct.pack("<QQ", 16, 2) + struct.pack("<HHQQHHQQ", 256, 4, 1, 53, 257, 16, 1, 37),
+    "top-down": b"BM" + bytes(12) + struct.pack("<Iii", 40, 53, -37) + bytes(40),
+    "extended": b"RIFF\0\0\0\0WEBPVP8X" + bytes(8) + (52).to_bytes(3, "little") + (36).to_bytes(3, "little"),
+}
+
+
+@pytest.mark.parametrize("kind", ENCODED)
+def test_the_header_says_the_size(kind: str) -> None:
+    assert size_of_photo(ENCODED[kind]) == (53, 37)
+
+
+@pytest.mark.parametrize("kind", ENCODED)
+def test_a_header_that_is_cut_short_says_nothing_else(kind: str) -> None:
+    for length in range(min(len(ENCODED[kind]), 700)):
+        assert size_of_photo(ENCODED[kind][:length]) in (None, (53, 37))
+
+
+def test_what_is_no_photo_has_no_size() -> None:
+    rng = np.random.default_rng(0)
+    for start in (b"", b"\xff\xd8", b"II*\0", b"BM", b"RIFF\0\0\0\0WEBPVP8 ", b"P5 "):
+        for _ in range(200):
+            size_of_photo(start + rng.bytes(200))
+    assert size_of_photo(b"not a photo") is None
+
+
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png(30_000, 30_000, 1, 0))
+    assert path.stat().st_size < 200_000
+    with pytest.raises(InputError, match=r"bomb.png was expected to have at most 537 megapixels, found 30000 x 30000 px"):
+        read_photo(path)
+
+
+def test_a_photo_larger_than_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(png(2000, 1000, 8, 2))
+    assert read_photo(path).shape == (1000, 2000, 3)
+    monkeypatch.setattr(photos, "available_bytes", lambda: 5_000_000)
+    with pytest.raises(InputError, match=r"Memory for the image .*large.png of 2000 x 1000 px"):
+        read_photo(path)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 100_000), (100_000, 1), (1, 1)])
+def test_thin_photos_are_read(tmp_path: Path, width: int, height: int) -> None:
+    path = tmp_path / "thin.png"
+    path.write_bytes(png(width, height, 8, 0))
+    assert read_photo(path).shape == (height, width)
+
+
+def test_palettes_and_pages(tmp_path: Path) -> None:
+    path = tmp_path / "palette.png"
+    path.write_bytes(png(64, 48, 1, 3))
+    assert read_photo(path).shape == (48, 64, 3)
+    pages = tmp_path / "pages.tif"
+    assert cv2.imwritemulti(str(pages), [IMAGE] * 100)
+    np.testing.assert_array_equal(read_photo(pages), IMAGE)
