@@ -14,7 +14,7 @@ from omnilines.least_squares import Outcome
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.pipelines.scene import FromPhotos, Scene
-from omnilines.records import Summary
+from omnilines.records import Lines, Summary
 from omnilines.report.line_scene import (
     families_section,
     line_photos_section,
@@ -45,10 +45,15 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", f"{scene.adjusted.rms_px():.3f}"),
         ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
-        ("median of the largest sigma of a line's ends across it", f"{float(np.median(lines.sigma_m)):.3g} {lines.unit.sign}"),
+        ("median of the largest sigma of a line's ends across it", _sigma(float(np.median(lines.sigma_m)), lines)),
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
     return rows, (*_outcome(scene), *noise_notes(scene.adjusted.adjusted.noise))
+
+
+def _sigma(sigma_m: float, lines: Lines) -> str:
+    """NaN where no noise of the end points is known."""
+    return "not known" if math.isnan(sigma_m) else f"{sigma_m:.3g} {lines.unit.sign}"
 
 
 def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
@@ -73,7 +78,7 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
         ("refined", ", ".join(options.refine)),
         ("rms_px before", f"{adjusted.rms_px(before=True):.4f}"),
         ("rms_px after", f"{adjusted.rms_px():.4f}"),
-        ("median of the largest sigma of a line's ends across it", f"{scene.median_sigma_m():.3g} {lines.unit.sign}"),
+        ("median of the largest sigma of a line's ends across it", _sigma(scene.median_sigma_m(), lines)),
         ("noise of the end points", noise_row(adjusted.adjusted.noise)),
     )
     notes = _named("do not belong to their track and were left out", adjusted.wrong)
