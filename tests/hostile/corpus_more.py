@@ -45,10 +45,11 @@ def cases() -> Iterator[Case]:
     for kind, place in {"segments": "image", "corners": "image"}.items():
         long = changed(kind, ending(place, "x" * 3000))
         yield Case(f"{kind}:long-name", COMMANDS[kind][2], long, r"xxx\.\.\.xxx|photos", status=(0, 2))
-    for name, line in {
-        "detect": ("detect", "IN/photos", *PATTERN, "--out", "OUT"),
-        "rectify": ("rectify", "IN/photos", "--calibration", "IN/calibration.yaml", "--size", "64x48", "--out", "OUT"),
-    }.items():
-        yield Case(f"{name}:kernel-log", line, kernel_log, "log.png", status=(0, 2))
+    detect = ("detect", "IN/photos", *PATTERN, "--out", "OUT")
+    yield Case("detect:kernel-log", detect, kernel_log, "log.png", status=(0, 2))
+    sfm = ("reconstruct", "IN/photos", "--calibration", "IN/calibration.yaml", "--poses", "sfm", "--out", "OUT")
+    for metres in ("1e300", "1e-300", "nan", "-2"):
+        known = ("--scale-from", f"0.png,1.png:{metres}")
+        yield Case(f"sfm:scale-{metres}", (*sfm, *known), give("photos", "omnilines"), "scale-from.*METRES")
     out = "OUT/" + "x" * 5000
     yield Case("detect:long-path", ("detect", "IN/photos", *PATTERN, "--out", out), give("photos"), r"xxx\.\.\.")

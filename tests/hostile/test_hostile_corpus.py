@@ -4,13 +4,19 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hostile import corpus_formats, corpus_options, corpus_photos, corpus_tables
+from hostile import corpus_formats, corpus_more, corpus_options, corpus_photos, corpus_tables
 from hostile.case import Case, play
 from hostile.known import REASONS
 
 from camera_models.formats import FORMATS
 
-PARTS = {"formats": corpus_formats, "tables": corpus_tables, "photos": corpus_photos, "options": corpus_options}
+PARTS = {
+    "formats": corpus_formats,
+    "tables": corpus_tables,
+    "photos": corpus_photos,
+    "options": corpus_options,
+    "more": corpus_more,
+}
 CASES = [(f"{part}/{case.name}", case) for part, module in PARTS.items() for case in module.cases()]
 
 
