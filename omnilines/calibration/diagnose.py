@@ -8,6 +8,7 @@ from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
 from camera_models.pose import Pose
+from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.thresholds import DegeneracyThresholds
 
 AZIMUTHS = 72
@@ -66,6 +67,18 @@ def refuse_open_camera(
         raise GeometryError(
             f"The corners of {len(cam_from_board)} views were expected to determine the angles of the camera, found {found}; "
             "add photos with the board at other tilts and nearer to the rim."
+        )
+
+
+def refuse_unexplained(points: BoardPoints, residual_px: Float[Tensor, "n 2"], limit_share: float) -> None:
+    """Raise GeometryError when the camera leaves more than this share of the spread of the corners in their views."""
+    spread = points.pixels - points.mean_by_view(points.pixels)[points.view]
+    left_px = float(residual_px.square().sum(-1).mean().sqrt())
+    if not left_px <= limit_share * float(spread.square().sum(-1).mean().sqrt()):
+        raise GeometryError(
+            f"The corners of {points.views} views were expected to be those of one board and one camera, found them "
+            f"{left_px:.3g} px (root mean square) from where any camera would see them; check the pattern, the columns of the "
+            "table, and that all photos are of one camera."
         )
 
 

@@ -8,6 +8,7 @@ percent) the one with the fewest parameters is taken. A model whose curve folds 
 not taken.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -199,6 +200,11 @@ def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) 
     sound = [(trial, trial.error) for trial in trials if trial.error is not None]
     growing = [(trial, error) for trial, error in sound if trial.monotone] or sound
     best, least = min(growing, key=lambda pair: pair[1].rms_px)
+    if math.isinf(least.rms_px):
+        raise GeometryError(
+            f"Views of which one can be left out were expected to compare models, found {views} that leave every model open "
+            "without one of them; add photos of the board at other angles, or name a model."
+        )
     tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"

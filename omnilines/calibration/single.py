@@ -17,6 +17,7 @@ from omnilines.calibration.diagnose import (
     coverage_notes,
     refuse_open_camera,
     refuse_parallel_boards,
+    refuse_unexplained,
     rejection_notes,
     supported_angles_deg,
     tilt_notes,
@@ -264,6 +265,7 @@ def _result(
     variance, q = factor.value, basis.shape[1]
     covariance = basis @ unit[:q, :q] @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
+    refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
     refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)

@@ -84,6 +84,9 @@ class DegeneracyThresholds(NamedTuple):
     """Boards whose normals all lie within this angle of a plane count as tilted about one axis."""
     open_share: float = 0.1
     """A camera whose angles are uncertain by more than this share of themselves is not determined by its data."""
+    unexplained_share: float = 0.5
+    """Corners that lie from where the camera sees them by more than this share of their spread in the views (both root mean
+    squares) are not seen by a camera at all."""
     rim_share: float = 0.05
     """Share of rejected corners among the outer ones from which the model may be at fault."""
     rim_factor: float = 4.0

@@ -1,5 +1,6 @@
 """What a calibration tells: figures for tables and `--json`, and the sections of its report."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,8 @@ def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
         if trial.failure is not None:
             text = f"not fitted: {trial.failure}"
         else:
-            text = f"{figure(trial.in_sample_px, '.4f')}, {figure(trial.held_out_px, '.4f')}, {trial.parameters} parameters"
+            held_out = figure(trial.held_out_px, ".4f") if math.isfinite(trial.held_out_px) else "open without one of the views"
+            text = f"{figure(trial.in_sample_px, '.4f')}, {held_out}, {trial.parameters} parameters"
             text += "" if trial.monotone else ", folds back just beyond the data"
         rows.append((trial.candidate.label + (" (taken)" if trial is selection.chosen else ""), text))
     return tuple(rows)

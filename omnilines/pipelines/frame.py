@@ -14,6 +14,7 @@ import torch
 
 from camera_models import InputError
 from camera_models.pose import Pose
+from omnilines.files.tables import LARGEST_M
 from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
@@ -62,9 +63,10 @@ def parse_known_distance(text: str, photos: Sequence[str], unit: LengthUnit) -> 
     except ValueError:
         metres = math.nan
     named = [tuple(_photo(part.strip(), photos) for part in (pair[:k], pair[k + 1 :])) for k, c in enumerate(pair) if c == ","]
-    if not named or not (math.isfinite(metres) and metres > 0):
+    if not named or not 1 / LARGEST_M <= metres <= LARGEST_M:
         raise InputError(
-            f"`scale_from` was expected as PHOTO,PHOTO:METRES with a distance above 0, such as a.jpg,b.jpg:2.5, found '{text}'."
+            f"`scale_from` was expected as PHOTO,PHOTO:METRES with a distance above 0 (up to {LARGEST_M:g}), such as "
+            f"a.jpg,b.jpg:2.5, found '{text}'."
         )
     first, second = next((both for both in named if None not in both), (None, None))
     if first is None or second is None or first == second:

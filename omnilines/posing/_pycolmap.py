@@ -2,12 +2,13 @@
 
 from typing import Any
 
-ERRORS_ONLY = 2
+FATAL_ONLY = 3
+"""Of its log: what COLMAP calls an error, such as no model from these photos, is told as a sentence of ours."""
 
 
 def pycolmap() -> Any:
     """The module."""
     import pycolmap as module
 
-    module.logging.minloglevel = ERRORS_ONLY
+    module.logging.minloglevel = FATAL_ONLY
     return module

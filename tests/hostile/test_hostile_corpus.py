@@ -4,7 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hostile import corpus_formats, corpus_idle, corpus_options, corpus_photos, corpus_tables
+from hostile import corpus_formats, corpus_idle, corpus_more, corpus_options, corpus_photos, corpus_tables
 from hostile.case import Case, play
 from hostile.known import REASONS
 
@@ -16,6 +16,7 @@ PARTS = {
     "photos": corpus_photos,
     "options": corpus_options,
     "idle": corpus_idle,
+    "more": corpus_more,
 }
 CASES = [(f"{part}/{case.name}", case) for part, module in PARTS.items() for case in module.cases()]
 

@@ -1,0 +1,55 @@
+"""What an attack of its own found: corners of no camera, names that are no text, files of the kernel."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from hostile.case import Case
+from hostile.corpus_tables import COMMANDS, Change, Rows, changed, column
+from hostile.good import give
+
+CORNERS = COMMANDS["corners"][2]
+PATTERN = ("--pattern", "checkerboard:7x5:30mm")
+
+
+def scattered(rows: Rows) -> Rows:
+    """Corners all over the image, without any order."""
+    sideways = column("u_px", lambda k: str(k * 7919 % 640 + 0.5))(rows)
+    return column("v_px", lambda k: str(k * 104729 % 480 + 0.5))(sideways)
+
+
+def ending(name: str, end: str) -> Change:
+    """Cells of a column with an end of their own."""
+
+    def change(rows: Rows) -> Rows:
+        at = rows[0].index(name)
+        return [rows[0], *([*row[:at], row[at] + end, *row[at + 1 :]] for row in rows[1:])]
+
+    return change
+
+
+def kernel_log(folder: Path) -> None:
+    """Among photos a link to a file that is one by its kind, and would be waited for."""
+    give("photos", "omnilines", "poses.csv")(folder)
+    (folder / "IN/photos/log.png").symlink_to("/proc/kmsg")
+
+
+def cases() -> Iterator[Case]:
+    """All of them."""
+    for model in ("opencv-fisheye", "scaramuzza", "unified", "pinhole", "double-sphere"):
+        command = tuple(model if word == "opencv-fisheye" else word for word in CORNERS)
+        yield Case(f"corners:scattered-{model}", command, changed("corners", scattered), "corners|angles")
+    for kind in ("segments", "poses", "corners"):
+        name = {"segments": "track", "poses": "camera", "corners": "view"}[kind]
+        for what, end in {"escape": "\x1b[31m", "newline": "\nomnilines: done"}.items():
+            yield Case(f"{kind}:{name}-{what}", COMMANDS[kind][2], changed(kind, ending(name, end)), f"column {name}")
+    for kind, place in {"segments": "image", "corners": "image"}.items():
+        long = changed(kind, ending(place, "x" * 3000))
+        yield Case(f"{kind}:long-name", COMMANDS[kind][2], long, r"xxx\.\.\.xxx|photos", status=(0, 2))
+    detect = ("detect", "IN/photos", *PATTERN, "--out", "OUT")
+    yield Case("detect:kernel-log", detect, kernel_log, "log.png", status=(0, 2))
+    sfm = ("reconstruct", "IN/photos", "--calibration", "IN/calibration.yaml", "--poses", "sfm", "--out", "OUT")
+    for metres in ("1e300", "1e-300", "nan", "-2"):
+        known = ("--scale-from", f"0.png,1.png:{metres}")
+        yield Case(f"sfm:scale-{metres}", (*sfm, *known), give("photos", "omnilines"), "scale-from.*METRES")
+    out = "OUT/" + "x" * 5000
+    yield Case("detect:long-path", ("detect", "IN/photos", *PATTERN, "--out", out), give("photos"), r"xxx\.\.\.")
