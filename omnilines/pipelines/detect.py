@@ -18,6 +18,7 @@ from camera_models.pose import Pose
 from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
 from omnilines.files.folders import output_folder
 from omnilines.pipelines.camera_search import completed, searched
+from omnilines.pipelines.seen_boards import other_board
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
@@ -46,6 +47,8 @@ class PhotoCorners:
     """With which they were found, and more of them are."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What they were made from, for the provenance of results."""
+    other: str | None = None
+    """What most photos show in place of the target, one sentence, where that was seen."""
 
     @staticmethod
     def of_table(
@@ -75,7 +78,7 @@ class PhotoCorners:
     def notes(self) -> tuple[str, ...]:
         """What a person should know of all photos together."""
         remark = None if self.pattern is None else counts_remark(self.pattern, self.corners)
-        return (remark,) if remark else ()
+        return tuple(note for note in (remark, self.other) if note)
 
     def detection(self, name: str) -> Detection:
         """The corners of the photo of that name, none where it was skipped."""
@@ -144,7 +147,12 @@ def detect(
         return detection, reason, size
 
     found = on_all_cores(look, found_photos, "detecting corners", progress)
-    size = _common_size(found, target)
+    without = [
+        photo for photo, (detection, _, its_size) in zip(found_photos, found, strict=True) if its_size and not len(detection)
+    ]
+    few = 2 * len(without) > len(found)
+    other = other_board(without, target, mirrored, options, progress) if few else None
+    size = _common_size(found, target, other)
     if camera is not None and size != camera.image_size:
         photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
         raise InputError(
@@ -172,17 +180,20 @@ def detect(
         mirrored,
         options,
         {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
+        other,
     )
 
 
-def _common_size(found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern) -> tuple[int, int]:
-    """That of most photos with corners. Raises InputError where none has any."""
+def _common_size(
+    found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern, other: str | None
+) -> tuple[int, int]:
+    """That of most photos with corners. Raises InputError where none has any, with what they show instead."""
     sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
     if not sizes:
         reasons = [reason for _, reason, _ in found if reason]
         raise InputError(
             f"The pattern {pattern.specification} was expected in at least one of {len(found)} photos, found in none "
-            f"(first reason: {reasons[0].rstrip('.')}); check the counts of inner corners and the photos."
+            f"(first reason: {reasons[0].rstrip('.')}). {other or 'Check the specification and the photos.'}"
         )
     return sizes.most_common(1)[0][0]
 
@@ -228,21 +239,23 @@ def search_again(
 
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
-    """What tells of a wrong count of corners: three photos or more that all show the same smaller grid."""
+    """What tells of a wrong count of corners: three photos or more of which most show the same smaller grid, the others less."""
     grid = pattern.plain_grid
     if grid is None or corners.ids is None or len(corners.images) < 3:
         return None
-    extents = {
+    extents = Counter(
         (int(np.ptp(ids % grid.columns)) + 1, int(np.ptp(ids // grid.columns)) + 1)
         for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
-    }
-    counts = {tuple(sorted(extent)) for extent in extents}
-    if len(counts) > 1 or counts == {tuple(sorted((grid.columns, grid.rows)))}:
+    )
+    most = max(extents, key=lambda extent: (max(extent) * min(extent), extents[extent]))
+    count = sum(number for extent, number in extents.items() if sorted(extent) == sorted(most))
+    photos = len(corners.images)
+    if 2 * count <= photos or sorted(most) == sorted((grid.columns, grid.rows)):
         return None
-    seen, asked = "{}x{}".format(*next(iter(extents))), f"{grid.columns}x{grid.rows}"
+    seen, asked = "{}x{}".format(*most), f"{grid.columns}x{grid.rows}"
     return (
-        f"All {len(corners.images)} photos show {seen} inner corners of a board of {asked}: if that is the whole board, give "
-        f"{pattern.NAME}:{seen} with its square."
+        f"{'All' if count == photos else f'{count} of'} {photos} photos show {seen} inner corners of a board of {asked}: if that "
+        f"is the whole board, give {pattern.NAME}:{seen} with its square."
     )
 
 
