@@ -17,6 +17,7 @@ from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
 from omnilines.files.folders import output_folder
+from omnilines.files.orientation import turned_otherwise
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.pipelines.seen_boards import other_board
 from omnilines.progress import ProgressCallback, on_all_cores, silent
@@ -119,7 +120,8 @@ def detect(
 
     `photos` are a folder, files and folders, or a mapping of names to arrays (NumPy or torch, grey or BGR); `pattern` may be its
     specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
-    a mirror. A photo that cannot be read, is of another size than most, or shows no target is skipped with its reason.
+    a mirror. A photo that cannot be read, is of another size or EXIF orientation than most, or shows no target is skipped with
+    its reason.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
     another image size.
@@ -133,8 +135,12 @@ def detect(
     found_photos = photos_of(photos)
     target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
 
+    turned = turned_otherwise(found_photos)
+
     def look(photo: Photo) -> tuple[Detection, str | None, tuple[int, int] | None]:
         """What one photo shows of the target, why it was skipped, and its size."""
+        if photo.name in turned:
+            return Detection.empty(), turned[photo.name], None
         try:
             image = photo.read()
         except InputError as error:
@@ -214,6 +220,8 @@ def search_again(
     pattern = found.pattern
     assert pattern is not None
 
+    turned = turned_otherwise(found.photos)
+
     def may_gain(photo: Photo) -> bool:
         if photo.name not in poses:
             return lost_too
@@ -222,6 +230,8 @@ def search_again(
     def look(photo: Photo) -> Detection:
         """What one photo shows of the target once the camera is known."""
         known = found.detection(photo.name)
+        if photo.name in turned:
+            return known
         try:
             image = photo.read()
         except InputError:
