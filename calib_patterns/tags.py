@@ -99,6 +99,20 @@ def _detector(family: TagFamily) -> "cv2.aruco.ArucoDetector":
     return cv2.aruco.ArucoDetector(family.opencv, parameters)
 
 
+def tag_candidates(image: np.ndarray, touching: bool, options: DetectionOptions) -> tuple[np.ndarray, Float[np.ndarray, "n 4 2"]]:
+    """A photo of 8 bits as it is searched, and the quadrilaterals in it that could be tags of any family."""
+    scale = min(1.0, options.search.side_px / max(image.shape))
+    scaled = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    widen = _SEARCHES[0].widen if touching else 0
+    return scaled, _candidates(scaled, widen, _detector(TagFamily("4X4_50", 1, touching)))
+
+
+def _candidates(scaled: np.ndarray, widen: int, detector: "cv2.aruco.ArucoDetector") -> Float[np.ndarray, "n 4 2"]:
+    parted = cv2.dilate(scaled, np.ones((2 * widen + 1,) * 2, dtype=np.uint8)) if widen else scaled
+    read, _, rejected = detector.detectMarkers(parted)
+    return _unshrunk(_clockwise(np.array([*read, *rejected], dtype=np.float64).reshape(-1, 4, 2)), widen)
+
+
 def read_tags(image: np.ndarray, family: TagFamily, count: int, options: DetectionOptions) -> Iterator[Tags]:
     """What each search finds of the first `count` tags, in pixels of the photo (8 bits)."""
     detector = _detector(family)
@@ -112,10 +126,7 @@ def read_tags(image: np.ndarray, family: TagFamily, count: int, options: Detecti
         scaled = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=interpolation)
         factors = np.array(image.shape[::-1]) / np.array(scaled.shape[::-1])
         widen = search.widen if family.touching else 0
-        parted = cv2.dilate(scaled, np.ones((2 * widen + 1,) * 2, dtype=np.uint8)) if widen else scaled
-        read, _, rejected = detector.detectMarkers(parted)
-        quads = _clockwise(np.array([*read, *rejected], dtype=np.float64).reshape(-1, 4, 2))
-        _, ids, pixels = decode(scaled, _unshrunk(quads, widen), codes, options.tags)
+        _, ids, pixels = decode(scaled, _candidates(scaled, widen, detector), codes, options.tags)
         # Centre of the first pixel at (0, 0): scaling is about (-0.5, -0.5).
         yield Tags(ids, (pixels + 0.5) * factors - 0.5, np.full(len(ids), max(1.0 / scale, options.saddles.sigma_px)))
 

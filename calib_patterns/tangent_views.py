@@ -45,7 +45,8 @@ class TangentView:
         with torch.no_grad():
             rays, _ = self.camera.unproject(pixels)
             places, valid = model.project(rays @ self.camera_from_view.T)
-        return np.where(valid[..., None], places, UNSEEN)
+        # So far out that the numbers of a map overflow, a place is as good as unseen.
+        return np.where(valid[..., None], places.clip(UNSEEN, -UNSEEN), UNSEEN)
 
     def resampled(self, grey: np.ndarray, model: CameraModel) -> np.ndarray:
         """What the view shows of a photo; the photo's median beyond its border. The map is computed for every GRID_PX-th pixel

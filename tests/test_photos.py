@@ -4,6 +4,7 @@ import os
 import struct
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from camera_models.errors import InputError
 from omnilines.files import PHOTO_SUFFIXES, find_photos, read_photo
+from omnilines.files.orientation import turned_otherwise
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -134,6 +136,23 @@ def test_exif_orientation_turns_the_photo_upright(
     (tmp_path / "plain.jpg").write_bytes(jpeg)
     (tmp_path / "turned.jpg").write_bytes(jpeg[:2] + exif(orientation) + jpeg[2:])
     assert np.array_equal(read_photo(tmp_path / "turned.jpg"), turned(read_photo(tmp_path / "plain.jpg")))
+
+
+def test_a_photo_turned_otherwise_by_its_exif_is_named(tmp_path: Path) -> None:
+    ramp = np.add.outer(np.arange(40) * 4, np.arange(64)).astype(np.uint8)
+    jpeg, png, tiff = (cv2.imencode(suffix, ramp)[1].tobytes() for suffix in (".jpg", ".png", ".tif"))
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.jpg").write_bytes(jpeg)
+    (tmp_path / "half.jpg").write_bytes(jpeg[:2] + exif(3) + jpeg[2:])
+    (tmp_path / "cut.jpg").write_bytes((jpeg[:2] + exif(3))[:20])
+    chunk = b"eXIf" + exif(6)[10:]
+    png = png[:33] + struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) + png[33:]
+    (tmp_path / "side.png").write_bytes(png)
+    (tmp_path / "plain.tif").write_bytes(tiff)
+    assert read_photo(tmp_path / "side.png").shape == (64, 40)
+    named = turned_otherwise(find_photos([tmp_path]))
+    assert sorted(named) == ["half.jpg", "side.png"] and "turns it by 180 degrees" in named["half.jpg"]
+    assert turned_otherwise(find_photos([tmp_path / "half.jpg"])) == {}
 
 
 def damaged(kind: str) -> bytes:

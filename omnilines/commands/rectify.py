@@ -1,6 +1,7 @@
 """omnilines rectify: photos resampled into perspective, cylindrical, panoramic and cube views, with their cameras and poses."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, read_poses
 from omnilines.files.colmap_scene import check_colmap_folder
 from omnilines.files.folders import check_output_folder
+from omnilines.files.orientation import turned_otherwise
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.rectify import COLMAP_VIEWS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Summary
+from omnilines.records import Detail, Summary
 
 
 def rectify(
@@ -50,7 +52,9 @@ def rectify(
     )  # fmt: skip
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
     with claimed(folder, made.file_names, read, by="rectify", kept=made.views_that_stay(folder)):
-        return _result(made, made.save(folder, progress), folder)
+        result = _result(made, made.save(folder, progress), folder)
+    turned = tuple(Detail.of(name, reason) for name, reason in turned_otherwise(refs).items()) if len(cameras) == 1 else ()
+    return replace(result, details=turned, photos=len(refs))
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:

@@ -19,6 +19,7 @@ from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_at_once, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
+from omnilines.files.orientation import by_camera
 from omnilines.files.sets import claimed
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.arcs import ViewedArcs
@@ -123,8 +124,8 @@ def extract(
 
     Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is
     looked at. `appearance` is which pixels beside an arc are its colours. Arcs are kept in the folder `work`, where one is given,
-    and read from there by another run that would find the same. A photo that cannot be read or has not the size of its camera is
-    skipped with its reason.
+    and read from there by another run that would find the same. A photo that cannot be read, has not the size of its camera or
+    another EXIF orientation than its others is skipped with its reason.
 
     Raises InputError where there is no photo, none can be used, or the mask has not the size of the camera.
 
@@ -141,9 +142,13 @@ def extract(
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
     wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(work_folder(work) / "arcs"))
 
+    turned = by_camera(refs, camera_of)
+
     def look(photo: Photo) -> FoundArcs:
         """The arcs of one photo, or why it has none."""
         name = camera_of[photo.name]
+        if photo.name in turned:
+            return skipped(photo, name, turned[photo.name])
         least_rad = math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
         try:
             arrays = _kept_or_found(photo, cameras[name], least_rad, wanted)

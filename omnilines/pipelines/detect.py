@@ -16,9 +16,11 @@ from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import Photo, Photos, photo_folder, photos_at_once, photos_of, write_corners
+from omnilines.files.orientation import turned_otherwise
 from omnilines.files.sets import claimed
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.pipelines.recognise import as_printed
+from omnilines.pipelines.seen_boards import other_board
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Corners, ViewResult
 
@@ -52,6 +54,8 @@ class PhotoCorners:
     """What they were made from, for the provenance of results."""
     recognised: str | None = None
     """What the photos show of the print of the target that was not given."""
+    other: str | None = None
+    """What most photos show in place of the target, one sentence, where that was seen."""
 
     @staticmethod
     def of_table(
@@ -81,7 +85,7 @@ class PhotoCorners:
     def notes(self) -> tuple[str, ...]:
         """What a person should know of all photos together."""
         remark = None if self.pattern is None else counts_remark(self.pattern, self.corners)
-        return tuple(note for note in (self.recognised, remark) if note)
+        return tuple(note for note in (self.recognised, remark, self.other) if note)
 
     def detection(self, name: str) -> Detection:
         """The corners of the photo of that name, none where it was skipped."""
@@ -130,7 +134,7 @@ def detect(
     specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
     a mirror. `recognise`: a board with tags that a few photos show in another print than the one given (white on black, in the
     layout of OpenCV before 4.6, with other tags of its dictionary) is taken for what it is. A photo that cannot be read, is of
-    another size than most, or shows no target is skipped with its reason.
+    another size or EXIF orientation than most, or shows no target is skipped with its reason.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
     another image size.
@@ -146,8 +150,12 @@ def detect(
     if recognise:
         target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
+    turned = turned_otherwise(found_photos)
+
     def look(photo: Photo) -> tuple[Detection, str | None, tuple[int, int] | None]:
         """What one photo shows of the target, why it was skipped, and its size."""
+        if photo.name in turned:
+            return Detection.empty(), turned[photo.name], None
         try:
             image = photo.read()
         except InputError as error:
@@ -160,7 +168,12 @@ def detect(
         return detection, reason, size
 
     found = on_all_cores(look, found_photos, "detecting corners", progress, photos_at_once(found_photos, BYTES_PER_PIXEL))
-    size = _common_size(found, target)
+    without = [
+        photo for photo, (detection, _, its_size) in zip(found_photos, found, strict=True) if its_size and not len(detection)
+    ]
+    few = 2 * len(without) > len(found)
+    other = other_board(without, target, mirrored, options, progress) if few else None
+    size = _common_size(found, target, other)
     if camera is not None and size != camera.image_size:
         photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
         raise InputError(
@@ -189,17 +202,20 @@ def detect(
         options,
         {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
         otherwise,
+        other,
     )
 
 
-def _common_size(found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern) -> tuple[int, int]:
-    """That of most photos with corners. Raises InputError where none has any."""
+def _common_size(
+    found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern, other: str | None
+) -> tuple[int, int]:
+    """That of most photos with corners. Raises InputError where none has any, with what they show instead."""
     sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
     if not sizes:
         reasons = [reason for _, reason, _ in found if reason]
         raise InputError(
             f"The pattern {pattern.specification} was expected in at least one of {len(found)} photos, found in none "
-            f"(first reason: {reasons[0].rstrip('.')}); check the counts of inner corners and the photos."
+            f"(first reason: {reasons[0].rstrip('.')}). {other or 'Check the specification and the photos.'}"
         )
     return sizes.most_common(1)[0][0]
 
@@ -220,6 +236,8 @@ def search_again(
     pattern = found.pattern
     assert pattern is not None
 
+    turned = turned_otherwise(found.photos)
+
     def may_gain(photo: Photo) -> bool:
         if photo.name not in poses:
             return lost_too
@@ -228,6 +246,8 @@ def search_again(
     def look(photo: Photo) -> Detection:
         """What one photo shows of the target once the camera is known."""
         known = found.detection(photo.name)
+        if photo.name in turned:
+            return known
         try:
             image = photo.read()
         except InputError:
@@ -245,21 +265,23 @@ def search_again(
 
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
-    """What tells of a wrong count of corners: three photos or more that all show the same smaller grid."""
+    """What tells of a wrong count of corners: three photos or more of which most show the same smaller grid, the others less."""
     grid = pattern.plain_grid
     if grid is None or corners.ids is None or len(corners.images) < 3:
         return None
-    extents = {
+    extents = Counter(
         (int(np.ptp(ids % grid.columns)) + 1, int(np.ptp(ids // grid.columns)) + 1)
         for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
-    }
-    counts = {tuple(sorted(extent)) for extent in extents}
-    if len(counts) > 1 or counts == {tuple(sorted((grid.columns, grid.rows)))}:
+    )
+    most = max(extents, key=lambda extent: (max(extent) * min(extent), extents[extent]))
+    count = sum(number for extent, number in extents.items() if sorted(extent) == sorted(most))
+    photos = len(corners.images)
+    if 2 * count <= photos or sorted(most) == sorted((grid.columns, grid.rows)):
         return None
-    seen, asked = "{}x{}".format(*next(iter(extents))), f"{grid.columns}x{grid.rows}"
+    seen, asked = "{}x{}".format(*most), f"{grid.columns}x{grid.rows}"
     return (
-        f"All {len(corners.images)} photos show {seen} inner corners of a board of {asked}: if that is the whole board, give "
-        f"{pattern.NAME}:{seen} with its square."
+        f"{'All' if count == photos else f'{count} of'} {photos} photos show {seen} inner corners of a board of {asked}: if that "
+        f"is the whole board, give {pattern.NAME}:{seen} with its square."
     )
 
 

@@ -1,0 +1,59 @@
+"""Photos that show another target than the one asked for are answered with what they show."""
+
+import numpy as np
+import pytest
+
+import calib_patterns
+from calib_patterns.seen_board import SeenBoard, seen_board
+from camera_models import InputError
+from omnilines.pipelines.detect import counts_remark, detect
+
+BOARDS = {
+    "checkerboard:8x6:30mm": SeenBoard("checkerboard", 8, 6),
+    "charuco:9x7:30mm:22mm:DICT_5X5_100": SeenBoard("charuco", 9, 7, "DICT_5X5_50"),
+    "charuco:5x8:35mm:25mm:DICT_APRILTAG_36h11": SeenBoard("charuco", 5, 8, "DICT_APRILTAG_36h11"),
+    "aprilgrid:6x5:35mm:0.3:36h11": SeenBoard("aprilgrid", 6, 5, "36h11"),
+}
+
+
+def photo(specification: str, seed: int = 0, pixels: int = 640) -> np.ndarray:
+    """The target seen straight on, with noise."""
+    board = calib_patterns.pattern(specification)
+    step = max(board.size_m) / pixels
+    x, y = (low + step * (np.arange(size / step) + 0.5) for low, size in zip(board.top_left_m, board.size_m, strict=True))
+    points = np.stack(np.meshgrid(x, y), -1)
+    noise = np.random.default_rng(seed).normal(0, 3, points.shape[:2])
+    return np.clip(30 + 190 * board.reflectance(points, np.full_like(points, step)) + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("specification", BOARDS)
+def test_what_a_photo_shows_is_named(specification):
+    assert seen_board(photo(specification)) == BOARDS[specification]
+
+
+def test_a_negative_and_a_mirror_image_are_told_and_texture_is_nothing():
+    tagged = photo("charuco:9x7:30mm:22mm:DICT_5X5_100")
+    assert seen_board(255 - tagged) == SeenBoard("charuco", 9, 7, "DICT_5X5_50", "negative")
+    assert seen_board(np.ascontiguousarray(tagged[:, ::-1])) == SeenBoard("charuco", 9, 7, "DICT_5X5_50", "mirrored")
+    assert seen_board(np.random.default_rng(1).integers(0, 255, (200, 300), dtype=np.uint8)) is None
+
+
+@pytest.mark.parametrize(
+    ("shown", "asked", "said"),
+    [
+        ("checkerboard:8x6:30mm", "checkerboard:7x5:30mm", "look like a checkerboard of 8x6 inner corners"),
+        ("checkerboard:8x6:30mm", "aprilgrid:6x6:35mm:0.3:36h11", "give checkerboard:8x6 with its square"),
+        ("charuco:9x7:30mm:22mm:DICT_5X5_100", "charuco:9x7:30mm:22mm:DICT_4X4_50", "with tags of DICT_5X5_50"),
+        ("aprilgrid:6x5:35mm:0.3:36h11", "charuco:9x7:30mm:22mm:DICT_4X4_50", "look like an AprilGrid of 6x5 tags of 36h11"),
+    ],
+)
+def test_the_error_says_what_the_photos_show(shown, asked, said):
+    with pytest.raises(InputError, match=said):
+        detect({f"{k}.png": photo(shown, k) for k in range(2)}, asked)
+
+
+def test_a_board_given_too_large_is_named_although_one_photo_shows_less():
+    photos = {f"{k}.png": photo("checkerboard:8x6:30mm", k) for k in range(4)}
+    photos["3.png"][300:] = 220
+    found = detect(photos, "checkerboard:9x7:30mm")
+    assert found.notes == (counts_remark(found.pattern, found.corners),) and "3 of 4 photos show 8x6" in found.notes[0]
