@@ -82,8 +82,8 @@ class AprilGrid(TagBoard):
 
     @property
     def specification(self) -> str:
-        tags = f"{format_length_mm(self.tag_m)}:{self.gap!r}:{self.tag_family}{format_start(self.first_tag)}"
-        return f"{self.NAME}:{self.nx}x{self.ny}:{tags}"
+        tags = f"{self.tag_family}{format_start(self.first_tag)}"
+        return f"{self.NAME}:{self.nx}x{self.ny}:{format_length_mm(self.tag_m)}:{self.gap!r}:{tags}"
 
     @property
     def _pitch_m(self) -> float:
