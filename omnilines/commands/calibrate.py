@@ -59,5 +59,5 @@ def _written(result: CalibrationResult, out: Path, progress: ProgressCallback) -
     files = result.save(out)
     progress("writing the report", 0, 0)
     report = result.report(out / "report.html")
-    summaries, data = calibration_summaries(result.fit, result.selection), calibration_data(result.fit, result.selection)
+    summaries, data = calibration_summaries(result), calibration_data(result)
     return CommandResult(summaries, data, files=(*files, report), report=report, warnings=result.warnings)

@@ -16,12 +16,8 @@ from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.calibration.rig.views import views_of
 from omnilines.calibration.single import CameraCalibration
-from omnilines.pages.calibration import (
-    UncertaintyMap,
-    board_curves,
-    projection_curve,
-    supported_circle_px,
-)
+from omnilines.pages.calibration import board_curves, projection_curve, supported_circle_px
+from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_rig import RigResult
 from omnilines.records import Corners, Summary
 from omnilines.report import Section
@@ -226,6 +222,7 @@ def one_camera(result: RigCalibration, member: RigMember) -> tuple[CameraCalibra
         AS_DRAWN,
         {},
         member.interval_95,
+        member.rms_px_per_axis,
     )
     return single, views_of(result.corners, views, rows)
 
