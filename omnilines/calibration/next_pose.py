@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from camera_models.pose import Pose
 from omnilines.calibration.image_field import ImageField, KnownProjection
@@ -93,7 +93,7 @@ def next_views(
     pixels = torch.as_tensor(corners.pixels[fit.kept])
     field = ImageField(fit.model, rim_px, low)
     known = KnownProjection.of(field, torch.as_tensor(fit.covariance), low, high)
-    board = np.unique(corners.board_m[fit.kept], axis=0) if board_m is None else board_m
+    board = _board_of(corners, fit.kept) if board_m is None else board_m
     used = [v for v, view in enumerate(fit.views) if view.cam_from_board is not None]
     poses = Pose.stack([pose for view in fit.views if (pose := view.cam_from_board) is not None])
     place = np.full(len(fit.views), -1)
@@ -113,6 +113,16 @@ def next_views(
         conclusion=_conclusion(float(sigma.max()), fit.corner_sigma_px, len(used), bool(proposed), thresholds),
         board_m=board,
     )
+
+
+def _board_of(corners: Corners, kept: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "m 3"]:
+    """The corners of the table, of several boards those of the board that was seen most."""
+    rows = kept
+    if corners.boards is not None:
+        names, board = np.unique(corners.boards, return_inverse=True)
+        seen = board[corners.view]
+        rows = kept & (seen == np.bincount(seen[kept], minlength=len(names)).argmax())
+    return np.unique(corners.board_m[rows], axis=0)
 
 
 def _best_in_turn(

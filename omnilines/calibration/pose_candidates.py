@@ -49,7 +49,8 @@ class SeenBoards:
         spacing, counts = [], torch.bincount(view, minlength=len(poses))
         for own in range(len(poses)):
             seen = pixels[view == own].numpy()
-            spacing.append(float(_to_nearest(seen).min()))
+            if len(seen) > 1:
+                spacing.append(float(_to_nearest(seen).min()))
         return SeenBoards(
             board_m, float(distance.min()), float(distance.max()), min(spacing), float(counts.median()) / len(board_m)
         )

@@ -76,6 +76,4 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, progress: ProgressCa
     report = result.report(out / "report.html")
     warnings = tuple(f"{view.camera} {view.name}: {view.reason}" for view in result.views if not view.used)
     warnings += tuple(f"{view.camera} {view.name}: {remark}" for view in result.views for remark in view.remarks) + result.notes
-    return CommandResult(
-        rig_summaries(result.fit), rig_data(result.fit), files=(*files, report), report=report, warnings=warnings
-    )
+    return CommandResult(rig_summaries(result), rig_data(result), files=(*files, report), report=report, warnings=warnings)

@@ -45,7 +45,7 @@ class CalibrationResult:
     @cached_property
     def next_views(self) -> NextViews | None:
         """What limits the calibration, and what to shoot next; None where nothing was estimated."""
-        return next_views_of(self.fit, self.found, self.shooting)
+        return next_views_of(self.fit, self.found.corners, self.found.photos, self.found.pattern, self.shooting)
 
     @property
     def camera(self) -> CameraModel:

@@ -1,14 +1,17 @@
 """What to shoot next, of photos of a target and the camera that was calibrated from them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, UInt
 
+from calib_patterns import Pattern
 from camera_models import CameraModel, InputError
 from omnilines.calibration.next_pose import NextViews, next_views
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import Photo
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.records import Corners
 
 LOOKED_AT = 6
 """Photos in which the rim of the lens is looked for."""
@@ -21,22 +24,28 @@ LEAST_RAYS = 0.25
 
 
 def next_views_of(
-    fit: CameraCalibration, found: PhotoCorners, thresholds: ShootingThresholds = ShootingThresholds()
+    fit: CameraCalibration,
+    corners: Corners,
+    photos: Sequence[Photo],
+    pattern: Pattern | None = None,
+    thresholds: ShootingThresholds = ShootingThresholds(),
 ) -> NextViews | None:
     """Of a calibration from these corners. Where no photo is at hand, the lens is taken to show the world as far as the nearest
     border of the image, or as the outermost corner."""
+    if not fit.covariance.any():
+        return None
     model = fit.model
     centre = model.centre_px.detach().numpy()
-    reach = float(np.linalg.norm(found.corners.pixels[fit.kept] - centre, axis=-1).max())
-    some = np.unique(np.linspace(0, len(found.photos) - 1, LOOKED_AT).astype(int)) if found.photos else ()
-    rings = _brightest_rings([found.photos[k] for k in some], model)
+    reach = float(np.linalg.norm(corners.pixels[fit.kept] - centre, axis=-1).max())
+    some = np.unique(np.linspace(0, len(photos) - 1, LOOKED_AT).astype(int)) if photos else ()
+    rings = _brightest_rings([photos[k] for k in some], model)
     if rings is None:
         to_border = min(*(centre + 0.5), *(np.array(model.image_size) - 0.5 - centre))
         rim: float | None = max(reach, float(to_border))
     else:
         rim = lens_rim_px(*rings, reach, thresholds.rim_share)
-    board = None if found.pattern is None else found.pattern.points_m
-    return next_views(fit, found.corners, rim_px=rim, board_m=board, thresholds=thresholds)
+    board = None if pattern is None else pattern.points_m
+    return next_views(fit, corners, rim_px=rim, board_m=board, thresholds=thresholds)
 
 
 def lens_rim_px(
