@@ -9,6 +9,7 @@ next one, with that view counted in.
 import itertools
 import math
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 
 import numpy as np
 import torch
@@ -62,6 +63,8 @@ class NextViews:
     """Whether it is good enough, or what more photos of any kind would do: one sentence."""
     board_m: Float[np.ndarray, "n 3"]
     """Corners of the board that the poses are of."""
+    known: KnownProjection = dataclass_field(repr=False)
+    """The projection all over the image, for views that come in between."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -112,6 +115,7 @@ def next_views(
         poses=proposed,
         conclusion=_conclusion(float(sigma.max()), fit.corner_sigma_px, len(used), bool(proposed), thresholds),
         board_m=board,
+        known=known,
     )
 
 
