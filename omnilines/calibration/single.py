@@ -69,6 +69,8 @@ class CameraCalibration:
     """One standard deviation of each board term that was estimated."""
     interval_95: Float[np.ndarray, "p 2"]
     """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
+    corner_sigma_px: float
+    """Standard deviation of a corner per axis (root mean square) that the covariance rests on."""
     curved: bool = False
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
 
@@ -304,6 +306,7 @@ def _result(
         board=state.shape,
         board_sigma=dict(zip(state.shape.free_names, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
         interval_95=intervals.numpy(),
+        corner_sigma_px=math.sqrt(variance),
         curved=curved is not None,
     )
 

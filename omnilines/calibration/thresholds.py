@@ -124,6 +124,33 @@ class DuplicateThresholds(NamedTuple):
     """Fewer common corners do not tell."""
 
 
+class ShootingThresholds(NamedTuple):
+    """Which poses of the board are proposed for the next photo, and when they are said to help."""
+
+    candidates: int = 2000
+    """Poses tried."""
+    poses: int = 3
+    """Poses proposed, each for when those before it have been shot."""
+    most_tilt_deg: float = 45.0
+    """Tilt of a proposed board against the ray to its middle, at most."""
+    steepest_deg: float = 65.0
+    """Angle between a ray and the normal of the board at any of its corners, at most."""
+    shown_share: float = 0.8
+    """Share of its corners that a proposed board shows, unless boards were seen in part only."""
+    least_gain: float = 0.02
+    """A photo helps where it lowers the largest uncertainty by more than this share."""
+    facing_deg: float = 15.0
+    """Boards all tilted by less than this against the rays to their middles are named."""
+    uncovered_share: float = 0.1
+    """A part of the rim without corners is named where it is more than this share of the way out."""
+    noisy_px: float = 0.5
+    """Corners with a larger standard deviation than this are named."""
+    few_views: int = 8
+    """Fewer views are named."""
+    rim_share: float = 0.25
+    """The rim of a lens or mirror is where the brightest of the photos falls below this share of what it is where corners are."""
+
+
 class RigThresholds(NamedTuple):
     """How cameras are put together to a rig, and when one is named."""
 
@@ -166,4 +193,5 @@ class CalibrationThresholds:
     degeneracy: DegeneracyThresholds = DegeneracyThresholds()
     noise: NoiseThresholds = NoiseThresholds()
     duplicates: DuplicateThresholds = DuplicateThresholds()
+    shooting: ShootingThresholds = ShootingThresholds()
     rig: RigThresholds = RigThresholds()

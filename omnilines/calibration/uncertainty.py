@@ -39,11 +39,11 @@ def supported_grid(
     return pixels[valid & (angle >= min_angle_rad) & (angle <= max_angle_rad)]
 
 
-def projection_covariance_px2(
-    model: CameraModel, covariance: Float[Tensor, "p p"], pixels: Float[Tensor, "n 2"], reference_px: Float[Tensor, "m 2"]
-) -> tuple[Float[Tensor, "n 2 2"], Bool[Tensor, " n"]]:
-    """Covariance (px^2) of where the camera sees the world direction that it now sees at each pixel, after the common rotation
-    that fits best over `reference_px`; and where that is defined."""
+def projection_jacobian(
+    model: CameraModel, pixels: Float[Tensor, "n 2"], reference_px: Float[Tensor, "m 2"]
+) -> tuple[Float[Tensor, "n 2 p"], Bool[Tensor, " n"]]:
+    """d pixel / d parameters of the world directions that the camera now sees at each pixel, after the common rotation that fits
+    best over `reference_px`; and where that is defined."""
     bearings, seen, by_parameter, _ = bearing_jacobian(model, reference_px)
     b, jacobian = bearings[seen], by_parameter[seen]
     # w x b = -[b]x w: the normal matrix of the rotation is sum (I - b b'), its right side sum b x (B d).
@@ -52,14 +52,22 @@ def projection_covariance_px2(
     turn = torch.linalg.solve(normal, right)
     bearings, valid, by_parameter, by_point = bearing_jacobian(model, pixels)
     moved = torch.linalg.cross(turn.expand(len(pixels), *turn.shape), bearings[:, :, None].expand_as(by_parameter), dim=1)
-    in_image = by_point @ (by_parameter - moved)
+    return by_point @ (by_parameter - moved), valid
+
+
+def projection_covariance_px2(
+    model: CameraModel, covariance: Float[Tensor, "p p"], pixels: Float[Tensor, "n 2"], reference_px: Float[Tensor, "m 2"]
+) -> tuple[Float[Tensor, "n 2 2"], Bool[Tensor, " n"]]:
+    """Covariance (px^2) of where the camera sees the world direction that it now sees at each pixel, after the common rotation
+    that fits best over `reference_px`; and where that is defined."""
+    in_image, valid = projection_jacobian(model, pixels, reference_px)
     result = in_image @ covariance @ in_image.mT
     return torch.where(valid[:, None, None], 0.5 * (result + result.mT), float("nan")), valid
 
 
-def worst_sigma_px(covariance_px2: Float[Tensor, "n 2 2"]) -> Float[Tensor, " n"]:
+def worst_sigma_px(covariance_px2: Float[Tensor, "*n 2 2"]) -> Float[Tensor, "*n"]:
     """Standard deviation in the worst direction of the image; NaN stays NaN."""
-    a, b, c = covariance_px2[:, 0, 0], covariance_px2[:, 1, 1], covariance_px2[:, 0, 1]
+    a, b, c = covariance_px2[..., 0, 0], covariance_px2[..., 1, 1], covariance_px2[..., 0, 1]
     return (0.5 * (a + b) + torch.hypot(0.5 * (a - b), c)).clamp_min(0).sqrt()
 
 

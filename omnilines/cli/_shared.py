@@ -117,6 +117,17 @@ def parse_size(text: str, option: str) -> tuple[int, int]:
     return width, height
 
 
+def parse_px(text: str, option: str) -> float:
+    """Pixels of a text such as 0.1px; raises InputError otherwise."""
+    try:
+        value = float(text.strip().removesuffix("px"))
+    except ValueError:
+        value = 0.0
+    if not 0 < value < LARGEST_SIDE_PX:
+        raise InputError(f"{option} was expected as a positive number of pixels, such as 0.1px, found '{text[:40]}'.")
+    return value
+
+
 def parse_each(text: str, option: str) -> dict[str, str]:
     """Values by camera of a text such as cam0=pinhole,cam1=scaramuzza; one without a name stands under "" for all others."""
     found: dict[str, str] = {}

@@ -17,6 +17,7 @@ from omnilines.cli._shared import (
     Mirror,
     NoiseGrey,
     Out,
+    PatternSpec,
     Photos,
     Seed,
     Settings,
@@ -25,6 +26,7 @@ from omnilines.cli._shared import (
     Views,
     app,
     parse_each,
+    parse_px,
     parse_size,
     run,
 )
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from omnilines.commands.result import CommandResult
+    from omnilines.guide.options import GuideOptions
     from omnilines.progress import ProgressCallback
 
 DEFAULT = CalibrationOptions
@@ -50,6 +53,14 @@ class Stages(NamedTuple):
     frames: FrameOptions
     detection: DetectionOptions
     calibration: CalibrationOptions
+
+
+class GuideStages(NamedTuple):
+    """The options of what `guide` does, as --set names them."""
+
+    detection: DetectionOptions
+    calibration: CalibrationOptions
+    guide: "GuideOptions"
 
 
 @app.command()
@@ -136,6 +147,48 @@ def calibrate(
         )
 
     run(command, as_json)
+
+
+@app.command()
+def guide(
+    source: Annotated[
+        str, typer.Argument(help="A camera (0, 1, ...), a video, or a folder that photos come into.", metavar="SOURCE")
+    ],
+    pattern: PatternSpec,
+    out: Out,
+    until: Annotated[
+        str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
+    ] = None,
+    model: Annotated[str, typer.Option("--model", help="A camera model.")] = DEFAULT.model,
+    mirror: Mirror = DEFAULT.mirror,
+    port: Annotated[int, typer.Option("--port", help="Of the page on this machine; 0: one that is free.")] = 0,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """A page that says how to hold the board next -> frames, calibration.yaml."""
+    from omnilines.guide.options import GuideOptions
+
+    until_px = None if until is None else parse_px(until, "--until")
+
+    def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        from omnilines.commands.guide import guide as command
+
+        stages = GuideStages(DetectionOptions(), CalibrationOptions(model=model, mirror=mirror), GuideOptions(until_px))
+        detection, calibration, options = with_settings(stages, settings or ())
+        return command(
+            source,
+            pattern,
+            out,
+            options,
+            calibration=calibration,
+            detection=detection,
+            port=port,
+            announce=lambda address: typer.echo(f"Open {address}", err=True),
+            progress=progress,
+        )
+
+    run(command, as_json, kept=out)
 
 
 @app.command()

@@ -66,7 +66,7 @@ def _written(result: CalibrationResult, out: Path, read: Sequence[Path], progres
         files = result.save(out)
         progress("writing the report", 0, 0)
         report = result.report(out / PAGE)
-    summaries, data = calibration_summaries(result.fit, result.selection), calibration_data(result.fit, result.selection)
+    summaries, data = calibration_summaries(result), calibration_data(result)
     files = (*files, report)
     return CommandResult(
         summaries,

@@ -82,8 +82,8 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path]
         progress("writing the report", 0, 0)
         report = result.report(out / PAGE)
     return CommandResult(
-        rig_summaries(result.fit),
-        rig_data(result.fit),
+        rig_summaries(result),
+        rig_data(result),
         files=(*files, report),
         report=report,
         warnings=result.notes,

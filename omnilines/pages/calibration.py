@@ -1,66 +1,30 @@
 """What a calibration tells: figures for tables and `--json`, and the sections of its report."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
-from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
+from omnilines.pages.board_curves import grid_curves_px
+from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
+from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
 from omnilines.report.numbers import figure, with_sigma
 
-STEPS_PER_LINE = 40
-"""Points per reprojected board line: a fisheye bends it."""
 
-MAP_STEPS = 64
-"""Pixels along the longer side of the image at which the projection uncertainty is drawn."""
-
-
-@dataclass(frozen=True)
-class UncertaintyMap:
-    """Standard deviation of the projection in its worst direction, over a grid of pixels; NaN where the camera sees nothing."""
-
-    u_px: Float[np.ndarray, " w"]
-    v_px: Float[np.ndarray, " h"]
-    sigma_px: Float[np.ndarray, "h w"]
-    supported: Bool[np.ndarray, "h w"]
-    """Within the field of view that the data support."""
-
-    @staticmethod
-    def of(result: CameraCalibration) -> "UncertaintyMap":
-        """The map of a calibration, at MAP_STEPS pixels along the longer side of its image."""
-        width, height = result.model.image_size
-        step = max(width, height) / MAP_STEPS
-        u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
-        pixels = torch.as_tensor(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
-        low, high = float(np.radians(result.min_angle_deg)), float(np.radians(result.max_angle_deg))
-        reference = supported_grid(result.model, high, low)
-        covariance, valid = projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)
-        angle = angles_off_axis(result.model, pixels)
-        inside = valid & (angle >= low) & (angle <= high)
-        shape = len(v), len(u)
-        return UncertaintyMap(u, v, worst_sigma_px(covariance).numpy().reshape(shape), inside.numpy().reshape(shape))
-
-    @property
-    def figures(self) -> tuple[float, float]:
-        """Median and largest standard deviation (px) over the supported field of view."""
-        inside = self.sigma_px[self.supported]
-        return float(np.median(inside)), float(inside.max())
-
-
-def calibration_summaries(result: CameraCalibration, selection: Selection | None) -> tuple[Summary, ...]:
-    """The figures, the parameters, what was estimated of the board, and how the models compare."""
+def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
+    """The figures, the parameters, what was estimated of the board, how the models compare, and what to shoot next."""
+    result, selection = calibrated.fit, calibrated.selection
     used = [view for view in result.views if view.used]
     median, largest = UncertaintyMap.of(result).figures
     model = result.model
@@ -81,6 +45,8 @@ def calibration_summaries(result: CameraCalibration, selection: Selection | None
         summaries.append(Summary("Board ± one standard deviation", terms))
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
+    if calibrated.next_views is not None:
+        summaries.append(next_views_summary(calibrated.next_views))
     return tuple(summaries)
 
 
@@ -102,8 +68,9 @@ def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
-def calibration_data(result: CameraCalibration, selection: Selection | None) -> dict[str, Any]:
+def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
+    result, selection = calibrated.fit, calibrated.selection
     median, largest = UncertaintyMap.of(result).figures
     data: dict[str, Any] = {
         "model": result.model.NAME,
@@ -129,6 +96,7 @@ def calibration_data(result: CameraCalibration, selection: Selection | None) -> 
             for view in result.views
         ],
         "notes": list(result.notes),
+        "next_views": None if calibrated.next_views is None else next_views_data(calibrated.next_views),
     }
     if result.board_terms:
         data["board"] = {name: {"value": v, "sigma": result.board_sigma[name]} for name, v in result.board_terms.items()}
@@ -158,15 +126,13 @@ def _or_none(value: float) -> float | None:
 
 def write_calibration_page(result: CalibrationResult, path: str | Path) -> Path:
     """Write the page of a calibration and return its path."""
-    summaries = calibration_summaries(result.fit, result.selection)
-    sections = calibration_sections(result.fit, result.found.corners, summaries, result.found.photo_folder)
+    sections = calibration_sections(result, calibration_summaries(result))
     return report.write_report(path, f"Calibration of one {result.camera.NAME} camera", sections)
 
 
-def calibration_sections(
-    result: CameraCalibration, corners: Corners, summaries: tuple[Summary, ...], photo_folder: Path | None
-) -> list[Section]:
+def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary, ...]) -> list[Section]:
     """All sections, in reading order; photos only where the folder is known."""
+    result, corners, photo_folder = calibrated.fit, calibrated.found.corners, calibrated.found.photo_folder
     model, kept = result.model, result.kept
     pixels = corners.pixels[kept]
     # The report shows observed minus predicted.
@@ -178,7 +144,7 @@ def calibration_sections(
     sigmas = np.array(list(result.sigma.values()))
     uncertainty = UncertaintyMap.of(result)
     sections = [
-        report.summary_section(summaries[0], *summaries[2:]),
+        report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
         report.parameters_section(
             model.NAME, model.PARAMETER_NAMES, values, sigmas, intervals=result.interval_95 if result.curved else None
         ),
@@ -196,6 +162,8 @@ def calibration_sections(
         report.radial_section(curve_theta, curve_rho, supported_angle_deg=result.max_angle_deg),
         report.views_section(result.views),
     ]
+    if calibrated.next_views is not None:
+        sections.insert(1, next_views_section(calibrated.next_views, result.model, uncertainty, pixels))
     used = [view for view in result.views if view.used]
     if photo_folder is not None:
         sections.append(report.photos_section(photo_folder, board_curves(result, corners)))
@@ -240,23 +208,7 @@ def board_curves(result: CameraCalibration, corners: Corners) -> list[Polyline]:
         if not view.used or view.cam_from_board is None:
             continue
         rows = corners.view == v
-        ends = grid_lines(corners.board_m[rows])
-        steps = np.linspace(0, 1, STEPS_PER_LINE)[:, None]
-        points = ends[:, None, 0] * (1 - steps) + ends[:, None, 1] * steps
-        seen = view.cam_from_board.transform(torch.as_tensor(points.reshape(-1, 3))).numpy()
-        pixels, valid = result.model.project(seen)
-        pixels = np.where(valid[:, None], pixels, np.nan).reshape(len(ends), -1, 2)
+        pixels = grid_curves_px(result.model, view.cam_from_board, corners.board_m[rows])
         curves += [Polyline(view.image, line, "board line as the calibration predicts it", "model") for line in pixels]
         curves.append(Polyline(view.image, corners.pixels[rows], "observed corners", "observed"))
     return curves
-
-
-def grid_lines(board_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 2 3"]:
-    """End points of the straight lines through corners with the same y, and with the same x, at least two corners each."""
-    lines = []
-    for across, along in ((1, 0), (0, 1)):
-        for value in np.unique(np.round(board_m[:, across], 9)):
-            row = board_m[np.abs(board_m[:, across] - value) < 1e-8]
-            if len(row) > 1:
-                lines.append([row[np.argmin(row[:, along])], row[np.argmax(row[:, along])]])
-    return np.array(lines).reshape(-1, 2, 3)

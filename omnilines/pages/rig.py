@@ -10,30 +10,30 @@ from jaxtyping import Float
 
 from camera_models.pose import Pose
 from omnilines import report
-from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.rig.links import Link
+from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration, RigMember
-from omnilines.calibration.rig.views import views_of
 from omnilines.calibration.single import CameraCalibration
-from omnilines.pages.calibration import (
-    UncertaintyMap,
-    board_curves,
-    projection_curve,
-    supported_circle_px,
-)
+from omnilines.pages.calibration import board_curves, projection_curve, supported_circle_px
+from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
+from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_rig import RigResult
 from omnilines.records import Corners, Summary
 from omnilines.report import Section
 from omnilines.report.numbers import figure, with_sigma
 from omnilines.report.rig import RigCameraDrawing, RigLinkDrawing, rig_section
 
+PARAMETERS_OF = "Parameters of "
+"""What the titles of the tables of parameters begin with."""
 PHOTOS_A_CAMERA = 4
 """Photos of each camera that are shown: those with the largest residuals."""
 
 
-def rig_summaries(result: RigCalibration) -> tuple[Summary, ...]:
-    """The figures, where the cameras are, what ties them together, and the parameters of each."""
+def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
+    """The figures, where the cameras are, what ties them together, the parameters of each, and what to shoot next."""
+    result = calibrated.fit
     used = [view for view in result.views if view.used]
     rows = (
         ("cameras", ", ".join(member.name for member in result.members)),
@@ -59,7 +59,9 @@ def rig_summaries(result: RigCalibration) -> tuple[Summary, ...]:
         terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
         summaries.append(Summary("How the board differs from its drawing ± one standard deviation", terms))
     for member in result.members:
-        summaries.append(Summary(f"Parameters of {member.name} ± one standard deviation", _parameters(member)))
+        summaries.append(Summary(f"{PARAMETERS_OF}{member.name} ± one standard deviation", _parameters(member)))
+    for name, views in calibrated.next_views.items():
+        summaries.append(next_views_summary(views, f"{SHOOT_NEXT} with {name}"))
     return tuple(summaries)
 
 
@@ -108,11 +110,13 @@ def _parameters(member: RigMember) -> tuple[tuple[str, str], ...]:
     return tuple((name, with_sigma(value, sigma[name])) for name, value in member.model.named_parameters().items())
 
 
-def rig_data(result: RigCalibration) -> dict[str, Any]:
+def rig_data(calibrated: RigResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
+    result = calibrated.fit
     return {
         "cameras": {member.name: _camera_data(member) for member in result.members},
         "left_out": dict(result.left_out),
+        "next_views": {name: next_views_data(views) for name, views in calibrated.next_views.items()},
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "frames": len(result.frames),
@@ -181,20 +185,21 @@ def _camera_data(member: RigMember) -> dict[str, Any]:
 def write_rig_page(result: RigResult, path: str | Path) -> Path:
     """Write the page of a rig and return its path."""
     title = f"Calibration of a rig of {len(result.fit.members)} cameras"
-    return report.write_report(path, title, rig_sections(result.fit, rig_summaries(result.fit), result.found.photo_folder))
+    return report.write_report(path, title, rig_sections(result))
 
 
-def rig_sections(result: RigCalibration, summaries: tuple[Summary, ...], photo_folder: Path | None) -> list[Section]:
+def rig_sections(calibrated: RigResult) -> list[Section]:
     """All sections, in reading order; photos only where the folder is known."""
+    result, summaries, photo_folder = calibrated.fit, rig_summaries(calibrated), calibrated.found.photo_folder
     cameras = [RigCameraDrawing(m.name, m.cam_from_rig.centre.numpy(), field_of_view(m)) for m in result.members]
     drawn = [
         RigLinkDrawing(link.first, link.second, ": ".join(_link_row(result, link)), link.corners, link is result.weakest)
         for link in result.links
     ]
-    count = len(summaries) - len(result.members)
+    count = next(k for k, summary in enumerate(summaries) if summary.title.startswith(PARAMETERS_OF))
     sections = [report.summary_section(*summaries[:count]), rig_section(cameras, drawn, _boards_in_rig(result))]
     for member in result.members:
-        sections += _camera_sections(*one_camera(result, member), member.name)
+        sections += _camera_sections(*one_camera(result, member), member.name, calibrated.next_views.get(member.name))
     sections.append(report.views_section(result.views))
     if photo_folder is not None:
         curves, shown = [], []
@@ -208,31 +213,7 @@ def rig_sections(result: RigCalibration, summaries: tuple[Summary, ...], photo_f
     return sections
 
 
-def one_camera(result: RigCalibration, member: RigMember) -> tuple[CameraCalibration, Corners]:
-    """A camera of the rig in the form of a camera calibrated alone, with its corners."""
-    own = np.array([view.camera == member.name for view in result.views[: len(result.corners.view_names)]])
-    views = np.flatnonzero(own)
-    rows = np.isin(result.corners.view, views)
-    single = CameraCalibration(
-        member.model,
-        member.covariance,
-        member.rms_px_per_axis,
-        member.rms_px_per_point,
-        result.residual_px[rows],
-        result.kept[rows],
-        tuple(result.views[v] for v in views),
-        member.min_angle_deg,
-        member.max_angle_deg,
-        result.iterations,
-        (),
-        AS_DRAWN,
-        {},
-        member.interval_95,
-    )
-    return single, views_of(result.corners, views, rows)
-
-
-def _camera_sections(single: CameraCalibration, corners: Corners, name: str) -> list[Section]:
+def _camera_sections(single: CameraCalibration, corners: Corners, name: str, advice: NextViews | None) -> list[Section]:
     model, kept = single.model, single.kept
     pixels = corners.pixels[kept]
     theta = np.degrees(angles_off_axis(model, torch.as_tensor(pixels)).numpy())
@@ -270,6 +251,8 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str) -> 
                 title=f"{name}: projection uncertainty",
             ),
         )
+        if advice is not None:
+            sections.append(next_views_section(advice, model, found, pixels, title=f"{name}: what to shoot next"))
     return sections
 
 

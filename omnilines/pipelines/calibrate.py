@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -10,14 +11,16 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError, save
 from omnilines.calibration.duplicates import duplicate_views
+from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record
 from omnilines.calibration.select import Selection, select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
-from omnilines.calibration.thresholds import DuplicateThresholds
+from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresholds
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
+from omnilines.pipelines.next_views import next_views_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
 
@@ -38,6 +41,12 @@ class CalibrationResult:
     """The camera with its uncertainty, views and provenance: what `calibration.yaml` holds."""
     selection: Selection | None = None
     """How the camera models compare, where the model was chosen."""
+    shooting: ShootingThresholds = ShootingThresholds()
+
+    @cached_property
+    def next_views(self) -> NextViews | None:
+        """What limits the calibration, and what to shoot next; None where nothing was estimated."""
+        return next_views_of(self.fit, self.found.corners, self.found.photos, self.found.pattern, self.shooting)
 
     @property
     def camera(self) -> CameraModel:
@@ -151,7 +160,7 @@ def calibrate(
         result = _fitted(found, options, progress)
     result = with_remarks(result, _remarks(found, result, options.duplicates))
     result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
-    return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection)
+    return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection, options.shooting)
 
 
 def view_details(views: Sequence[ViewResult]) -> tuple[Detail, ...]:

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Unpack
 
@@ -12,16 +13,20 @@ from jaxtyping import Float
 from camera_models import Calibration, CameraModel, InputError, model_class, save
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.formats.disk import write_atomically
+from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record, rig_record
 from omnilines.calibration.rig import calibrate as joint
 from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import BOARDS
+from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect_rig import RigCorners, require_all_named
+from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
@@ -107,6 +112,18 @@ class RigResult:
     """The corners that it was fitted to, and their photos."""
     calibration: Calibration
     """Cameras and rig with their uncertainty, views and provenance: what `calibration.yaml` holds."""
+    shooting: ShootingThresholds = ShootingThresholds()
+
+    @cached_property
+    def next_views(self) -> dict[str, NextViews]:
+        """What limits each camera that was estimated, by name, and what to shoot next with it."""
+        photos = {item.camera: item.found.photos for item in self.found.cameras}
+        advice: dict[str, NextViews] = {}
+        for member in self.fit.members:
+            single, corners = one_camera(self.fit, member)
+            found = next_views_of(single, corners, photos.get(member.name, ()), thresholds=self.shooting)
+            advice |= {} if found is None else {member.name: found}
+        return advice
 
     @property
     def cameras(self) -> dict[str, CameraModel]:
@@ -227,7 +244,7 @@ def calibrate_rig(
         for view in result.views
     )
     result = replace(result, views=views + found.skipped, notes=found.notes + result.notes)
-    return RigResult(result, found, rig_record(result, found.inputs))
+    return RigResult(result, found, rig_record(result, found.inputs), setup.options.shooting)
 
 
 def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> RigCalibration:

@@ -73,6 +73,22 @@ class PhotoCorners:
             )
         return PhotoCorners(corners, image_size, photo_folder=photo_folder, inputs={"corners": source})
 
+    @staticmethod
+    def of_detections(
+        seen: Sequence[tuple[Photo, Detection]],
+        image_size: tuple[int, int],
+        pattern: Pattern,
+        folder: Path | None,
+        *,
+        mirrored: bool = False,
+        options: DetectionOptions = DetectionOptions(),
+    ) -> "PhotoCorners":
+        """Of photos in a folder and what was found in each of them."""
+        inputs = {"photos": IN_MEMORY if folder is None else folder, "pattern": pattern.specification}
+        photos = tuple(photo for photo, _ in seen)
+        table, blur = _table(seen, pattern), _blur_px(seen)
+        return PhotoCorners(table, image_size, (), folder, blur, photos, pattern, mirrored, options, inputs)
+
     @property
     def remarks(self) -> tuple[str | None, ...]:
         """Of each view of `corners` what a person should know of its photo, one sentence, or None."""

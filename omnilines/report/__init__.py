@@ -4,6 +4,7 @@ Each section is built from plain data by one function; the page makes no network
 """
 
 from omnilines.report.curves import coverage_section, curve_section, histogram_section, radial_section
+from omnilines.report.next_views import next_views_section
 from omnilines.report.page import PAGE_LIMIT_BYTES, Section, write_report
 from omnilines.report.photos import photos_section
 from omnilines.report.residuals import residual_section
@@ -18,6 +19,7 @@ __all__ = [
     "coverage_section",
     "curve_section",
     "histogram_section",
+    "next_views_section",
     "parameters_section",
     "photos_section",
     "radial_section",

@@ -24,7 +24,7 @@ _DRAWN_RANGE = 100.0
 range would take the colours away from where it is one."""
 _COLOURS = ((0.0, "#fdf0c4"), (0.33, "#fbcf86"), (0.66, "#f19a5b"), (1.0, "#d9553c"))
 """From good to bad, each light enough for dark lines and dark numbers on it, and dark enough to be told from white."""
-_INK = "#1d2126"
+INK = "#1d2126"
 """Of lines and numbers on those colours; the same in the light and in the dark page, as the colours are."""
 
 
@@ -57,8 +57,8 @@ def uncertainty_section(
     )
     rows = sample(len(corners))
     traces = [
-        *_map(sigma, u_px, v_px),
-        dots(corners[rows, 0], corners[rows, 1], _INK, "", size=3, opacity=0.25, hoverinfo="skip", hovertemplate=None),
+        *map_traces(sigma, u_px, v_px),
+        dots(corners[rows, 0], corners[rows, 1], INK, "", size=3, opacity=0.25, hoverinfo="skip", hovertemplate=None),
         curve(circle_px[:, 0], circle_px[:, 1], PALETTE[0], width=3),
     ]
     caption = (
@@ -118,7 +118,7 @@ def _levels(low: float, high: float) -> list[float]:
     return levels
 
 
-def _map(sigma: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, " w"], v_px: Float[np.ndarray, " h"]) -> list[Trace]:
+def map_traces(sigma: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, " w"], v_px: Float[np.ndarray, " h"]) -> list[Trace]:
     """The colours, and over them one trace for each contour line, so that its label is in pixels and not their logarithm."""
     low, high = float(np.nanmin(sigma)), float(np.nanmax(sigma))
     top = min(high, _DRAWN_RANGE * low)
@@ -166,9 +166,9 @@ def _map(sigma: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, " w"], v_px: F
                 "coloring": "none",
                 "showlabels": True,
                 "labelformat": "~g",
-                "labelfont": {"color": _INK, "size": 12},
+                "labelfont": {"color": INK, "size": 12},
             },
-            "line": {"color": _INK, "width": 1},
+            "line": {"color": INK, "width": 1},
             "showscale": False,
             "hoverinfo": "skip",
         }

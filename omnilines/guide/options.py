@@ -1,0 +1,21 @@
+"""Options of a guided calibration."""
+
+from typing import NamedTuple
+
+
+class GuideOptions(NamedTuple):
+    """Which frames of a guided calibration are kept, and when it is over."""
+
+    until_px: float | None = None
+    """The guide ends once the largest standard deviation of the projection, anywhere in the image, is at most this; None: it goes
+    on until it is stopped or its source ends."""
+    first_frames: int = 6
+    """Frames of different poses kept before the camera is calibrated for the first time."""
+    apart_share: float = 0.02
+    """A frame differs from another where their common corners lie this share of the image's longer side apart, on the mean."""
+    least_gain: float = 0.01
+    """A frame is kept where it is expected to lower the uncertainty, the largest or the mean, by more than this share."""
+    blurred_factor: float = 1.8
+    """Frames whose edges are blurred more than this many times as much as those of the kept ones are not kept."""
+    frames_per_s: float = 5.0
+    """Of a video, the frames that are looked at."""

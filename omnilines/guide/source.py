@@ -1,0 +1,94 @@
+"""Frames as they come: of a camera, of a video, or of a folder to which photos are added."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt
+
+from camera_models import InputError
+from omnilines.files import PHOTO_SUFFIXES, read_photo
+
+WAIT_S = 0.2
+"""Between two looks into a folder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where frames come from."""
+
+    given: str
+    frames_per_s: float
+    """Of a video, those that are looked at."""
+
+    def __post_init__(self) -> None:
+        """Raises InputError where there is no such source."""
+        if not self.live and not Path(self.given).exists():
+            raise InputError(
+                f"A camera (0, 1, ...), a video or a folder was expected as `source`, found '{self.given}', which does not exist."
+            )
+
+    @property
+    def live(self) -> bool:
+        """Whether it is a camera, whose frames do not wait."""
+        return self.given.isdigit()
+
+    @property
+    def path(self) -> Path | None:
+        """Of a video or a folder."""
+        return None if self.live else Path(self.given)
+
+    def frames(self) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
+        """One after the other; None where there is none yet. A video ends, a camera and a folder do not."""
+        if self.live:
+            return _of_camera(int(self.given))
+        path = Path(self.given)
+        return _of_folder(path) if path.is_dir() else _of_video(path, self.frames_per_s)
+
+
+def _of_camera(index: int) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
+    capture = cv2.VideoCapture(index)
+    try:
+        if not capture.isOpened():
+            raise InputError(f"A camera was expected at index {index}, found none that opens; give another `source`.")
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        while True:
+            came, pixels = capture.read()
+            yield pixels if came else None
+    finally:
+        capture.release()
+
+
+def _of_video(path: Path, frames_per_s: float) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
+    capture = cv2.VideoCapture(str(path))
+    try:
+        came, pixels = capture.read()
+        if not came:
+            raise InputError(f"A video was expected at {path}, found none that can be read; convert it to mp4.")
+        step, number = max(1, round((capture.get(cv2.CAP_PROP_FPS) or frames_per_s) / frames_per_s)), 0
+        while came:
+            if number % step == 0:
+                yield pixels
+            number += 1
+            came, pixels = capture.read()
+    finally:
+        capture.release()
+
+
+def _of_folder(folder: Path) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
+    """Photos in the order in which they come; one that cannot be read is still being written, and is looked at again."""
+    done: set[str] = set()
+    while True:
+        new = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PHOTO_SUFFIXES and path.name not in done]
+        for path in new:
+            try:
+                pixels = read_photo(path)
+            except InputError:
+                continue
+            done.add(path.name)
+            yield pixels
+        time.sleep(WAIT_S)
+        yield None

@@ -1,0 +1,46 @@
+"""The projection uncertainty of a camera over its image, as pages draw it and state it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
+
+MAP_STEPS = 64
+"""Pixels along the longer side of the image at which the projection uncertainty is drawn."""
+
+
+@dataclass(frozen=True)
+class UncertaintyMap:
+    """Standard deviation of the projection in its worst direction, over a grid of pixels; NaN where the camera sees nothing."""
+
+    u_px: Float[np.ndarray, " w"]
+    v_px: Float[np.ndarray, " h"]
+    sigma_px: Float[np.ndarray, "h w"]
+    supported: Bool[np.ndarray, "h w"]
+    """Within the field of view that the data support."""
+
+    @staticmethod
+    def of(result: CameraCalibration) -> "UncertaintyMap":
+        """The map of a calibration, at MAP_STEPS pixels along the longer side of its image."""
+        width, height = result.model.image_size
+        step = max(width, height) / MAP_STEPS
+        u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
+        pixels = torch.as_tensor(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+        low, high = float(np.radians(result.min_angle_deg)), float(np.radians(result.max_angle_deg))
+        reference = supported_grid(result.model, high, low)
+        covariance, valid = projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)
+        angle = angles_off_axis(result.model, pixels)
+        inside = valid & (angle >= low) & (angle <= high)
+        shape = len(v), len(u)
+        return UncertaintyMap(u, v, worst_sigma_px(covariance).numpy().reshape(shape), inside.numpy().reshape(shape))
+
+    @property
+    def figures(self) -> tuple[float, float]:
+        """Median and largest standard deviation (px) over the supported field of view."""
+        inside = self.sigma_px[self.supported]
+        return float(np.median(inside)), float(inside.max())

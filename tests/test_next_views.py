@@ -1,0 +1,170 @@
+"""What to shoot next: the expected decrease is the real one, advice beats random poses, and the words say where the board is."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+from board_views import BOARD, board_corners, board_views
+
+import omnilines as ol
+from camera_models import OpenCVFisheye, Scaramuzza
+from camera_models.pose import Pose
+from omnilines.calibration.image_field import ImageField, KnownProjection
+from omnilines.calibration.next_pose import next_views
+from omnilines.calibration.pose_candidates import view_information
+from omnilines.calibration.single import calibrate_camera
+from omnilines.pages.calibration import calibration_data, calibration_summaries
+from omnilines.pipelines.next_views import lens_rim_px
+
+SIZE = (1280, 960)
+LENSES = {
+    "opencv-fisheye": OpenCVFisheye([320.0, 320.0, 639.5, 479.5, 0.01, -0.005, 0.001, 0.0], SIZE),
+    "scaramuzza": Scaramuzza([645.0, 486.0, 1.001, 3e-4, 3e-4, 338.0, -1.2e-3, 1.27e-6, -2.2e-9], SIZE),
+    "mirror": Scaramuzza([640.0, 480.0, 1.0, 0.0, 0.0, -250.0, 1.8e-3, 0.0, 0.0], SIZE),
+}
+NOISE_PX = 0.2
+
+
+def calibrated(truth, poses, seed=0):
+    corners = board_corners(truth, poses, NOISE_PX, seed)
+    options = {"degree": 4} if truth.NAME == "scaramuzza" else None
+    mirror = truth.NAME == "scaramuzza" and float(truth.parameters[5]) < 0
+    return calibrate_camera(corners, SIZE, truth.NAME, options=options, mirror=mirror), corners
+
+
+def rim_px(truth, reach_deg):
+    """Distance from the centre at which the image ends."""
+    angle = math.radians(reach_deg)
+    axis = float(torch.sign(truth.unproject(truth.centre_px)[0][2]))
+    edge, _ = truth.project(torch.tensor([math.sin(angle), 0.0, axis * math.cos(angle)], dtype=torch.float64))
+    return float((edge - truth.centre_px).norm())
+
+
+def joined(poses: Pose, more: Pose) -> Pose:
+    return Pose(torch.cat([poses.rotation, more.rotation]), torch.cat([poses.translation, more.translation]))
+
+
+@pytest.mark.parametrize("name", list(LENSES))
+def test_the_uncertainty_falls_as_promised(name):
+    """Three photos shot as advised: after each the largest uncertainty of the camera calibrated anew is as was promised, and the
+    boards are seen whole at tilts and distances that a person can hold."""
+    truth = LENSES[name]
+    poses = board_views(truth, 70.0, 6, 3, mirror=name == "mirror")
+    rim = rim_px(truth, 85.0)
+    fit, corners = calibrated(truth, poses)
+    advice = next_views(fit, corners, rim_px=rim, board_m=BOARD)
+    assert advice is not None and len(advice.poses) == 3
+    assert advice.worst_px > advice.poses[0].worst_px > advice.poses[1].worst_px > advice.poses[2].worst_px
+    distances = poses.transform(torch.as_tensor(BOARD.mean(0)).expand(6, 1, 3))[:, 0].norm(dim=-1)
+    for pose in advice.poses:
+        seen = pose.cam_from_board.transform(torch.as_tensor(BOARD))
+        pixels, valid = truth.project(seen)
+        radius = (pixels - truth.centre_px).norm(dim=-1)
+        assert float((valid & (radius < 1.02 * rim)).to(torch.float64).mean()) >= 0.79
+        straight = (seen * pose.cam_from_board.rotation[:, 2]).sum(-1) / seen.norm(dim=-1)
+        assert float(straight[valid].min()) > math.cos(math.radians(65.1))
+        assert pose.tilt_deg <= 45 and 0.9 * distances.min() < pose.distance_m < 1.1 * distances.max()
+        assert pose.words.startswith(("at the", "in the middle", "half way")) and pose.words.endswith("away")
+        poses = joined(poses, Pose(pose.cam_from_board.rotation[None], pose.cam_from_board.translation[None]))
+        again, corners = calibrated(truth, poses, seed=len(poses))
+        after = next_views(again, corners, rim_px=rim, board_m=BOARD)
+        assert after is not None
+        assert 0.8 < after.worst_px / pose.worst_px < 1.25, (after.worst_px, pose.worst_px)
+
+
+def test_advice_needs_at_most_half_the_photos_of_random_poses():
+    truth, rim = LENSES["opencv-fisheye"], rim_px(LENSES["opencv-fisheye"], 85.0)
+    pool = board_views(truth, 85.0, 20, 11)
+    fit, corners = calibrated(truth, pool)
+    random_poses = next_views(fit, corners, rim_px=rim, board_m=BOARD)
+    poses = pool[:4]
+    for _ in range(6):
+        fit, corners = calibrated(truth, poses)
+        advice = next_views(fit, corners, rim_px=rim, board_m=BOARD)
+        one = advice.poses[0].cam_from_board
+        poses = joined(poses, Pose(one.rotation[None], one.translation[None]))
+    fit, corners = calibrated(truth, poses)
+    advised = next_views(fit, corners, rim_px=rim, board_m=BOARD)
+    assert len(poses) == 10 and advised.worst_px <= random_poses.worst_px, (advised.worst_px, random_poses.worst_px)
+
+
+def test_information_is_the_inverse_of_the_covariance():
+    """The views of a calibration, one by one, tell together what its covariance says."""
+    truth = LENSES["opencv-fisheye"]
+    poses = board_views(truth, 80.0, 8, 5)
+    fit, _ = calibrated(truth, poses)
+    used = Pose.stack([view.cam_from_board for view in fit.views])
+    total = view_information(ImageField(fit.model), used, torch.as_tensor(BOARD)).sum(0) / fit.corner_sigma_px**2
+    product = total @ torch.as_tensor(fit.covariance)
+    assert float((product - torch.eye(8, dtype=torch.float64)).abs().max()) < 1e-3
+
+
+def test_one_view_more_is_the_same_alone_and_among_many():
+    truth = LENSES["scaramuzza"]
+    fit, _ = calibrated(truth, board_views(truth, 70.0, 6, 2))
+    field = ImageField(fit.model, rim_px(truth, 85.0))
+    known = KnownProjection.of(field, torch.as_tensor(fit.covariance), 0.0, math.radians(fit.max_angle_deg))
+    views = board_views(truth, 70.0, 3, 9)
+    information = view_information(field, views, torch.as_tensor(BOARD)) / fit.corner_sigma_px**2
+    information = known.factor.mT @ information @ known.factor
+    after = known.sigma_after_px(information)
+    later, change = known.with_view(information[0])
+    assert torch.allclose(later.sigma_px, after[0], rtol=1e-9)
+    second = later.sigma_after_px((change @ information[1] @ change.mT)[None])[0]
+    both = known.sigma_after_px(information[:2].sum(0)[None])[0]
+    assert torch.allclose(second, both, rtol=1e-7)
+    assert bool((both <= after[0] * (1 + 1e-9)).all())
+
+
+def test_words_say_what_is_missing():
+    """Boards of the middle only, all facing the camera, few, with much noise; and where they are missing on one side."""
+    truth = LENSES["opencv-fisheye"]
+    fit, corners = calibrated(truth, board_views(truth, 45.0, 5, 1, tilt_deg=30.0))
+    advice = next_views(fit, corners, rim_px=rim_px(truth, 85.0), board_m=BOARD)
+    assert "beyond 4" in advice.limits[0] and "where the image reaches to 8" in advice.limits[0]
+    assert "only 5 views" in " ".join(advice.limits)
+    assert "rim of the image" in advice.poses[0].words and "rim" in advice.worst_where
+    pool = board_views(truth, 85.0, 60, 6)
+    middle = pool.transform(torch.as_tensor(BOARD.mean(0)).expand(60, 1, 3))[:, 0]
+    left = pool[(middle[:, 0] < 0.01).nonzero()[:, 0]]
+    assert len(left) > 10
+    fit, corners = calibrated(truth, left)
+    advice = next_views(fit, corners, rim_px=rim_px(truth, 85.0), board_m=BOARD)
+    assert "right" in advice.limits[0] and "the left rim" not in advice.limits[0]
+
+
+def test_much_is_said_to_be_good_enough():
+    truth = LENSES["opencv-fisheye"]
+    fit, corners = calibrated(truth, board_views(truth, 85.0, 80, 1))
+    advice = next_views(fit, corners, rim_px=rim_px(truth, 84.0), board_m=BOARD)
+    assert advice.conclusion.startswith("It is good enough") and "about 6 percent" in advice.conclusion
+
+
+def test_the_rim_is_where_photos_are_dark():
+    radii = np.arange(1.0, 501.0)
+    bright = np.where(radii < 380, 200.0, 8.0)
+    assert lens_rim_px(radii, bright, 300.0, 0.25) == pytest.approx(380)
+    assert lens_rim_px(radii, np.full(500, 90.0), 300.0, 0.25) is None
+    # A blind centre is dark too, and light returns outside a mirror.
+    mirror = np.where(radii < 60, 3.0, np.where((radii > 390) & (radii < 410), 10.0, 150.0))
+    assert lens_rim_px(radii, mirror, 300.0, 0.25) == pytest.approx(391)
+
+
+def test_part_of_the_result_its_table_and_its_data(tmp_path):
+    """A result in Python, its rows, its data for --json and its page tell the same."""
+    truth = LENSES["opencv-fisheye"]
+    corners = board_corners(truth, board_views(truth, 60.0, 6, 3), NOISE_PX, 0)
+    result = ol.calibrate(corners, SIZE, model="opencv-fisheye")
+    advice = result.next_views
+    assert advice is not None and result.next_views is advice
+    summary = next(s for s in calibration_summaries(result) if s.title == "What to shoot next")
+    rows = dict(summary.rows)
+    assert rows["next photo"].startswith("Hold the board") and rows["all in all"] == advice.conclusion
+    data = calibration_data(result)["next_views"]
+    assert [pose["worst_px"] for pose in data["poses"]] == [pose.worst_px for pose in advice.poses]
+    values = [data["worst_px"], *(pose["worst_px"] for pose in data["poses"])]
+    assert all(later < before for before, later in itertools.pairwise(values))
+    page = result.report(tmp_path / "report.html").read_text()
+    assert advice.poses[0].words in page and "Boards to shoot next over the image" in page
