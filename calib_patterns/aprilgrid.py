@@ -82,7 +82,8 @@ class AprilGrid(TagBoard):
 
     @property
     def specification(self) -> str:
-        return f"{self.NAME}:{self.nx}x{self.ny}:{format_length_mm(self.tag_m)}:{self.gap!r}:{self.tag_family}{format_start(self.first_tag)}"
+        tags = f"{self.tag_family}{format_start(self.first_tag)}"
+        return f"{self.NAME}:{self.nx}x{self.ny}:{format_length_mm(self.tag_m)}:{self.gap!r}:{tags}"
 
     @property
     def _pitch_m(self) -> float:

@@ -8,6 +8,7 @@ import torch
 from rig_views import FISHEYE_220, MIRROR, PINHOLE
 
 from camera_models.pose import Pose, adjoint
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.rig.links import links, relative_pose, weakest_link
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
@@ -214,3 +215,25 @@ def test_weakest_link_is_the_bottleneck_of_the_best_ties():
     assert weakest is not None and (weakest.first, weakest.second, weakest.corners) == (1, 3, 20)
     centre = poses.centre
     assert abs(found[0].baseline_m - float((centre[0] - centre[1]).norm())) < 1e-12
+
+
+@pytest.mark.parametrize("free_boards", [False, True])
+def test_a_bent_board_moves_residuals_as_its_derivatives_say(free_boards):
+    """Against automatic derivatives of the residuals, with the terms of the shape behind those of cameras and boards."""
+    problem, state = problem_of(free_boards)
+    shape = BoardShape.to_refine(("aspect", "surface"), problem.points.board_m)
+    shape = shape.moved(torch.linspace(-1e-3, 2e-3, len(shape.terms), dtype=torch.float64))
+    bent = RigProblem(problem.points, problem.bases, 2, free_boards, 5, shape)
+    state = replace(state, shape=shape)
+    k, terms = bent.structure.kept_size, shape.free.shape[1]
+    assert terms == 13 and k == problem.structure.kept_size + terms
+
+    def residual(step):
+        moved = bent.retract(state, step, torch.zeros(5, 6, dtype=torch.float64))
+        return (moved.residual_px(bent.points) * bent.points.weight[:, None]).flatten()
+
+    jacobian = torch.autograd.functional.jacobian(residual, torch.zeros(k, dtype=torch.float64))
+    at = bent.linearise(state)
+    found = normal_equations(bent.structure, at, torch.ones(len(at.residual), dtype=torch.float64))
+    dense = jacobian.mT @ jacobian
+    torch.testing.assert_close(found.kept, dense, rtol=1e-8, atol=1e-10 * float(dense.abs().max()))

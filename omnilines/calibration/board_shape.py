@@ -1,8 +1,9 @@
 """How a real board differs from its drawing: squares that are not square, and a sheet that is not flat.
 
-    X = (x, (1 + aspect) y, bend_xx p^2 + bend_xy p q + bend_yy q^2),   p = (x - x0) / h,  q = (y - y0) / h
+    X = (x, (1 + aspect) y, bend_xx p^2 + bend_xy p q + bend_yy q^2 + ...),   p = (x - x0) / h,  q = (y - y0) / h
 
-with (x0, y0) the middle of the corners and h half their larger extent; the bends are in metres. Shift, scale and tilt of the
+with (x0, y0) the middle of the corners and h half their larger extent; the bends are in metres. A sheet on a warped board is
+wavy: "surface" adds the terms of the third and fourth degree. Shift, scale and tilt of the
 sheet are left to its pose and to the size of the squares.
 """
 
@@ -15,7 +16,11 @@ from torch import Tensor
 from omnilines.calibration.options import REFINABLE, require_refinable
 
 TERM_NAMES = ("aspect", "bend_xx_m", "bend_xy_m", "bend_yy_m")
-TERMS_OF = dict(zip(REFINABLE, ((0,), (1, 2, 3)), strict=True))
+POWERS = tuple((degree - k, k) for degree in (2, 3, 4) for k in range(degree + 1))
+"""Of p and q in each bend, those of the second degree first."""
+WAVE_NAMES = tuple(f"bend_{'x' * i}{'y' * j}_m" for i, j in POWERS[3:])
+"""Terms of the third and fourth degree, which follow those of TERM_NAMES where they are estimated."""
+TERMS_OF = dict(zip(REFINABLE, (tuple(range(1, 1 + len(POWERS))), (0,), (1, 2, 3)), strict=True))
 """The terms that each of what can be asked for frees."""
 
 
@@ -31,8 +36,8 @@ def _nothing_free() -> Tensor:
 class BoardShape:
     """The terms of the module's header, and which of them are estimated (columns of `free`)."""
 
-    terms: Float[Tensor, "4"] = field(default_factory=_no_terms)
-    free: Float[Tensor, "4 f"] = field(default_factory=_nothing_free)
+    terms: Float[Tensor, " t"] = field(default_factory=_no_terms)
+    free: Float[Tensor, "t f"] = field(default_factory=_nothing_free)
     middle_m: tuple[float, float] = (0.0, 0.0)
     half_m: float = 1.0
 
@@ -43,33 +48,45 @@ class BoardShape:
         columns = sorted({column for name in names for column in TERMS_OF[name]})
         low, high = board_m[:, :2].amin(0), board_m[:, :2].amax(0)
         middle = (0.5 * (low + high)).tolist()
-        free = torch.eye(len(TERM_NAMES), dtype=torch.float64)[:, columns]
-        return BoardShape(_no_terms(), free, (middle[0], middle[1]), 0.5 * float((high - low).max()))
+        count = max(len(TERM_NAMES), *(column + 1 for column in columns)) if columns else len(TERM_NAMES)
+        free = torch.eye(count, dtype=torch.float64)[:, columns]
+        return BoardShape(torch.zeros(count, dtype=torch.float64), free, (middle[0], middle[1]), 0.5 * float((high - low).max()))
 
     @property
     def plain(self) -> bool:
         """Whether the board is as drawn."""
         return self.free.shape[1] == 0
 
-    def _quadratic(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the terms."""
+        return (TERM_NAMES + WAVE_NAMES)[: len(self.terms)]
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Of the terms that are estimated."""
+        return tuple(self.names[int(column.argmax())] for column in self.free.mT)
+
+    def _bends(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n b"]:
+        """d z / d bends."""
         p, q = (board[:, 0] - self.middle_m[0]) / self.half_m, (board[:, 1] - self.middle_m[1]) / self.half_m
-        return torch.stack([p * p, p * q, q * q], -1)
+        return torch.stack([p**i * q**j for i, j in POWERS[: len(self.terms) - 1]], -1)
 
     def place(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Where the corners of the drawing really are, in the frame of the board (metres)."""
         if self.plain:
             return board
         x, y, z = board.unbind(-1)
-        return torch.stack([x, (1 + self.terms[0]) * y, z + self._quadratic(board) @ self.terms[1:]], -1)
+        return torch.stack([x, (1 + self.terms[0]) * y, z + self._bends(board) @ self.terms[1:]], -1)
 
-    def by_terms(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 4"]:
+    def by_terms(self, board: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 t"]:
         """d place / d terms."""
-        jacobian = board.new_zeros(len(board), 3, len(TERM_NAMES))
+        jacobian = board.new_zeros(len(board), 3, len(self.terms))
         jacobian[:, 1, 0] = board[:, 1]
-        jacobian[:, 2, 1:] = self._quadratic(board)
+        jacobian[:, 2, 1:] = self._bends(board)
         return jacobian
 
-    def moved(self, step: Float[Tensor, "4"]) -> "BoardShape":
+    def moved(self, step: Float[Tensor, " t"]) -> "BoardShape":
         """The shape with other terms."""
         return self if self.plain else replace(self, terms=self.terms + step)
 

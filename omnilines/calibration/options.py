@@ -9,7 +9,7 @@ from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
 """In the place of a model's name: fit all and take the one that predicts held-out views best."""
-REFINABLE = ("aspect", "flatness")
+REFINABLE = ("surface", "aspect", "flatness")
 """What can be estimated of a board (`board_shape`)."""
 
 
@@ -29,7 +29,7 @@ class CalibrationOptions(CalibrationThresholds):
     mirror: bool = False
     """Whether the camera looks into a mirror (a0 < 0)."""
     refine_board: tuple[str, ...] = ()
-    """What is estimated of the board: "aspect", "flatness" or both."""
+    """What is estimated of the board: "aspect", and "flatness" (a quadratic bend) or "surface" (to the fourth degree)."""
     searches: int = 3
     """Times at most that the camera is sent out for corners that were missed in its photos."""
 
@@ -74,6 +74,6 @@ def require_refinable(names: Sequence[str]) -> None:
     unknown = [name for name in names if name not in REFINABLE]
     if unknown:
         raise InputError(
-            f"What can be refined of a board is {' and '.join(REFINABLE)}, found '{unknown[0]}'; give one or both as "
-            "`refine_board`, as in aspect,flatness."
+            f"What can be refined of a board is {', '.join(REFINABLE[:-1])} and {REFINABLE[-1]}, found '{unknown[0]}'; give some "
+            "of them as `refine_board`, as in aspect,flatness."
         )

@@ -51,6 +51,9 @@ def rig_record(result: RigCalibration, inputs: Mapping[str, Any]) -> Calibration
     }
     views = tuple(view_record(view) for view in result.as_given()[1] if view.camera in rig)
     models = {member.name: member.model for member in result.members}
+    if result.board_terms:
+        # Poses and corners are those of this board.
+        inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}
     return Calibration(models, estimates, rig if len(rig) > 1 else {}, views, provenance(inputs))
 
 

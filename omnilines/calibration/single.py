@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
-from omnilines.calibration.board_shape import TERM_NAMES, BoardShape
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.diagnose import (
     angles_off_axis,
     coverage_notes,
@@ -84,7 +84,7 @@ class CameraCalibration:
     @property
     def board_terms(self) -> dict[str, float]:
         """The estimated board terms."""
-        terms = dict(zip(TERM_NAMES, self.board.terms.tolist(), strict=True))
+        terms = dict(zip(self.board.names, self.board.terms.tolist(), strict=True))
         return {name: terms[name] for name in self.board_sigma}
 
 
@@ -276,7 +276,6 @@ def _result(
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     notes += noise_notes(factor, stated, thresholds.noise) + (() if curved is None else (CURVED,))
-    freed = [TERM_NAMES[int(column.argmax())] for column in state.shape.free.mT]
     views = view_results(
         corners,
         final.rows,
@@ -301,7 +300,7 @@ def _result(
         iterations=solution.iterations,
         notes=notes + _data_notes(final, solution, everywhere, leverage),
         board=state.shape,
-        board_sigma=dict(zip(freed, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+        board_sigma=dict(zip(state.shape.free_names, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
         interval_95=intervals.numpy(),
         curved=curved is not None,
     )
@@ -361,7 +360,7 @@ def _weakest_name(solution: Solution[CameraAndBoards], basis: Tensor) -> str:
     model, q = solution.state.model, basis.shape[1]
     camera = (basis @ solution.weakest_direction[:q]).abs() / model.parameters.abs().clamp_min(1e-12)
     board = (solution.state.shape.free @ solution.weakest_direction[q:]).abs()
-    return (model.PARAMETER_NAMES + TERM_NAMES)[int(torch.argmax(torch.cat([camera, board])))]
+    return (model.PARAMETER_NAMES + solution.state.shape.names)[int(torch.argmax(torch.cat([camera, board])))]
 
 
 def with_remarks(result: CameraCalibration, remarks: Mapping[str, tuple[str, ...]]) -> CameraCalibration:

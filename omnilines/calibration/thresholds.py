@@ -145,6 +145,10 @@ class RigThresholds(NamedTuple):
     """Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
     worse_than_alone_factor: float = 1.08
     """A camera whose corners fit the rig worse than this many times as well as alone is named."""
+    named_share: float = 0.1
+    """A cause of that is named from this share of the difference on (in squared residuals)."""
+    clear_gain: float = 3.0
+    """How much more the parameters of a cause have to gain than as many that only fit noise."""
 
 
 @dataclass(frozen=True, kw_only=True)

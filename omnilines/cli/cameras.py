@@ -57,7 +57,7 @@ def calibrate(
     ] = DEFAULT.model,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
-    refine_board: Annotated[str, typer.Option("--refine-board", help="aspect, flatness or both, with a comma.")] = "",
+    refine_board: Annotated[str, typer.Option("--refine-board", help="Of aspect, flatness, surface, with a comma.")] = "",
     loss: LossName = DEFAULT.loss,
     mirror: Mirror = DEFAULT.mirror,
     boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",

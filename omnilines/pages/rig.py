@@ -54,6 +54,9 @@ def rig_summaries(result: RigCalibration) -> tuple[Summary, ...]:
     if len(result.boards) > 1:
         boards = tuple((name, _board_text(result, k)) for k, name in enumerate(result.boards))
         summaries.append(Summary(f"Boards in the frame of {result.boards[0]} ± one standard deviation", boards))
+    if result.board_terms:
+        terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
+        summaries.append(Summary("How the board differs from its drawing ± one standard deviation", terms))
     for member in result.members:
         summaries.append(Summary(f"Parameters of {member.name} ± one standard deviation", _parameters(member)))
     return tuple(summaries)
@@ -137,6 +140,7 @@ def rig_data(result: RigCalibration) -> dict[str, Any]:
             }
             for k, name in enumerate(result.boards)
         },
+        "board": {name: {"value": v, "sigma": result.board_sigma[name]} for name, v in result.board_terms.items()},
         "views": [
             {
                 "image": view.image,

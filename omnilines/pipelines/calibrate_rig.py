@@ -44,8 +44,6 @@ class RigSetup:
             raise InputError(f"`boards` is one of {', '.join(BOARDS)}, found '{self.boards}'; choose one of these.")
         if self.hold and not self.start:
             raise InputError("`hold` holds the cameras of `start`, found no `start`; give their calibration.")
-        if self.options.refine_board:
-            raise InputError("`refine_board` is for one camera, found a rig; calibrate one of its cameras alone for that.")
 
     def model_of(self, camera: str) -> str:
         """The camera model that is to be fitted."""
@@ -223,6 +221,7 @@ def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> R
         loss=setup.options.loss,
         numberings=found.numberings,
         seen_from_front=found.seen_from_front,
+        refine_board=setup.options.refine_board,
         thresholds=setup.options,
         callback=tell,
     )

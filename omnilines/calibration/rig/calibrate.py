@@ -10,14 +10,16 @@ from jaxtyping import Bool, Int
 
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.options import AUTO
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
 from omnilines.calibration.rig.consensus import reflected
-from omnilines.calibration.rig.finish import RigOutcome, rig_result
+from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
+from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.start import (
@@ -48,6 +50,7 @@ def calibrate_rig(
     loss: str = "cauchy",
     numberings: Mapping[str, Numbering] | None = None,
     seen_from_front: bool = False,
+    refine_board: tuple[str, ...] = (),
     thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[str, Progress], None] | None = None,
 ) -> RigCalibration:
@@ -55,11 +58,14 @@ def calibrate_rig(
 
     `relation` says how several boards stand to one another (one of rig_views.BOARDS), `numberings` what is known of the numbering
     of each board (by default that its coordinates may form a lattice), `seen_from_front` that the coordinates are those of the
-    printed side, so that they tell a mirror from a lens. `callback` is told the stage and its progress.
+    printed side, so that they tell a mirror from a lens. `refine_board` names what is estimated of the board
+    (`options.REFINABLE`), which is one board then. `callback` is told the stage and its progress.
 
     Raises InputError for a malformed table, and GeometryError where no two cameras hang together or the data leave the rig open.
     """
     views = RigViews.of(corners, tuple(cameras), relation)
+    if refine_board and len(views.boards) > 1:
+        raise InputError(f"One board was expected with `refine_board`, found {len(views.boards)}; calibrate with one of them.")
     alone, failures = _alone(views, cameras, loss, thresholds, callback)
     sides = frozenset(c for c, own in alone.items() if cameras[views.cameras[c]].start is None and own.model.AXIS_SIGN_OPEN)
     options = ViewNumberings(views, numberings or numberings_of(views), sides)
@@ -80,7 +86,8 @@ def calibrate_rig(
     start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, tied=views.tied is not None)
     _require_rig(views, start, failures)
     data = _data(views, start, alone)
-    state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target)
+    data = replace(data, shape=BoardShape.to_refine(refine_board, torch.as_tensor(data.board_m)))
+    state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target, data.shape)
 
     def joint(step: Progress) -> None:
         if callback is not None:

@@ -1,9 +1,7 @@
 """From the joint fit of a rig to its result: covariance of everything, links, views, notes."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -11,55 +9,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
-from omnilines.calibration.diagnose import coverage_notes, supported_angles_deg
-from omnilines.calibration.intervals import SHARE, few_notes, linear_intervals, stated_variance_px2
-from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
-from omnilines.calibration.rig.joint import RigData, RigFit
+from omnilines.calibration.diagnose import supported_angles_deg
+from omnilines.calibration.intervals import SHARE, linear_intervals
+from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.links import Link, links, weakest_link
-from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.notes import rig_notes
+from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
-from omnilines.calibration.single import CameraCalibration
-from omnilines.calibration.thresholds import CalibrationThresholds
-from omnilines.least_squares import Outcome, Solution
-from omnilines.least_squares.variance import VarianceFactor, variance_factor
+from omnilines.least_squares import Outcome
 from omnilines.records import ViewResult
-
-
-@dataclass(frozen=True, eq=False)
-class RigOutcome:
-    """All that the calibration of a rig came to, from which its result is written."""
-
-    data: RigData
-    fit: RigFit
-    """Its kept corners are those of the last fit."""
-    solution: Solution[RigState]
-    setups: Mapping[str, CameraSetup]
-    alone: Mapping[int, AloneCamera]
-    failures: Mapping[int, str]
-    """Cameras that are not of the rig, and why."""
-    reasons: Mapping[int, str]
-    """Views of the rig's cameras that were left out, and why."""
-    sign_sources: Mapping[int, str]
-    """What decided the side of a camera, where that was open."""
-    singles: Mapping[str, CameraCalibration]
-    """Calibrations of the cameras that are not of the rig."""
-    rejects: bool
-    """Whether corners far off were rejected."""
-    notes: tuple[str, ...]
-    thresholds: CalibrationThresholds
-
-    @property
-    def freedom(self) -> int:
-        """Observations less unknowns."""
-        frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
-        return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
-
-    @cached_property
-    def factor(self) -> VarianceFactor:
-        """Of the whitened residuals; corners with a stated accuracy are never taken to be better than that."""
-        stated = None if self.data.views.corners.sigma_px is None else 1.0
-        return variance_factor(self.solution.cost, self.freedom, stated, self.thresholds.noise.significance)
 
 
 def rig_result(outcome: RigOutcome) -> RigCalibration:
@@ -78,7 +37,9 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     kept[fit.rows] = fit.kept.numpy()
     found = _links(outcome, residual, kept, poses)
     weakest = weakest_link(found, count)
-    free = covariance[parameters + 6 * (count - 1) :, parameters + 6 * (count - 1) :]
+    terms = solution.state.shape.free.shape[1]
+    first, last = parameters + 6 * (count - 1), len(covariance) - terms
+    free = covariance[first:last, first:last]
     boards = torch.zeros(len(data.boards), 6, 6, dtype=torch.float64)
     if len(free):
         boards[1:] = torch.stack([free[k : k + 6, k : k + 6] for k in range(0, len(free), 6)])
@@ -107,8 +68,10 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         left_out_alone=outcome.singles,
         rms_px_per_axis=float(np.sqrt((used**2).mean())),
         rms_px_per_point=float(np.sqrt((used**2).sum(-1).mean())),
+        board=solution.state.shape,
+        board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last:].sqrt().tolist(), strict=True)),
         iterations=solution.iterations,
-        notes=_notes(outcome, members, weakest, left_out),
+        notes=rig_notes(outcome, members, weakest, left_out),
     )
 
 
@@ -133,15 +96,18 @@ def _column_names(outcome: RigOutcome) -> list[str]:
     names += [f"{twist} of {camera}" for camera in cameras[1:] for twist in TWIST_NAMES]
     if data.views.tied is None:
         names += [f"{twist} of board {data.views.boards[b]}" for b in data.boards[1:] for twist in TWIST_NAMES]
-    return names
+    return names + [f"{term} of the board" for term in data.shape.free_names]
 
 
 def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tensor, "f 6 6"]]:
     """Covariance of the kept columns of the problem and of the poses of all frames: the noise of the corners as the residuals
-    show it and, of corners found in photos, what they have in common."""
+    show it, how much frames contradict each other and, of corners found in photos, what they have in common."""
     solution = outcome.solution
-    kept = solution.kept_covariance() * outcome.factor.value
+    kept = outcome.kept_covariance
     frames = solution.eliminated_covariance() * outcome.factor.value
+    if outcome.frame_spread is not None and outcome.frame_factors is not None:
+        kept = kept + outcome.frame_spread
+        frames = frames * float(outcome.frame_factors.median()) ** 2
     if outcome.data.views.corners.sigma_px is not None:
         problem = outcome.data.problem(outcome.fit.points.chosen(outcome.fit.kept))
         by_kept, by_frames = moved_by_radial_shifts(problem, solution, outcome.thresholds.noise.radial_shift_px)
@@ -160,6 +126,7 @@ def _covariance(outcome: RigOutcome, kept: Float[Tensor, "q q"]) -> tuple[tuple[
     names += [f"{camera}.{name}" for camera in cameras[1:] for name in TWIST_NAMES]
     if data.views.tied is None:
         names += [f"{data.views.boards[b]}.{name}" for b in data.boards[1:] for name in TWIST_NAMES]
+    names += [f"board.{name}" for name in data.shape.free_names]
     rest = len(names) - sum(len(basis) for basis in data.bases)
     spread = torch.block_diag(*data.bases, torch.eye(rest, dtype=torch.float64))
     covariance = spread @ kept @ spread.mT
@@ -302,55 +269,3 @@ def _reason(outcome: RigOutcome, view: int) -> str:
     if view in outcome.alone[camera].refusals:
         return outcome.alone[camera].refusals[view]
     return "its board is tied to no other board of the rig"
-
-
-def _notes(
-    outcome: RigOutcome,
-    members: tuple[RigMember, ...],
-    weakest: Link | None,
-    left_out: Mapping[str, str],
-) -> tuple[str, ...]:
-    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
-    if weakest is not None:
-        first, second = members[weakest.first].name, members[weakest.second].name
-        notes.append(
-            f"The weakest link of the rig is {first} - {second}: {weakest.corners} common corners in {weakest.frames} frames; "
-            f"their relative rotation is known to {weakest.rotation_sigma_deg:.2g} degrees and their translation to "
-            f"{1e3 * weakest.translation_sigma_m:.2g} mm (one standard deviation)."
-        )
-    for k, member in enumerate(members):
-        if member.rms_px_per_point > outcome.thresholds.rig.worse_than_alone_factor * member.alone_rms_px_per_point:
-            notes.append(
-                f"Camera {member.name} fits the rig worse than alone: {member.rms_px_per_point:.3g} px instead of "
-                f"{member.alone_rms_px_per_point:.3g} px per point; check that all cameras see the same instant and that the "
-                "board is flat."
-            )
-        own = outcome.fit.points.camera[outcome.fit.points.view] == k
-        pixels = outcome.fit.points.pixels[own]
-        notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
-    notes += _noise_notes(outcome, members)
-    lost = ~outcome.fit.kept
-    if outcome.rejects and bool(lost.any()):
-        notes.append(
-            f"{int(lost.sum())} of {len(lost)} corners were rejected: they lie more than "
-            f"{outcome.thresholds.robust.reject_sigma:g} robust standard deviations from where the rig sees them."
-        )
-    if outcome.solution.outcome is not Outcome.CONVERGED:
-        notes.append(outcome.solution.outcome.value)
-    return tuple(notes)
-
-
-def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:
-    """Cameras whose corners are worse than stated, and that there are few."""
-    views, corners = outcome.data.views, outcome.data.views.corners
-    if corners.sigma_px is None:
-        return few_notes(outcome.factor, outcome.thresholds.noise.large_freedom)
-    found, floor_px = [], outcome.thresholds.noise.corner_floor_px
-    for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
-        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c, floor_px) or 1.0)
-        if sigma > stated:
-            found.append(
-                f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "
-                f"{stated:.3g} px that are stated of them (chi-square test): the standard deviations follow the residuals."
-            )
-    return tuple(found)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.redundancy import basis_without, redundant_parameter
 from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
@@ -36,6 +37,8 @@ class RigData:
     relative: Float[np.ndarray, " n"]
     """Standard deviation of every corner over the root mean square of those of its camera."""
     board_m: Float[np.ndarray, "n 3"]
+    shape: BoardShape = AS_DRAWN
+    """Which terms of the board's shape are free."""
 
     def points(self, chosen: Int[np.ndarray, " v"]) -> tuple[RigPoints, Int[np.ndarray, " v"], Int[np.ndarray, " n"]]:
         """The corners of some views in the order of their cameras and views, these views, and their rows in the table."""
@@ -64,7 +67,7 @@ class RigData:
 
     def problem(self, points: RigPoints) -> RigProblem:
         """The least-squares problem of some corners."""
-        return RigProblem(points, self.bases, len(self.boards), self.views.tied is None, self.views.blocks)
+        return RigProblem(points, self.bases, len(self.boards), self.views.tied is None, self.views.blocks, self.shape)
 
 
 @dataclass(frozen=True, eq=False)

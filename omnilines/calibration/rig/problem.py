@@ -1,6 +1,6 @@
 """Joint refinement of a rig: intrinsics of every camera, cameras in the rig, boards on the target, the target in every frame.
 
-    X_cam = cam_from_rig[c] rig_from_target[f] target_from_board[b] X
+    X_cam = cam_from_rig[c] rig_from_target[f] target_from_board[b] X,   X = shape(drawn place)
 
 The first camera is the rig frame and the first board that of the target (unless all boards are held in a frame of their own), so
 that nothing is left open. The target's poses are the eliminated blocks (one for each frame), all else is kept. Residuals are in
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose, adjoint
+from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.least_squares import CellLinearisation, CellPart, Cells, KeptGroup, Structure
 
 
@@ -80,6 +81,8 @@ class RigState:
     """Of every board; the first is the identity where boards are free."""
     rig_from_target: Pose
     """Of every frame."""
+    shape: BoardShape = AS_DRAWN
+    """How the board differs from its drawing."""
 
     def cam_from_board(self, points: RigPoints) -> Pose:
         """Of every view."""
@@ -87,25 +90,31 @@ class RigState:
 
     def residual_px(self, points: RigPoints) -> Float[Tensor, "n 2"]:
         """Projected minus observed pixel."""
-        seen = _placed(self.cam_from_board(points), points)
+        seen = _placed(self.cam_from_board(points), points, self.shape)
         parts = [self.models[part.camera].project(seen[slice(*part.rows)])[0] for part in points.parts]
         return torch.cat(parts) - points.pixels
 
 
-def _placed(cam_from_board: Pose, points: RigPoints) -> Float[Tensor, "n 3"]:
+def _placed(cam_from_board: Pose, points: RigPoints, shape: BoardShape) -> Float[Tensor, "n 3"]:
     """Corners in the frames of their cameras."""
     rotation, translation = cam_from_board.rotation[points.view], cam_from_board.translation[points.view]
-    return (rotation @ points.board_m[..., None])[..., 0] + translation
+    return (rotation @ shape.place(points.board_m)[..., None])[..., 0] + translation
 
 
 class RigProblem:
     """Kept are, in this order: the intrinsics of each camera along the columns of its basis (none: held), the poses of the
-    cameras but the first, those of the boards that are free."""
+    cameras but the first, those of the boards that are free, the terms of the board's shape that are free."""
 
     def __init__(
-        self, points: RigPoints, bases: Sequence[Float[Tensor, "_ _"]], boards: int, free_boards: bool, frames: int
+        self,
+        points: RigPoints,
+        bases: Sequence[Float[Tensor, "_ _"]],
+        boards: int,
+        free_boards: bool,
+        frames: int,
+        shape: BoardShape = AS_DRAWN,
     ) -> None:
-        self.points, self.bases = points, tuple(bases)
+        self.points, self.bases, self.free_terms = points, tuple(bases), shape.free
         self.free_boards = boards - 1 if free_boards else 0
         self.estimated = [c for c, basis in enumerate(self.bases) if basis.shape[1]]
         groups = [KeptGroup(torch.where(points.camera == c, 0, -1), 1, self.bases[c].shape[1]) for c in self.estimated]
@@ -113,6 +122,8 @@ class RigProblem:
             groups.append(KeptGroup(points.camera - 1, len(self.bases) - 1, 6))
         if self.free_boards:
             groups.append(KeptGroup(points.board - 1, self.free_boards, 6))
+        if not shape.plain:
+            groups.append(KeptGroup(torch.zeros_like(points.board), 1, shape.free.shape[1]))
         self.structure = Structure(points.frame, frames, 6, tuple(groups))
         self._last: tuple[RigState, CellLinearisation] | None = None
 
@@ -131,7 +142,8 @@ class RigProblem:
         """
         points = self.points
         cam_from_target = state.cam_from_rig[points.camera] @ state.rig_from_target[points.frame]
-        seen = _placed(cam_from_target @ state.target_from_board[points.board], points)
+        cam_from_board = cam_from_target @ state.target_from_board[points.board]
+        seen = _placed(cam_from_board, points, state.shape)
         on_rig, on_target = adjoint(state.cam_from_rig), adjoint(cam_from_target)
         residual, parts = [], []
         for part, cells in zip(points.parts, points.cells, strict=True):
@@ -142,24 +154,33 @@ class RigProblem:
             by_point = by_point * weight
             # Row by row, -J [X]x is the cross product of X and J.
             by_turn = torch.linalg.cross(place[:, None].expand_as(by_point), by_point)
-            local = torch.cat([by_turn, by_point, (by_parameter @ basis) * weight], -1)
-            count, q = last - first, basis.shape[1]
-            pose = torch.eye(6 + q, 6, dtype=torch.float64).expand(count, -1, -1)
+            columns = [by_turn, by_point, (by_parameter @ basis) * weight]
+            count, q, terms = last - first, basis.shape[1], self.free_terms.shape[1]
+            if terms:
+                own = slice(low, high)
+                bent = state.shape.by_terms(points.board_m[own]) @ self.free_terms
+                columns.append(by_point @ (cam_from_board.rotation[points.view[own]] @ bent))
+            local, width = torch.cat(columns, -1), 6 + q + terms
+            pose = torch.eye(width, 6, dtype=torch.float64).expand(count, -1, -1)
             kept = []
             if q:
-                intrinsics = torch.eye(6 + q, dtype=torch.float64)[:, 6:].expand(count, -1, -1)
+                intrinsics = torch.eye(width, dtype=torch.float64)[:, 6 : 6 + q].expand(count, -1, -1)
                 kept.append((self.estimated.index(camera), intrinsics))
             if camera:
                 kept.append((len(self.estimated), pose))
             if part.other_board and self.free_boards:
-                kept.append((len(self.structure.groups) - 1, pose @ on_target[first:last]))
+                kept.append((len(self.structure.groups) - (2 if terms else 1), pose @ on_target[first:last]))
+            if terms:
+                shape = torch.eye(width, dtype=torch.float64)[:, 6 + q :].expand(count, -1, -1)
+                kept.append((len(self.structure.groups) - 1, shape))
             parts.append(CellPart(cells, local, pose @ on_rig[camera], tuple(kept)))
         return CellLinearisation(torch.cat(residual), tuple(parts))
 
     def retract(self, state: RigState, kept: Tensor, eliminated: Tensor) -> RigState:
         """Parameters move along their columns, poses by exp(delta) T."""
         sizes = [self.bases[c].shape[1] for c in self.estimated]
-        *cameras, poses, boards = kept.split([*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards])
+        terms = self.free_terms.shape[1]
+        *cameras, poses, boards, bent = kept.split([*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards, terms])
         models = list(state.models)
         for c, step in zip(self.estimated, cameras, strict=True):
             models[c] = models[c].with_parameters(models[c].parameters + self.bases[c] @ step)
@@ -168,6 +189,7 @@ class RigProblem:
             _moved(state.cam_from_rig, poses),
             _moved(state.target_from_board, boards),
             Pose.exp(eliminated) @ state.rig_from_target,
+            state.shape.moved(self.free_terms @ bent),
         )
 
     def gauge(self, state: RigState) -> Float[Tensor, "k 0"]:

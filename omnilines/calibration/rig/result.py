@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from camera_models import CameraModel
 from camera_models.pose import Pose
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.single import CameraCalibration
 from omnilines.records import Corners, ViewResult
@@ -53,7 +54,7 @@ class RigCalibration:
     """In the order of the table; the first is the rig frame."""
     names: tuple[str, ...]
     covariance: Float[np.ndarray, "k k"]
-    """Of all parameters, camera poses but the first, and free boards, together; `names` says what each row is."""
+    """Of all parameters, camera poses but the first, free boards and board terms, together; `names` says what each row is."""
     boards: tuple[str, ...]
     target_from_board: Pose
     board_covariance: Float[np.ndarray, "b 6 6"]
@@ -77,8 +78,16 @@ class RigCalibration:
     """Those of them that could be calibrated by themselves."""
     rms_px_per_axis: float
     rms_px_per_point: float
+    board: BoardShape
+    board_sigma: Mapping[str, float]
+    """One standard deviation of each board term that was estimated."""
     iterations: int
     notes: tuple[str, ...]
+
+    @property
+    def board_terms(self) -> dict[str, float]:
+        """The estimated board terms."""
+        return {name: float(self.board.terms[self.board.names.index(name)]) for name in self.board_sigma}
 
     def member(self, name: str) -> RigMember:
         """The camera of this name."""

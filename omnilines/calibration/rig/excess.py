@@ -1,0 +1,143 @@
+"""Why cameras fit a rig worse than each alone: what the fit gains step by step as the rig is taken apart.
+
+All fits are of the same corners with the same weights, so that their costs compare:
+
+    rigid >= with the surface of the board free >= and its pose free in every view >= and the parameters of each camera alone
+
+The first difference is the board's; the second that of its pose, as where hands move it between two shutters; the third that of
+the camera models. Each is weighed against the residuals that are left by as many parameters as it frees (an F ratio).
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
+from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+from omnilines.calibration.rig.joint import RigData, RigFit
+from omnilines.calibration.rig.problem import RigPoints, RigState
+from omnilines.calibration.thresholds import RigThresholds
+from omnilines.least_squares import Outcome, Solution, solve
+
+ITERATIONS = 50
+
+
+@dataclass(frozen=True)
+class _Apart:
+    """Every camera with board poses, and perhaps parameters, of its own."""
+
+    cost: float
+    rms_px: float
+    """Per point."""
+    moved_m: Float[Tensor, " v"]
+    """How far the middle of the board is from where the rig has it, of the views that share a frame with another camera."""
+    turned_deg: Float[Tensor, " v"]
+    freed: int
+    """Parameters of poses beyond one of every frame."""
+
+
+def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresholds: RigThresholds) -> str | None:
+    """One sentence on what differs between the cameras together and each alone; None where nothing stands out."""
+    points, bent = fit.points.chosen(fit.kept), _bent(data, fit, solution.state)
+    chain = [solution.cost]
+    if bent is not None:
+        chain.append(bent.cost)
+    state = solution.state if bent is None else bent.state
+    held, free = (_apart(data, points, state, hold=hold) for hold in (True, False))
+    chain += [held.cost, free.cost]
+    gains = [before - after for before, after in pairwise(chain)]
+    bends = 0 if bent is None else state.shape.free.shape[1]
+    freed = ([] if bent is None else [bends]) + [held.freed, sum(basis.shape[1] for basis in data.bases)]
+    named = [
+        gain > thresholds.named_share * sum(gains) and gain > thresholds.clear_gain * count * after / (2 * len(points.view))
+        for gain, count, after in zip(gains, freed, chain[1:], strict=True)
+    ]
+    causes = [_of_poses(held), OF_PARAMETERS]
+    if bent is not None:
+        causes.insert(0, _of_board(bent.state, points))
+    shares = [f"{100 * gain / sum(gains):.0f} percent {cause}" for gain, cause in zip(gains, causes, strict=True)]
+    told = [share for share, is_named in zip(shares, named, strict=True) if is_named]
+    if not told:
+        return None
+    together_px = _rms_px(solution.state.residual_px(points))
+    bend = "" if bent is None else "with the board bent and "
+    return (
+        f"Together the cameras fit to {together_px:.3g} px per point; {bend}each alone they would to {free.rms_px:.3g}. Of the "
+        f"difference (in squares) {'; '.join(told)}."
+    )
+
+
+OF_PARAMETERS = (
+    "is the cameras' parameters, which alone are others than together: the model does not suit the lens, or few views leave it "
+    "open"
+)
+
+
+def _of_board(bent: RigState, points: RigPoints) -> str:
+    return (
+        "is a board that is not flat: estimated, its surface leaves a plane by up to "
+        f"{1e3 * _off_plane_m(bent.shape, points):.2g} mm, and the cameras fit to {_rms_px(bent.residual_px(points)):.3g} px "
+        "together (give `refine_board` surface, or a board on glass or metal)"
+    )
+
+
+def _of_poses(apart: _Apart) -> str:
+    return (
+        f"is the board's pose, which differs between cameras by {1e3 * float(apart.moved_m.median()):.2g} mm and "
+        f"{float(apart.turned_deg.median()):.2g} degrees in the median view: it moved between two shutters, or bent anew in "
+        "every view (hold it still, or fix it to something)"
+    )
+
+
+def _rms_px(residual_px: Float[Tensor, "n 2"]) -> float:
+    return float(residual_px.square().sum(-1).mean().sqrt())
+
+
+def _bent(data: RigData, fit: RigFit, state: RigState) -> Solution[RigState] | None:
+    """The joint fit with the surface of the board free, where it is one board as drawn."""
+    if not state.shape.plain or len(data.views.boards) > 1:
+        return None
+    shape = BoardShape.to_refine(("surface",), fit.points.board_m)
+    problem = replace(data, shape=shape).problem(fit.points.chosen(fit.kept))
+    found = solve(problem, replace(state, shape=shape), max_iterations=ITERATIONS, damping=1e-8)
+    return None if found.outcome is Outcome.DEGENERATE else found
+
+
+def _off_plane_m(shape: BoardShape, points: RigPoints) -> float:
+    """Largest distance of a corner from the plane nearest to all of them."""
+    places = shape.place(torch.unique(points.board_m, dim=0))
+    design = torch.cat([places[:, :2], torch.ones_like(places[:, :1])], 1)
+    left = places[:, 2:] - design @ torch.linalg.lstsq(design, places[:, 2:]).solution
+    return float(left.abs().max())
+
+
+def _apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> _Apart:
+    """Every camera fitted alone to its corners on the board as the state has it; with its parameters held only the poses."""
+    cost, residuals, moved, turned = 0.0, [], [], []
+    shared = _shared_views(points)
+    rig_poses, middle = state.cam_from_board(points), points.board_m.mean(0)
+    for k, basis in enumerate(data.bases):
+        own = points.camera[points.view] == k
+        views, place = torch.unique(points.view[own], return_inverse=True)
+        board = BoardPoints(place, len(views), state.shape.place(points.board_m[own]), points.pixels[own])
+        problem = BoardProblem(board, basis[:, : 0 if hold else None], points.weight[own], AS_DRAWN)
+        found = problem.solve(CameraAndBoards(state.models[k], rig_poses[views]), max_iterations=ITERATIONS)
+        cost += found.cost
+        residuals.append(found.state.residual_px(board))
+        change = rig_poses[views].inverse() @ found.state.cam_from_board
+        both = shared[views]
+        moved.append((change.transform(middle.expand(len(views), 1, 3))[:, 0] - middle).norm(dim=-1)[both])
+        turned.append(torch.rad2deg(change.log()[:, :3].norm(dim=-1))[both])
+    freed = 6 * (int(shared.sum()) - len(torch.unique(points.frame[shared])))
+    return _Apart(cost, _rms_px(torch.cat(residuals)), torch.cat(moved), torch.cat(turned), freed)
+
+
+def _shared_views(points: RigPoints) -> Bool[Tensor, " v"]:
+    """Views with corners whose frame another view with corners has too."""
+    seen = torch.bincount(points.view, minlength=len(points.camera)) > 0
+    counts = torch.bincount(points.frame[seen], minlength=int(points.frame.max()) + 1)
+    return seen & (counts[points.frame] > 1)

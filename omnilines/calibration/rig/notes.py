@@ -1,0 +1,81 @@
+"""What a person should know of the calibration of a rig, one sentence each."""
+
+import math
+from collections.abc import Mapping
+
+from omnilines.calibration.diagnose import coverage_notes
+from omnilines.calibration.intervals import few_notes, stated_variance_px2
+from omnilines.calibration.rig.excess import excess_note
+from omnilines.calibration.rig.links import Link
+from omnilines.calibration.rig.outcome import RigOutcome
+from omnilines.calibration.rig.result import RigMember
+from omnilines.least_squares import Outcome
+
+
+def rig_notes(
+    outcome: RigOutcome,
+    members: tuple[RigMember, ...],
+    weakest: Link | None,
+    left_out: Mapping[str, str],
+) -> tuple[str, ...]:
+    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
+    if weakest is not None:
+        first, second = members[weakest.first].name, members[weakest.second].name
+        notes.append(
+            f"The weakest link of the rig is {first} - {second}: {weakest.corners} common corners in {weakest.frames} frames; "
+            f"their relative rotation is known to {weakest.rotation_sigma_deg:.2g} degrees and their translation to "
+            f"{1e3 * weakest.translation_sigma_m:.2g} mm (one standard deviation)."
+        )
+    for k, member in enumerate(members):
+        if k in outcome.worse:
+            notes.append(
+                f"Camera {member.name} fits the rig worse than alone: {member.rms_px_per_point:.3g} px instead of "
+                f"{member.alone_rms_px_per_point:.3g} px per point; check that all cameras see the same instant and that the "
+                "board is flat."
+            )
+        own = outcome.fit.points.camera[outcome.fit.points.view] == k
+        pixels = outcome.fit.points.pixels[own]
+        notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
+    notes += _excess_notes(outcome)
+    notes += _noise_notes(outcome, members)
+    lost = ~outcome.fit.kept
+    if outcome.rejects and bool(lost.any()):
+        notes.append(
+            f"{int(lost.sum())} of {len(lost)} corners were rejected: they lie more than "
+            f"{outcome.thresholds.robust.reject_sigma:g} robust standard deviations from where the rig sees them."
+        )
+    if outcome.solution.outcome is not Outcome.CONVERGED:
+        notes.append(outcome.solution.outcome.value)
+    return tuple(notes)
+
+
+def _excess_notes(outcome: RigOutcome) -> list[str]:
+    """Why the rig fits worse than its cameras alone, and what that does to the standard deviations."""
+    if not outcome.worse:
+        return []
+    cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.thresholds.rig)
+    found = [cause] if cause else []
+    factors = outcome.frame_factors
+    if factors is not None and len(factors):
+        found.append(
+            "Frames contradict each other by more than the noise of their corners: the estimate is "
+            f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would make "
+            "it, as leaving out each frame in turn shows; the standard deviations hold that."
+        )
+    return found
+
+
+def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:
+    """Cameras whose corners are worse than stated, and that there are few."""
+    views, corners = outcome.data.views, outcome.data.views.corners
+    if corners.sigma_px is None:
+        return few_notes(outcome.factor, outcome.thresholds.noise.large_freedom)
+    found, floor_px = [], outcome.thresholds.noise.corner_floor_px
+    for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
+        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c, floor_px) or 1.0)
+        if sigma > stated:
+            found.append(
+                f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "
+                f"{stated:.3g} px that are stated of them (chi-square test): the standard deviations follow the residuals."
+            )
+    return tuple(found)

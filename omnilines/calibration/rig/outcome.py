@@ -1,0 +1,85 @@
+"""What the calibration of a rig came to, before its result is written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
+from omnilines.calibration.rig.by_frames import spread_of_frames
+from omnilines.calibration.rig.joint import RigData, RigFit
+from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.thresholds import CalibrationThresholds
+from omnilines.least_squares import Solution
+from omnilines.least_squares.variance import VarianceFactor, variance_factor
+
+
+@dataclass(frozen=True, eq=False)
+class RigOutcome:
+    """All that the calibration of a rig came to, from which its result is written."""
+
+    data: RigData
+    fit: RigFit
+    """Its kept corners are those of the last fit."""
+    solution: Solution[RigState]
+    setups: Mapping[str, CameraSetup]
+    alone: Mapping[int, AloneCamera]
+    failures: Mapping[int, str]
+    """Cameras that are not of the rig, and why."""
+    reasons: Mapping[int, str]
+    """Views of the rig's cameras that were left out, and why."""
+    sign_sources: Mapping[int, str]
+    """What decided the side of a camera, where that was open."""
+    singles: Mapping[str, CameraCalibration]
+    """Calibrations of the cameras that are not of the rig."""
+    rejects: bool
+    """Whether corners far off were rejected."""
+    notes: tuple[str, ...]
+    thresholds: CalibrationThresholds
+
+    @property
+    def freedom(self) -> int:
+        """Observations less unknowns."""
+        frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
+        return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
+
+    @cached_property
+    def factor(self) -> VarianceFactor:
+        """Of the whitened residuals; corners with a stated accuracy are never taken to be better than that."""
+        stated = None if self.data.views.corners.sigma_px is None else 1.0
+        return variance_factor(self.solution.cost, self.freedom, stated, self.thresholds.noise.significance)
+
+    @cached_property
+    def worse(self) -> tuple[int, ...]:
+        """Members whose corners fit the rig worse than their camera alone."""
+        points, limit = self.fit.points.chosen(self.fit.kept), self.thresholds.rig.worse_than_alone_factor
+        squares, camera = self.solution.state.residual_px(points).square().sum(-1), points.camera[points.view]
+        return tuple(
+            k
+            for k, c in enumerate(self.data.cameras)
+            if float(squares[camera == k].mean().sqrt()) > limit * self.alone[c].rms_px_per_point
+        )
+
+    @cached_property
+    def kept_covariance(self) -> Float[Tensor, "q q"]:
+        """Of the kept columns of the problem by the noise of the corners, as the residuals show it."""
+        return self.solution.kept_covariance() * self.factor.value
+
+    @cached_property
+    def frame_spread(self) -> Float[Tensor, "q q"] | None:
+        """Covariance of the kept columns by how much frames contradict each other, where the rig fits worse than its cameras."""
+        if not self.worse:
+            return None
+        points = self.fit.points.chosen(self.fit.kept)
+        return spread_of_frames(self.data, points, self.solution.state)
+
+    @property
+    def frame_factors(self) -> Float[Tensor, " q"] | None:
+        """By how much that makes the standard deviation of each kept column larger."""
+        if self.frame_spread is None:
+            return None
+        return (1 + self.frame_spread.diagonal() / self.kept_covariance.diagonal().clamp_min(1e-300)).sqrt()
