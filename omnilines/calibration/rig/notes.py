@@ -59,8 +59,8 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
     if factors is not None and len(factors):
         found.append(
             "Frames contradict each other by more than the noise of their corners: the estimate is "
-            f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would make "
-            "it, as leaving out each frame in turn shows; the standard deviations hold that."
+            f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would "
+            "make it, as leaving out each frame in turn shows; the standard deviations hold that."
         )
     return found
 
