@@ -294,7 +294,7 @@ def test_users_are_told_what_is_wrong(mixed, tmp_path, capsys):
         (["--image-size", SIZES, "--model", "cam0=pinhol"], "pinhol"),
         (["--image-size", SIZES, "--boards", "glued"], "--boards is one of fixed, known, moving, found 'glued'"),
         (["--image-size", SIZES, "--hold"], "found no --calibration"),
-        (["--image-size", SIZES, "--refine-board", "aspect"], "--refine-board is for one camera, found a rig"),
+        (["--image-size", SIZES, "--refine-board", "tilt"], "aspect and flatness, found 'tilt'"),
     ]
     for arguments, message in cases:
         assert run("calibrate", table, *arguments, "--out", tmp_path / "out") == 2

@@ -6,11 +6,9 @@ the estimate moves by
 
     d_f = (S - S_f)^-1 g_f,    Cov = (F - 1) / F sum (d_f - mean) (d_f - mean)'
 
-(the jackknife by groups; B. Efron 1982). With some twenty frames that matrix is itself uncertain, so that only its size is taken,
-once for the parameters of the cameras and once for where they stand.
+(the jackknife by groups; B. Efron 1982). Few frames leave directions in which they seem to agree, so that it is added to what the
+noise of the corners says and does not replace it.
 """
-
-from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -23,11 +21,8 @@ from omnilines.least_squares.schur import normal_equations, reduce
 LEAST_FRAMES = 4
 
 
-def jackknife_factors(
-    data: RigData, points: RigPoints, state: RigState, covariance: Float[Tensor, "k k"]
-) -> Float[Tensor, " k"] | None:
-    """By how much standard deviations of the kept parameters are larger than those in `covariance` (from the noise of corners
-    alone) says, 1 or more; None with too few frames to tell."""
+def spread_of_frames(data: RigData, points: RigPoints, state: RigState) -> Float[Tensor, "k k"] | None:
+    """Covariance of the kept parameters as frames contradict each other; None with too few frames to tell."""
     frames = torch.unique(points.frame[points.view]).tolist()
     if len(frames) < LEAST_FRAMES:
         return None
@@ -42,15 +37,7 @@ def jackknife_factors(
     steps = _steps_without(matrix, gradient)
     steps = steps - steps.mean(0)
     spread = (len(frames) - 1) / len(frames) * steps.mT @ steps
-    factors = torch.ones(len(covariance), dtype=torch.float64)
-    for group in _groups(data, len(covariance)):
-        own = torch.as_tensor(group)
-        scale = covariance[own, own].rsqrt()
-        of_noise = covariance[own][:, own] * scale[:, None] * scale
-        of_frames = spread[own][:, own] * scale[:, None] * scale
-        size = float(torch.linalg.solve(of_noise, of_frames).diagonal().mean())
-        factors[own] = max(1.0, size) ** 0.5
-    return factors
+    return 0.5 * (spread + spread.mT)
 
 
 def _steps_without(matrix: Float[Tensor, "f k k"], gradient: Float[Tensor, "f k"]) -> Float[Tensor, "f k"]:
@@ -62,9 +49,3 @@ def _steps_without(matrix: Float[Tensor, "f k k"], gradient: Float[Tensor, "f k"
     whole = torch.linalg.cholesky(within.sum(0))
     factor = torch.where((info == 0)[:, None, None], factor, whole)
     return scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
-
-
-def _groups(data: RigData, kept: int) -> Sequence[range]:
-    """Columns of the cameras' parameters, and all others."""
-    parameters = sum(basis.shape[1] for basis in data.bases)
-    return [group for group in (range(parameters), range(parameters, kept)) if len(group)]

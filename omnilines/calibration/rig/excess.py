@@ -56,7 +56,22 @@ def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresh
         gain > thresholds.named_share * sum(gains) and gain > thresholds.clear_gain * count * after / (2 * len(points.view))
         for gain, count, after in zip(gains, freed, chain[1:], strict=True)
     ]
-    causes = [_of_poses(held), OF_PARAMETERS = (
+    causes = [_of_poses(held), OF_PARAMETERS]
+    if bent is not None:
+        causes.insert(0, _of_board(bent.state, points))
+    shares = [f"{100 * gain / sum(gains):.0f} percent {cause}" for gain, cause in zip(gains, causes, strict=True)]
+    told = [share for share, is_named in zip(shares, named, strict=True) if is_named]
+    if not told:
+        return None
+    together_px = _rms_px(solution.state.residual_px(points))
+    bend = "" if bent is None else "with the board bent and "
+    return (
+        f"Together the cameras fit to {together_px:.3g} px per point; {bend}each alone they would to {free.rms_px:.3g}. Of the "
+        f"difference (in squares) {'; '.join(told)}."
+    )
+
+
+OF_PARAMETERS = (
     "is the cameras' parameters, which alone are others than together: the model does not suit the lens, or few views leave it "
     "open"
 )

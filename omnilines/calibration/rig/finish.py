@@ -105,9 +105,9 @@ def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tens
     solution = outcome.solution
     kept = outcome.kept_covariance
     frames = solution.eliminated_covariance() * outcome.factor.value
-    if outcome.frame_factors is not None:
-        kept = kept * outcome.frame_factors[:, None] * outcome.frame_factors
-        frames = frames * float(outcome.frame_factors.max()) ** 2
+    if outcome.frame_spread is not None and outcome.frame_factors is not None:
+        kept = kept + outcome.frame_spread
+        frames = frames * float(outcome.frame_factors.median()) ** 2
     if outcome.data.views.corners.sigma_px is not None:
         problem = outcome.data.problem(outcome.fit.points.chosen(outcome.fit.kept))
         by_kept, by_frames = moved_by_radial_shifts(problem, solution, outcome.thresholds.noise.radial_shift_px)

@@ -56,11 +56,11 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.thresholds.rig)
     found = [cause] if cause else []
     factors = outcome.frame_factors
-    if factors is not None and float(factors.max()) > 1:
+    if factors is not None and len(factors):
         found.append(
-            "Frames contradict each other by more than the noise of their corners: where cameras stand is "
-            f"{float(factors[-1]):.2g} times as uncertain as that alone would make it, their parameters {float(factors[0]):.2g} "
-            "times, as leaving out each frame in turn shows; the standard deviations hold that."
+            "Frames contradict each other by more than the noise of their corners: the estimate is "
+            f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would "
+            "make it, as leaving out each frame in turn shows; the standard deviations hold that."
         )
     return found
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
-from omnilines.calibration.rig.by_frames import jackknife_factors
+from omnilines.calibration.rig.by_frames import spread_of_frames
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.single import CameraCalibration
@@ -70,9 +70,16 @@ class RigOutcome:
         return self.solution.kept_covariance() * self.factor.value
 
     @cached_property
-    def frame_factors(self) -> Float[Tensor, " q"] | None:
-        """By how much the standard deviations of the kept columns are larger, since frames contradict each other."""
+    def frame_spread(self) -> Float[Tensor, "q q"] | None:
+        """Covariance of the kept columns by how much frames contradict each other, where the rig fits worse than its cameras."""
         if not self.worse:
             return None
         points = self.fit.points.chosen(self.fit.kept)
-        return jackknife_factors(self.data, points, self.solution.state, self.kept_covariance)
+        return spread_of_frames(self.data, points, self.solution.state)
+
+    @property
+    def frame_factors(self) -> Float[Tensor, " q"] | None:
+        """By how much that makes the standard deviation of each kept column larger."""
+        if self.frame_spread is None:
+            return None
+        return (1 + self.frame_spread.diagonal() / self.kept_covariance.diagonal().clamp_min(1e-300)).sqrt()

@@ -46,8 +46,6 @@ class RigViews:
         if unknown:
             raise InputError(f"The cameras {', '.join(cameras)} were expected, found views of '{unknown[0]}'; name that one too.")
         board_names = corners.boards or (ONE_BOARD,) * count
-        if relation == "moving" and len(set(board_names)) == 1:
-            raise InputError("`boards` moving was expected with several boards, found one; leave it out.")
         boards, frames = tuple(dict.fromkeys(board_names)), tuple(dict.fromkeys(corners.frames or corners.view_names))
         board = np.array([boards.index(name) for name in board_names])
         place = {name: k for k, name in enumerate(frames)}

@@ -1,0 +1,93 @@
+"""Rigs whose board is bent, or moves between two shutters: the cause is named, the bend is found, and uncertainty holds both."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from rig_views import BOARD, RigScene, pair, setups
+
+from camera_models import InputError
+from camera_models.pose import Pose
+from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.records import Corners
+
+NOISE_PX = 0.1
+
+
+def seen(rig: RigScene, shape: BoardShape, moved_m: float, seed: int) -> Corners:
+    """The corners of a rig's board in this shape, which the second camera sees elsewhere by so much."""
+    rng = np.random.default_rng(seed)
+    corners = rig.corners
+    places = shape.place(torch.as_tensor(corners.board_m))
+    pixels = corners.pixels.copy()
+    for view, (camera, frame) in enumerate(zip(corners.cameras or (), corners.frames or (), strict=True)):
+        rows, c = corners.view == view, rig.names.index(camera)
+        away = torch.as_tensor(rng.normal(0.0, moved_m, 3)) if c else torch.zeros(3, dtype=torch.float64)
+        motion = Pose(torch.eye(3, dtype=torch.float64), away)
+        pose = rig.cam_from_rig[c] @ rig.rig_from_board[int(frame)] @ motion
+        pixels[rows] = rig.models[c].project(pose.transform(places[rows]))[0].numpy()
+    return replace(corners, pixels=pixels + rng.normal(0.0, NOISE_PX, pixels.shape))
+
+
+def bent() -> BoardShape:
+    shape = BoardShape.to_refine(("surface",), torch.as_tensor(BOARD))
+    terms = 1e-3 * torch.tensor([0, 2, -1, 1, 1, 2, 0, -2, 1, 0, 2, 0, 1], dtype=torch.float64)
+    return shape.moved(shape.free @ (shape.free.mT @ terms))
+
+
+def cause(result: RigCalibration) -> str:
+    found = [note for note in result.notes if note.startswith("Together the cameras fit")]
+    return found[0] if found else ""
+
+
+def test_a_bent_board_is_named_and_its_surface_found() -> None:
+    rig, shape = pair(20), bent()
+    corners = seen(rig, shape, 0.0, 1)
+    flat = calibrate_rig(corners, setups(rig))
+    assert "moved between two shutters" not in cause(flat)
+    fitted = calibrate_rig(corners, setups(rig), refine_board=("surface",))
+    assert cause(fitted) == "" and abs(fitted.rms_px_per_axis - NOISE_PX) < 0.1 * NOISE_PX < flat.rms_px_per_axis - NOISE_PX
+    errors = np.array([fitted.board_terms[name] for name in shape.free_names]) - (shape.free.mT @ shape.terms).numpy()
+    # Chi-square of 12 degrees of freedom, diagonal only: below 40 but once in ten thousand times.
+    assert np.sum((errors / np.array(list(fitted.board_sigma.values()))) ** 2) < 40
+    assert [name for name in fitted.names if name.startswith("board.")] == [f"board.{name}" for name in shape.free_names]
+    assert np.isfinite(fitted.covariance).all()
+
+
+def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated() -> None:
+    rig = pair(20)
+    still, moving = (calibrate_rig(seen(rig, BoardShape(), moved_m, 2), setups(rig)) for moved_m in (0.0, 1.5e-3))
+    assert cause(still) == ""
+    assert "moved between two shutters" in cause(moving) and "not flat" not in cause(moving)
+    assert any(note.startswith("Frames contradict each other") for note in moving.notes)
+    true = float(rig.cam_from_rig[1].centre.norm())
+    link = moving.links[0]
+    assert abs(link.baseline_m - true) < 3 * link.baseline_sigma_m and link.baseline_sigma_m > 3 * still.links[0].baseline_sigma_m
+
+
+def test_one_board_only_is_refined() -> None:
+    rig = pair(8)
+    two = replace(rig.corners, boards=tuple("ab"[k % 2] for k in range(len(rig.corners.view_names))))
+    with pytest.raises(InputError, match="One board was expected with `refine_board`, found 2"):
+        calibrate_rig(two, setups(rig), refine_board=("flatness",))
+
+
+RIGS = Path(__file__).resolve().parents[2] / "shared" / "data" / "rigs"
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not RIGS.is_dir(), reason="shared data are not there")
+def test_the_cause_in_a_real_pair_is_named() -> None:
+    """A hand-held paper board: bent, and moved or bent anew in every view; what is left once its surface is known is its pose."""
+    import omnilines as ol
+
+    found = ol.detect_rig(RIGS / "stereo_fisheye", "checkerboard:9x6:24.23mm")
+    drawn = ol.calibrate_rig(found, model="opencv-fisheye")
+    surface = ol.calibrate_rig(found, model="opencv-fisheye", refine_board=("surface",))
+    assert "is a board that is not flat" in cause(drawn.fit) and "moved between two shutters" in cause(drawn.fit)
+    assert surface.rms_px_per_point < 0.8 * drawn.rms_px_per_point
+    assert "not flat" not in cause(surface.fit) and len(surface.fit.board_terms) == 12
