@@ -12,6 +12,7 @@ from camera_models.errors import InputError
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
 from omnilines import cli
+from omnilines.files import find_photos
 from omnilines.files.folders import check_results, check_work_folder, work_folder, written
 from omnilines.files.sets import claimed, settle
 
@@ -244,3 +245,14 @@ def test_a_command_runs_again_in_its_folder_beside_files_of_the_user(tmp_path: P
     # A folder of a version that kept no list.
     Path("OUT", MANIFEST).unlink()
     assert views("IN/photos/1.png", "--fov-deg", "60") == (2, ["1.png", "calibration.yaml", "notes.txt"])
+
+
+def test_photos_that_wait_to_be_moved_are_not_taken_for_a_whole_set(tmp_path: Path) -> None:
+    (tmp_path / MOVING / "left").mkdir(parents=True)
+    (tmp_path / "left").mkdir()
+    for name in ("left/0.png", "left/1.png", f"{MOVING}/left/1.png"):
+        (tmp_path / name).write_bytes(b"")
+    for given in ([tmp_path], [tmp_path / "left"], [tmp_path / "left/1.png"]):
+        with pytest.raises(InputError, match=r"left/1\.png was expected to be whole"):
+            find_photos(given)
+    assert len(find_photos([tmp_path / "left/0.png"])) == 1

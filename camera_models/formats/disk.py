@@ -136,7 +136,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
     Raises InputError where it is not there, is a folder, a pipe or a device, cannot be read, or is larger than memory.
     """
     file = Path(path)
-    _require_in_place(file)
+    require_in_place(file)
     try:
         # Opening a pipe would wait for its other end.
         handle = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -170,7 +170,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         raise InputError(f"{str(file)!r} was expected to be a path, found that no file has such a name; check it.") from None
 
 
-def _require_in_place(file: Path) -> None:
+def require_in_place(file: Path) -> None:
     """Raises InputError where the newer content of a file still waits to be moved here, and others may have been."""
     own = Path(os.path.abspath(file))
     for folder in own.parents:

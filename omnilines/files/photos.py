@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from camera_models.formats.disk import read_bytes, write_atomically
+from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
 from camera_models.formats.values import is_text
 from omnilines.machine import available_bytes
 from omnilines.photo_file import MOST_PIXELS, read_photo
@@ -95,7 +95,8 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
 
     The photo folder, which names are relative to, is the folder given; of several folders or files it is the deepest one that
     holds them all. Links that lead out of a folder are followed. Files whose name begins with a dot are left out. Raises
-    InputError where a path does not exist, a file named is not of PHOTO_SUFFIXES, a name is not valid text, or there is no photo.
+    InputError where a path does not exist, a file named is not of PHOTO_SUFFIXES, a name is not valid text, there is no photo, or
+    one that is the result of a run which was ended before all of them were in place.
     """
     found: dict[str, None] = {}
     folders = []
@@ -116,6 +117,7 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
     root = os.path.commonpath(folders)
     photos = [PhotoRef(Path(path), Path(os.path.relpath(path, root)).as_posix()) for path in found]
     for photo in photos:
+        require_in_place(photo.path)
         # Control characters, and bytes that are not UTF-8: tables could not hold them.
         if not is_text(photo.name):
             raise InputError(f"The name of the image {photo.name!r} holds characters that are not text; rename it.")

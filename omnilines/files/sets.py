@@ -83,6 +83,8 @@ def _publish(folder: Path, stage: Path, names: set[str], by: str, kept: set[str]
     old = {name: row for name, row in written(folder).items() if (folder / name).exists()}
     stays = {name: row for name, row in old.items() if row.by != by or name in kept}
     write_list(stage, {**stays, **new})
+    for parent in {(folder / name).parent for name in new}:
+        parent.mkdir(parents=True, exist_ok=True)  # which takes room, unlike what follows
     disk.tell("whole", folder / MOVING)
     os.replace(stage, folder / MOVING)
     try:

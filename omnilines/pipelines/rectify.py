@@ -16,7 +16,7 @@ from camera_models.views import View, axis_from_camera, views
 from omnilines.files import Photo, PhotoRef, Photos, photos_of, write_png, write_poses
 from omnilines.files.colmap_scene import COLMAP_FILES, check_colmap_folder, write_colmap_scene
 from omnilines.files.folders import written
-from omnilines.files.sets import claimed
+from omnilines.files.sets import claimed, settle
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
@@ -107,6 +107,7 @@ class RectifiedViews:
 
     def views_that_stay(self, folder: str | Path) -> tuple[str, ...]:
         """Views of other photos by the same camera, which an earlier run wrote into a folder: photos may be given one by one."""
+        settle(Path(folder))
         try:
             earlier = load(Path(folder) / "calibration.yaml")[self.view]
         except (InputError, KeyError):

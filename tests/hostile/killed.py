@@ -77,7 +77,7 @@ def results(folder: Path) -> dict[str, bytes]:
     """What lies in OUT, hidden files but for its list aside."""
     out = folder / "OUT"
     found = {path.relative_to(out): path for path in sorted(out.rglob("*")) if path.is_file()}
-    shown = {name: path for name, path in found.items() if name.name == MANIFEST or name.parts[0][0] != "."}
+    shown = {name: path for name, path in found.items() if not any(part[0] == "." and part != MANIFEST for part in name.parts)}
     return {name.as_posix(): path.read_bytes() for name, path in shown.items()}
 
 
