@@ -12,9 +12,5 @@ MISSING: dict[str, tuple[str, ...]] = {
         "options/segments:mask='IN/photos/0.png'", "options/segments:min-views='5'",
         "options/segments:pattern='checkerboard:7x5:30mm'", "options/segments:tolerance-px='2'",
     ),
-    "poses and calibrations that explain hardly anything are not yet recognised": (
-        "tables/poses:inverted", "tables/poses:millimetres", "tables/poses:of-another-scene", "tables/poses:xyzw",
-        "tables/scene:of-another-camera", "tables/segments:every-row-twice", "tables/segments:mixed",
-    ),
 }  # fmt: skip
 REASONS = {name: reason for reason, names in MISSING.items() for name in names}
