@@ -48,8 +48,8 @@ class MatchedArcs:
     def __len__(self) -> int:
         return len(self.image)
 
-    def rows(self, chosen: Bool[Tensor, " n"]) -> "MatchedArcs":
-        """The chosen rows; images and tracks keep their numbers."""
+    def rows(self, chosen: Bool[Tensor, " n"] | Int[Tensor, " m"]) -> "MatchedArcs":
+        """The chosen rows, by a mask or by their numbers; images and tracks keep their numbers."""
         nodes, observed = self.nodes, self.observed
         if nodes is not None:
             nodes = ArcNodes(nodes.share, nodes.by_pixel[chosen], nodes.length_px[chosen])

@@ -18,6 +18,7 @@ from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.judged_tracks import judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
+from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses, LengthUnit, Segments
@@ -95,6 +96,7 @@ def adjust(
     told = (*scene.table.left_out, *_judged(scene, table.cam_from_world, options))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
+    told += size_notes(scene.lines, scene.poses, options.judge)
     made_from = {"options": options} if inputs is None else inputs
     return Scene(scene, segments, refined_calibration(scene, cameras), made_from, told, options=options)
 

@@ -20,6 +20,8 @@ SAMPLED = 60
 """Tracks that are looked at, drawn with the seed."""
 LEAST_TRACKS = 3
 """Of three segments or more: fewer do not tell."""
+LEAST_TO_REFUSE = 5
+"""Tracks that stand out by chance as often as not where poses are rough: fewer do not tell that nothing fits."""
 MOST_SEGMENTS = 8
 """Of a track, that are looked at."""
 OTHERS = 10_000
@@ -94,10 +96,8 @@ def judge_tracks(
     if float(square.median()) <= enough:
         return ()
     held = sampled.stand_out(poses)
-    if held.tracks < LEAST_TRACKS:
-        return ()
     _refuse_camera(sampled, poses, square)
-    if held.chance > options.max_chance:
+    if held.tracks >= LEAST_TO_REFUSE and held.chance > options.max_chance:
         raise InputError(
             f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
             f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "

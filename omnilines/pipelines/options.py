@@ -79,6 +79,10 @@ class JudgeOptions(NamedTuple):
     """Probability up to which another reading of the poses is no chance."""
     gain: float = 2.0
     """Times as much that another reading of the poses has to explain."""
+    far_m: float = 100.0
+    """Distance of the lines from the cameras from which on it is asked whether lengths are in millimetres."""
+    near_m: float = 0.005
+    """Distance below which it is asked what lengths are in: no lens focuses there."""
     fitting: float = 10.0
     """Times the median misfit (squared) of a reading up to which a track is explained: 13.8 over 1.39, of chi-square with two
     degrees of freedom."""

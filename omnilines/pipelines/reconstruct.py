@@ -23,6 +23,7 @@ from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import estimate_poses, given_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
+from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
@@ -141,6 +142,7 @@ def _scene(
         *_by_chance(found),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *frame.notes,
+        *size_notes(frame.lines, frame.poses, options.judge),
         *advice(found, options, progress),
     )
     folder = photo_folder([one.photo for one in arcs.photos])

@@ -1,0 +1,92 @@
+"""Tracks, poses and cameras that do not belong together are told from those that do, however rough, by the tracks themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from camera_models import InputError, OpenCVFisheye
+from camera_models.pose import Pose, rotation_from_quaternion
+from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.pipelines.judged_tracks import judge_tracks
+from omnilines.pipelines.options import JudgeOptions
+from omnilines.posing.readings import other_readings
+from omnilines.records import ImagePoses, Segments
+
+LENS = OpenCVFisheye([170.25, 171.5, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], (646, 482))
+ALWAYS = JudgeOptions(fitting_px=0.0)
+"""Also tracks that fit within a pixel are asked."""
+
+
+def scene(lines: int, photos: int, *, seed: int, noise_px: float = 0.3, far: float = 1.0) -> tuple[Segments, ImagePoses]:
+    """Lines in front of cameras, all of which see all of them."""
+    rng = np.random.default_rng(seed)
+    ends = far * rng.uniform([-1, -1, 1.5], [1, 1, 3], (2 * lines, 3))
+    twists = torch.from_numpy(rng.uniform(-1, 1, (photos, 6)) * np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
+    poses = Pose.exp(twists)
+    pixels = torch.cat([LENS.project(pose.transform(torch.from_numpy(ends)))[0] for pose in (poses[k] for k in range(photos))])
+    noisy = pixels.numpy() + noise_px * rng.standard_normal((photos * 2 * lines, 2))
+    images, tracks = tuple(f"{k}.png" for k in range(photos)), tuple(f"line{k}" for k in range(lines))
+    image, track = np.repeat(np.arange(photos), lines), np.tile(np.arange(lines), photos)
+    return Segments(image, images, track, tracks, noisy.reshape(-1, 2, 2)), ImagePoses(images, poses)
+
+
+def judged(segments: Segments, poses: ImagePoses, lens: OpenCVFisheye = LENS, options: JudgeOptions = ALWAYS) -> tuple[str, ...]:
+    arcs = arcs_from_segments(segments, poses, {"cam0": lens}).arcs
+    return judge_tracks(arcs, poses.cam_from_world, options=options)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", [{}, {"lines": 5, "photos": 3}, {"far": 300.0}, {"noise_px": 3.0}], ids=str)
+def test_tracks_that_belong_to_their_poses_are_taken(seed: int, kind: dict[str, float]) -> None:
+    segments, poses = scene(**{"lines": 12, "photos": 5, "seed": seed, **kind})
+    judged(segments, poses)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rough_poses_are_taken_and_spoken_of(seed: int) -> None:
+    segments, poses = scene(12, 5, seed=seed)
+    twists = torch.from_numpy(np.random.default_rng(seed).standard_normal((5, 6)) * 0.035)
+    (note,) = judged(segments, replace(poses, cam_from_world=Pose.exp(twists) @ poses.cam_from_world), options=JudgeOptions())
+    assert "rough" in note
+
+
+def test_every_other_reading_is_named_when_the_table_was_written_so() -> None:
+    segments, poses = scene(12, 5, seed=0)
+    true = poses.cam_from_world
+    q, t, axes = true.quaternion, true.translation, torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
+    blender = Pose(axes[:, None] * true.rotation, axes * t)
+    written = {
+        "inverted": true.inverse(),
+        "order x, y, z, w": _of_quaternions(q[:, [1, 2, 3, 0]], t),
+        "centre for t": Pose(true.rotation, true.centre),
+        "transposed": Pose(true.rotation.mT, t),
+        "OpenGL": blender,
+        "inverted .* and .*OpenGL": blender.inverse(),
+    }
+    for says, poses_of_table in written.items():
+        with pytest.raises(InputError, match=f"The poses look .*{says}.*explain [01] of 12 tracks, read so 12"):
+            judged(segments, replace(poses, cam_from_world=poses_of_table))
+    assert len(list(other_readings(true))) == 15
+
+
+def _of_quaternions(quaternions: torch.Tensor, translation: torch.Tensor) -> Pose:
+    return Pose(rotation_from_quaternion(quaternions), translation)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.3, 2.0])
+def test_the_calibration_of_another_camera_is_named(scale: float) -> None:
+    segments, poses = scene(12, 5, seed=0)
+    other = OpenCVFisheye([scale * 170.25, scale * 171.5, *LENS.parameters.tolist()[2:]], LENS.image_size)
+    with pytest.raises(InputError, match="looks like that of another camera"):
+        judged(segments, poses, other)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tracks_that_were_shuffled_are_refused(seed: int) -> None:
+    segments, poses = scene(20, 6, seed=seed)
+    rng = np.random.default_rng(seed)
+    mixed = np.concatenate([rng.permutation(20) for _ in range(6)])
+    with pytest.raises(InputError, match="no better than segments put together at random"):
+        judged(replace(segments, track=mixed), poses)
