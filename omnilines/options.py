@@ -7,6 +7,7 @@ all that there is to say of it; `repr` of the options is their part of a cache k
 
 import ast
 import difflib
+import functools
 import inspect
 import math
 import textwrap
@@ -31,7 +32,8 @@ def is_group(value: Any) -> bool:
 
 def walk(options: Any, prefix: str = "") -> Iterator[tuple[str, Any, str]]:
     """Every single option: its name with those of its groups before it, its value, and the sentence below its field."""
-    sentences = _sentences(type(options))
+    kind: type = type(options)
+    sentences = _sentences(kind)
     for name in names_of(options):
         value = getattr(options, name)
         if is_group(value):
@@ -40,6 +42,7 @@ def walk(options: Any, prefix: str = "") -> Iterator[tuple[str, Any, str]]:
             yield f"{prefix}{name}", value, sentences.get(name, "")
 
 
+@functools.cache
 def _sentences(kind: type) -> dict[str, str]:
     """The docstrings of the fields of a class."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
@@ -146,7 +149,7 @@ UNITS = {
 }
 """Ranges of values, by the unit that the name of an option ends in."""
 SEED, ROUNDS = "seed", ("rounds", "searches")
-MOST_ROUNDS, MOST_LISTED = 100, 10
+MOST_ROUNDS, MOST_LISTED, MOST_LEAST = 100, 10, 10_000
 SCALES = {"smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets"}
 """Words in names of what is divided by, or steps and sizes are made of: not 0."""
 
@@ -161,7 +164,7 @@ def range_of(name: str, default: float | int | None) -> tuple[float | int, float
         return 0, MOST_ROUNDS
     if words[0] == "min" and words[-1] not in UNITS:
         # What has to reach it is compared with it, and no more is made.
-        return (1, 1_000_000) if isinstance(default, int) else (0, 1e12)
+        return (1, MOST_LEAST) if isinstance(default, int) else (0, 1e12)
     low = 1e-3 * (default or 0.0) if SCALES & set(words) else -math.inf
     if words[-1] not in UNITS and isinstance(default, int):
         # A count, or a size in pixels: time and memory may grow with its square.

@@ -97,4 +97,4 @@ def test_photos_without_segments_are_skipped_and_a_mask_is_refused(room, tmp_pat
     assert f"{table.images[0]} is skipped" in capsys.readouterr().err
     assert list(load(tmp_path / "scene" / "calibration.yaml")) == list(load(room / "calibration.yaml"))
     assert call(room, tmp_path / "scene", "--mask", str(room / "photos" / table.images[0])) == 2
-    assert "--mask says where arcs are looked for" in capsys.readouterr().err
+    assert "--mask counts only without --segments" in capsys.readouterr().err

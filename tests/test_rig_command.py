@@ -85,7 +85,9 @@ def test_report_draws_the_rig(mixed):
 
 def test_json_of_a_rig(mixed, capsys):
     _, folder = mixed
-    arguments = ["calibrate", folder / "out/corners.csv", "--image-size", SIZES, "--model", "scaramuzza,cam0=pinhole"]
+    arguments = ["calibrate", folder / "out/corners.csv", "--image-size", SIZES]
+    assert run(*arguments, "--model", "scaramuzza", "--calibration", folder / "out/calibration.yaml", "--out", folder / "x") == 2
+    assert "begins from --calibration, with the model" in capsys.readouterr().err
     assert run(*arguments, "--calibration", folder / "out/calibration.yaml", "--hold", "--out", folder / "held", "--json") == 0
     data = json.loads(capsys.readouterr().out)
     assert data["left_out"] == {} and data["holds"] and data["frames"] == 24

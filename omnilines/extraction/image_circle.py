@@ -44,7 +44,7 @@ def image_circle(
     outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), [depth_px // 2], axis=1)
     dark = float(np.percentile(outer, 2))
     # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
-    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: int(options.min_dark_rays * RAYS)]]
+    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: max(1, int(options.min_dark_rays * RAYS))]]
     threshold = max(dark + options.min_step_grey, float(np.percentile(darkest, 98)))
     if threshold >= options.max_dark_grey:
         return None

@@ -39,7 +39,7 @@ class FamilyOptions(NamedTuple):
     @property
     def gate(self) -> float:
         """Chi-square up to which a line is a member: the quantile of `member_share` with 2 degrees of freedom."""
-        return float(-2 * math.log1p(-self.member_share))
+        return float(-2 * math.log1p(-min(self.member_share, math.nextafter(1.0, 0.0))))
 
 
 class UprightOptions(NamedTuple):
