@@ -169,7 +169,8 @@ def fit_corners(
     parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, start_blur_px)
     enough_px = HASTY_PX if hasty else settled_px
     widest_blur_px = max(options.max_blur_squares * median(narrowest), 1.5)
-    half = min(max(math.ceil(options.window_squares * widest), MIN_HALF_WINDOW_PX), MAX_HALF_WINDOW_PX)
+    # In this order what is no number is the least.
+    half = math.ceil(min(MAX_HALF_WINDOW_PX, max(MIN_HALF_WINDOW_PX, options.window_squares * widest)))
     counts, cost, spread, last_px = fit_all(
         np.ascontiguousarray(image),
         parameters,

@@ -27,6 +27,8 @@ from camera_models.unified import Unified
 MOST_POINTS = 800
 """The strongest saddle points are looked at."""
 GRID_PX = 4
+LEAST_CHANGE_RAD = 1e-12
+"""Of a bearing for a pixel: a lens of 10^12 pixels of focal length is none."""
 UNSEEN = -1e5
 """Pixel coordinates of what the camera does not see: far outside any photo."""
 
@@ -64,16 +66,20 @@ class TangentView:
         return cv2.remap(grey, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=beyond)
 
 
-def tangent_view(model: CameraModel, axis: Float[np.ndarray, "3"], options: ViewOptions) -> TangentView:
-    """The view along a unit bearing that the camera sees, its u along the photo's."""
+def tangent_view(model: CameraModel, axis: Float[np.ndarray, "3"], options: ViewOptions) -> TangentView | None:
+    """The view along a unit bearing that the camera sees, its u along the photo's; None where the bearing stays as the pixel
+    moves, or is none."""
     pixel, _ = model.project(axis[None])
     around, _ = model.unproject(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     by_u, by_v = around[1] - around[0], around[2] - around[0]
-    x = by_u - (by_u @ axis) * axis
+    x, change = by_u - (by_u @ axis) * axis, np.stack([by_u, by_v])
+    slowest = np.linalg.svd(change, compute_uv=False)[-1] if np.isfinite(change).all() else 0.0
+    if min(slowest, np.linalg.norm(x)) < LEAST_CHANGE_RAD:
+        return None
     x /= np.linalg.norm(x)
     y = np.cross(axis, x)
     # Pixels per radian where the photo has most of them.
-    resolution = 1.0 / np.linalg.svd(np.stack([by_u, by_v]), compute_uv=False)[-1]
+    resolution = 1.0 / slowest
     # Stereographic: r = focal tan(theta / 2), focal / 2 pixels per radian in the middle.
     reach = math.tan(0.5 * math.radians(options.half_angle_deg))
     side = int(np.clip(4.0 * resolution * reach, *options.side_px))
@@ -93,6 +99,7 @@ def places_of_interest(grey: np.ndarray, model: CameraModel, options: DetectionO
     factors = np.array(grey.shape[::-1]) / np.array(small.shape[::-1])
     with torch.no_grad():
         bearings, valid = model.unproject((points.pixels[strongest] + 0.5) * factors - 0.5)
+    valid &= np.isfinite(bearings).all(-1)
     bearings, response = bearings[valid], points.response[strongest][valid]
     # Corners of a board are among the strongest; the many weak points are texture and noise.
     weight = np.minimum(response / max(response[:BLOCK_CORNERS].min(initial=np.inf), 1e-12), 1.0)
@@ -127,7 +134,10 @@ def detect_in_views(
     """
     check_image(image)
     grey, best = grey_of(image), Detection.empty()
-    for view in (tangent_view(model, axis, options.views) for axis in places_of_interest(grey, model, options)):
+    for axis in places_of_interest(grey, model, options):
+        view = tangent_view(model, axis, options.views)
+        if view is None:
+            continue
         shown = view.resampled(grey, model)
         if not pattern.may_be_in(shown, options):
             continue

@@ -64,6 +64,7 @@ def test_a_view_is_the_stereographic_one(model: CameraModel) -> None:
         if not valid[0]:
             continue
         view = tangent_view(model, axis[0], OPTIONS.views)
+        assert view is not None
         side = view.camera.image_size[0]
         middle = np.full((1, 2), 0.5 * (side - 1))
         np.testing.assert_allclose(view.in_photo(middle, model), pixel[None], atol=1e-6)
@@ -103,7 +104,8 @@ def test_a_mirror_shows_the_right_way_round_in_views() -> None:
     pose = random_board_poses(BOARD, mirror, 3, math.radians(75.0), min_spacing_px=9.0, seed=4)[2]
     image = render_target(BOARD, mirror, pose, blur_px=0.4, noise_grey=1.0, seed=1)
     truth = mirror.project(pose.transform(torch.as_tensor(BOARD.points_m)))[0].numpy()
-    assert tangent_view(mirror, places_of_interest(image, mirror, OPTIONS)[0], OPTIONS.views).reversed
+    view = tangent_view(mirror, places_of_interest(image, mirror, OPTIONS)[0], OPTIONS.views)
+    assert view is not None and view.reversed
     found = detect_in_views(image, BOARD, mirror, mirrored=True)
     assert len(found) > 0.8 * len(truth) and error_px(found, truth, BOARD) < 0.3
     # Taken for a lens's photo, its corners are numbered the other way round, which no pose makes good.

@@ -31,7 +31,7 @@ def look(seed: int, count: int) -> None:
 
 
 def test_wild_cameras() -> None:
-    look(0, 12)
+    look(0, 6)
 
 
 @pytest.mark.full

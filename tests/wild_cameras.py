@@ -13,11 +13,14 @@ import cv2
 import numpy as np
 import torch
 
+from calib_patterns import Detection, DetectionOptions, pattern
 from camera_models import MODELS, CameraModel, GeometryError, InputError, OpenCVFisheye, Pinhole, model_class
 from omnilines.extraction import extract_arcs
+from omnilines.pipelines.camera_search import searched
 from omnilines.pipelines.rectify import rectify
 
 SIZE = (320, 240)
+SPEC = "checkerboard:5x4:30mm"
 SIZES = (0.0, 1e-300, 1e-30, 1e-9, 1e-3, 1.0, 10.0, 1e3, 1e6, 1e10, 1e30, 1e50, 1e150, 1e300)
 TIME_S = 60.0
 """Of the processor, for one camera."""
@@ -65,6 +68,9 @@ def look(model: CameraModel, image: np.ndarray) -> None:
             assert np.isfinite(array).all(), model
     except (InputError, GeometryError):
         pass
+    board = pattern(SPEC)
+    found = searched(image, board, model, Detection.empty(), mirrored=False, options=DetectionOptions())
+    assert np.isfinite(found.pixels).all(), model
     for view in ("perspective", "panorama"):
         try:
             for _, pixels in rectify({"a.png": image}, model, view, size=(64, 48)).pixels():

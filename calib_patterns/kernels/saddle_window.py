@@ -78,6 +78,9 @@ def window(
     """The pixels of a corner's window, one in `stride` of each row and column: within `reach` squares of it, within `half` px,
     and in what is of one colour."""
     height, width = image.shape
+    # A corner far outside, or nowhere, as a camera of wild coefficients may say.
+    if not (-half - 0.5 <= corner[0] < width + half and -half - 0.5 <= corner[1] < height + half):
+        return 0
     row, column, farthest = round(corner[1]), round(corner[0]), (half + 0.5) ** 2
     s_u, s_v, t_u, t_v = into_squares[0, 0], into_squares[0, 1], into_squares[1, 0], into_squares[1, 1]
     all_plain = min(min(plain[0, 0], plain[0, 1]), min(plain[1, 0], plain[1, 1])) >= reach

@@ -97,7 +97,8 @@ def _blurred_step(window: Window, place: float, steps: Table, j: int, design: np
     offsets, weight = window.offsets_px, window.weight
     half, bell = steps
     between = offsets[1] - offsets[0]
-    x = (offsets[0] - min(max(place, -_FARTHEST_PX), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
+    # In this order a place that is no number has a row as well.
+    x = (offsets[0] - min(max(-_FARTHEST_PX, place), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
     i = int(x)
     y = (x - i) * _PARTS
     row = int(y)
