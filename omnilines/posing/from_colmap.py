@@ -9,6 +9,7 @@ import numpy as np
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.colmap_binary import require_whole
 from omnilines.posing.photo_poses import PhotoPoses, image_poses
 from omnilines.records import LARGEST_M
 
@@ -60,6 +61,8 @@ def read_model(folder: Path) -> Any:
         at = folder / place
         for ending in (".bin", ".txt"):
             if all((at / f"{name}{ending}").is_file() for name in FILES):
+                if ending == ".bin":
+                    require_whole(at)
                 model = module.Reconstruction()
                 try:
                     (model.read_binary if ending == ".bin" else model.read_text)(str(at))
