@@ -70,7 +70,7 @@ def number(value: Any, where: str) -> float:
     return float(value)
 
 
-def of_text(cell: str, kind: type[int] | type[float] = float) -> float:
+def of_text(cell: str, kind: type[int] | type[float] = float) -> int | float:
     """A number as a text file writes it; raises ValueError on 1_000, which Python alone reads as one."""
     if "_" in cell:
         raise ValueError(cell)

@@ -82,6 +82,17 @@ def of_models() -> Iterator[Case]:
 
         return prepare
 
+    def binary(images: bytes) -> Callable[[Path], None]:
+        def prepare(folder: Path) -> None:
+            model("")(folder)
+            (folder / "IN/model/cameras.bin").write_bytes(bytes(8))
+            (folder / "IN/model/points3D.bin").write_bytes(bytes(8))
+            (folder / "IN/model/images.bin").write_bytes(images)
+
+        return prepare
+
+    for what, content in {"cut": b"\6" + bytes(9), "counts": b"\xff" * 8, "name": b"\1" + bytes(71) + b"view"}.items():
+        yield Case(f"colmap-bin:{what}", (*RECONSTRUCT, "IN/model"), binary(content), "images.bin.*COLMAP model")
     rows = {
         "quaternion-of-zero": "1 0 0 0 0 0 0 1 1 0.png",
         "not-a-number": "1 nan 0 0 0 0 0 1 1 0.png",
