@@ -8,6 +8,9 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models.pose import Pose
 
+LARGEST_M = 1e9
+"""Of a coordinate in a file; those of the Earth and its orbits are within it."""
+
 
 @dataclass(frozen=True)
 class Corners:

@@ -9,11 +9,13 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, read_text
+from camera_models.formats.values import of_text
 
 MODELS: dict[str, int] = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12,
@@ -132,11 +134,11 @@ def _camera_of_row(row: tuple[str, list[str]]) -> CameraRecord:
     where, cells = row
     if len(cells) < 4:
         raise InputError(f"{where} must hold CAMERA_ID MODEL WIDTH HEIGHT PARAMS..., found {len(cells)} cells; correct it.")
-    number, width, height = _converted(where, "whole numbers", int, [cells[0], *cells[2:4]])
+    number, width, height = _converted(where, "whole numbers", partial(of_text, kind=int), [cells[0], *cells[2:4]])
     count = _count(cells[1], where)
     if len(cells) != 4 + count:
         raise InputError(f"{where} must hold {count} parameters for {cells[1]}, found {len(cells) - 4}; correct it.")
-    return CameraRecord(number, cells[1], width, height, tuple(_converted(where, "numbers", float, cells[4:])))
+    return CameraRecord(number, cells[1], width, height, tuple(_converted(where, "numbers", of_text, cells[4:])))
 
 
 def _count(model: str, where: str) -> int:
@@ -154,7 +156,7 @@ def _rig_of_row(row: tuple[str, list[str]]) -> RigRecord:
             kind, own = cells[at], int(cells[at + 1])
             known = index > 0 and cells[at + 2] == "1"
             at += 3 if index else 2
-            pose = tuple(map(float, cells[at : at + 7])) if known else None
+            pose = tuple(map(of_text, cells[at : at + 7])) if known else None
             if known and len(pose or ()) < 7:
                 raise IndexError
             at += 7 if known else 0

@@ -29,7 +29,7 @@ from camera_models.formats.forms import Form
 from camera_models.formats.inverse_polynomial import compare, fit_inverse
 from camera_models.formats.rig_poses import pose_of_vectors, rig_of, vectors_of_pose
 from camera_models.formats.values import image_size as image_size_of
-from camera_models.formats.values import items, mapping, number, numbers, optional_number, required, text
+from camera_models.formats.values import items, mapping, number, numbers, of_text, optional_number, required, text
 from camera_models.formats.yaml_text import read_yaml, yaml_text
 from camera_models.pose import Pose
 from camera_models.scaramuzza import Scaramuzza, names_of_degree
@@ -136,7 +136,7 @@ def _read_text(path: Path) -> Content:
     rows: list[list[float]] = []
     for (at, line), heading, count in zip(lines, _HEADINGS, (None, None, 2, 3, 2), strict=False):
         try:
-            row = [float(item) for item in line.split()]
+            row = [of_text(item) for item in line.split()]
         except ValueError:
             raise InputError(f"Line {at} must hold numbers ({heading}), found '{line.strip()[:60]}'; correct it.") from None
         row = [number(item, f"line {at}") for item in row]

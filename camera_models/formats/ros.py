@@ -48,7 +48,9 @@ class RosCameraInfo(CalibrationFormat):
         """A YAML file with the matrices of CameraInfo, not typed as OpenCV types them."""
         if path.suffix.lower() not in self.SUFFIXES or "opencv-matrix" in head:
             return False
-        written = "camera_matrix:" in head and ("projection_matrix:" in head or "rectification_matrix:" in head)
+        written = "camera_matrix:" in head and any(
+            f"{key}:" in head for key in ("projection_matrix", "rectification_matrix", "distortion_model")
+        )
         lines = {line.split(":")[0] for line in head.splitlines()}
         return written or ("distortion_model" in lines and ({"K", "P"} <= lines or {"k", "p"} <= lines))
 
@@ -128,7 +130,7 @@ def _notes(data: Mapping[str, Any], matrix: list[float], skew: float) -> list[st
     plain = [*matrix[:3], 0.0, *matrix[3:6], 0.0, *matrix[6:], 0.0]
     if rectification not in (None, identity) or projection not in (None, plain):
         notes.append("Not kept: the rectification (rectification_matrix, projection_matrix).")
-    if projection is not None and projection[3]:
+    if projection is not None and projection[3] and projection[0]:
         notes.append(f"Not kept: the baseline in the projection matrix, {-projection[3] / projection[0]:.6g} m.")
     roi = data.get("roi")
     cut = isinstance(roi, dict) and any(roi.get(key) for key in ("x_offset", "y_offset", "width", "height"))

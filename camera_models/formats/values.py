@@ -70,6 +70,13 @@ def number(value: Any, where: str) -> float:
     return float(value)
 
 
+def of_text(cell: str, kind: type[int] | type[float] = float) -> int | float:
+    """A number as a text file writes it; raises ValueError on 1_000, which Python alone reads as one."""
+    if "_" in cell:
+        raise ValueError(cell)
+    return kind(cell)
+
+
 def optional_number(data: Mapping[str, Any], key: str, where: str) -> float | None:
     """The number of a key, None where it is absent."""
     return None if data.get(key) is None else number(data[key], f"{key} of {where}")

@@ -9,7 +9,6 @@ from jaxtyping import Int
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text
 from omnilines.files.tables import (
-    LARGEST_M,
     LARGEST_PX,
     PARQUET_SUFFIXES,
     Table,
@@ -18,7 +17,7 @@ from omnilines.files.tables import (
     read_table,
     write_table,
 )
-from omnilines.records import Corners
+from omnilines.records import LARGEST_M, Corners
 
 COLUMNS = ("view", "image", "board_x_m", "board_y_m", "u_px", "v_px")
 OPTIONAL = ("camera", "frame", "board", "id", "board_z_m", "sigma_px")

@@ -7,8 +7,8 @@ import torch
 
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
 from camera_models.pose import Pose
-from omnilines.files.tables import LARGEST_M, name_cells, number_cells, read_table, write_table
-from omnilines.records import ImagePoses
+from omnilines.files.tables import name_cells, number_cells, read_table, write_table
+from omnilines.records import LARGEST_M, ImagePoses
 
 COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 OPTIONAL = ("frame",)

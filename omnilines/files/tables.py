@@ -21,7 +21,6 @@ from camera_models.formats.values import is_text, stray
 LARGEST_PX = 1e7
 """Of a pixel, and of its standard deviation, in a table."""
 LEAST_SIGMA_PX = 1e-6
-LARGEST_M = 1e9
 PARQUET_SUFFIXES = (".parquet", ".pq")
 
 

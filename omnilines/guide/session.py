@@ -18,7 +18,8 @@ from omnilines.calibration.image_field import KnownProjection
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.files import PhotoRef, read_photo, write_png
-from omnilines.files.folders import claim, written_names
+from omnilines.files.folders import check_results, written
+from omnilines.files.sets import claimed
 from omnilines.guide.frames import Frame, gain, information_of, refusal
 from omnilines.guide.options import GuideOptions
 from omnilines.pipelines.calibrate import CalibrationResult, calibrate
@@ -66,8 +67,8 @@ class Session:
         self.over = threading.Event()
         self._lock = threading.Lock()
         self._needed = options.first_frames
-        claim(out, RESULTS, inputs)
-        for name in written_names(out):
+        check_results(out, RESULTS, inputs)
+        for name in written(out):
             if name.startswith(f"{FRAMES}/") and (out / name).is_file():
                 frame = self._looked_at(read_photo(out / name))
                 if len(frame.found):
@@ -113,9 +114,8 @@ class Session:
 
     def _keep(self, frame: Frame) -> None:
         name = f"{FRAMES}/{len(self.kept):04d}.png"
-        claim(self.out, [name], self.inputs)
-        (self.out / FRAMES).mkdir(exist_ok=True)
-        write_png(self.out / name, frame.pixels)
+        with claimed(self.out, [name], self.inputs, by=f"guide {name}"):
+            write_png(self.out / name, frame.pixels)
         self.kept.append(frame)
         self.names.append(name)
         self.stale = len(self.kept) >= self._needed
@@ -142,8 +142,9 @@ class Session:
                 self.message = str(error)
             return
         assert advice is not None
-        result.save(self.out)
-        result.report(self.out / RESULTS[-1])
+        with claimed(self.out, RESULTS, self.inputs, by="guide"):
+            result.save(self.out)
+            result.report(self.out / RESULTS[-1])
         with self._lock:
             self.known = Known(result, advice, advice.known)
         if self.options.until_px is not None and advice.worst_px <= self.options.until_px:

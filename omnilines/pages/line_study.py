@@ -111,8 +111,13 @@ def _described(study: Study, f: MethodFigures) -> str:
     ratio, error = study.over_bound(f)
     over = f", {ratio:.3f} ± {error:.3f} of the bound" if math.isfinite(ratio) else ""
     lost = f", {100 * float(f.found.mean()):.1f} % of the lines" if float(f.found.mean()) < 1 else ""
-    euclidean = f"Euclidean {1e3 * _rms(f.rms_3d_euclidean_m):.4g} mm"
-    return f"2D {_rms(f.rms_2d_px):.4f} px, 3D {1e3 * _rms(f.rms_3d_m):.4g} mm{over}, {euclidean}{lost}"
+    euclidean = f"Euclidean {_told(1e3 * _rms(f.rms_3d_euclidean_m), 'mm')}"
+    return f"2D {_told(_rms(f.rms_2d_px), 'px', '.4f')}, 3D {_told(1e3 * _rms(f.rms_3d_m), 'mm')}{over}, {euclidean}{lost}"
+
+
+def _told(value: float, unit: str, digits: str = ".4g") -> str:
+    """NaN where no trial has every line."""
+    return "not known" if math.isnan(value) else f"{value:{digits}} {unit}"
 
 
 def study_data(study: Study, seed: int) -> dict[str, Any]:

@@ -1,9 +1,7 @@
 """Arcs of many photos and the colours beside them, for lines: `extract`."""
 
 import hashlib
-import io
 import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +12,12 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
-from camera_models.formats.disk import read_bytes, write_atomically
+from camera_models.formats.disk import read_bytes
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_at_once, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
+from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.orientation import by_camera
 from omnilines.files.sets import claimed
 from omnilines.matching.appearance import side_colours
@@ -223,13 +222,12 @@ def _kept_or_found(photo: Photo, model: CameraModel, least_angle_rad: float, wan
     if wanted.folder is None or not isinstance(photo, PhotoRef):
         return _found(photo, model, least_angle_rad, wanted)
     content = read_bytes(photo.path)
-    path = wanted.folder / f"{_fingerprint(content, model, least_angle_rad, wanted)}.npz"
-    known = _read(path)
+    inputs = _fingerprint(content, model, least_angle_rad, wanted)
+    path = wanted.folder / f"{inputs}.npz"
+    known = read_kept(path, inputs)
     if known is None:
         known = _found(photo, model, least_angle_rad, wanted)
-        buffer = io.BytesIO()
-        np.savez(buffer, **known)  # type: ignore[arg-type]
-        write_atomically(path, buffer.getvalue())
+        write_kept(path, inputs, known)
     return known
 
 
@@ -251,17 +249,6 @@ def _found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wa
     colours = side_colours(image, model, bearings[usable], wanted.appearance)
     arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
     return dict(zip(_ARRAYS, arrays, strict=True))
-
-
-def _read(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of an earlier run; None where there are none, or a file that is damaged."""
-    if not path.exists():
-        return None
-    try:
-        with np.load(io.BytesIO(read_bytes(path))) as file:
-            return {key: file[key] for key in _ARRAYS}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return None
 
 
 def in_order(found: Sequence[FoundArcs], poses: ImagePoses) -> list[FoundArcs]:

@@ -86,7 +86,7 @@ class PhotoCorners:
         """Of photos in a folder and what was found in each of them."""
         inputs = {"photos": IN_MEMORY if folder is None else folder, "pattern": pattern.specification}
         photos = tuple(photo for photo, _ in seen)
-        table, blur = _table(seen, pattern), _blur_px(seen)
+        table, blur = corner_table([(photo.name, found) for photo, found in seen], pattern), _blur_px(seen)
         return PhotoCorners(table, image_size, (), folder, blur, photos, pattern, mirrored, options, inputs)
 
     @property

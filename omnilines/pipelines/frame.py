@@ -14,11 +14,10 @@ import torch
 
 from camera_models import InputError
 from camera_models.pose import Pose
-from omnilines.files.tables import LARGEST_M
 from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
-from omnilines.records import ImagePoses, LengthUnit, Lines
+from omnilines.records import LARGEST_M, ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import Families
 from omnilines.structure.upright import photos_up, upright_from_world, vertical_family
 

@@ -1,10 +1,8 @@
 """Where the poses of photos come from: a table, a COLMAP model, a rig, a board, a sheet, or the photos themselves."""
 
 import hashlib
-import io
 import json
 import tempfile
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -16,11 +14,11 @@ import torch
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraModel, InputError, load
 from camera_models.errors import OmnilinesError
-from camera_models.formats.disk import read_bytes, write_atomically
 from camera_models.pose import Pose
 from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
+from omnilines.files.kept import read_kept, write_kept
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
@@ -314,27 +312,21 @@ def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
 
 def _read(path: Path, inputs: str) -> PhotoPoses | None:
     """The poses in a file; None where it is absent, damaged, or of other inputs."""
-    try:
-        with np.load(io.BytesIO(read_bytes(path))) as file:
-            words = json.loads(str(file["words"]))
-            if words["inputs"] != inputs:
-                return None
-            pose = Pose(torch.as_tensor(file["rotation"]), torch.as_tensor(file["translation"]))
-            covariance = file["covariance"] if "covariance" in file else None
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    kept = read_kept(path, inputs)
+    if kept is None:
         return None
+    words = json.loads(str(kept["words"]))
+    pose = Pose(torch.as_tensor(kept["rotation"]), torch.as_tensor(kept["translation"]))
     named = {name: None if words[name] is None else tuple(words[name]) for name in ("cameras", "frames")}
-    poses = ImagePoses(tuple(words["images"]), pose, named["cameras"], covariance, named["frames"])
+    poses = ImagePoses(tuple(words["images"]), pose, named["cameras"], kept.get("covariance"), named["frames"])
     return PhotoPoses(poses, words["left_out"], tuple(words["notes"]))
 
 
 def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
     poses = found.poses
-    words: dict[str, Any] = {"inputs": inputs, "left_out": dict(found.left_out), "notes": found.notes}
+    words: dict[str, Any] = {"left_out": dict(found.left_out), "notes": found.notes}
     words |= {"images": poses.images, "cameras": poses.cameras, "frames": poses.frames}
     arrays = {"rotation": poses.cam_from_world.rotation.numpy(), "translation": poses.cam_from_world.translation.numpy()}
     if poses.covariance is not None:
         arrays["covariance"] = poses.covariance
-    buffer = io.BytesIO()
-    np.savez(buffer, words=np.array(json.dumps(words)), **arrays)  # type: ignore[arg-type]
-    write_atomically(path, buffer.getvalue())
+    write_kept(path, inputs, {"words": np.array(json.dumps(words)), **arrays})

@@ -9,7 +9,9 @@ import numpy as np
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.colmap_binary import require_whole
 from omnilines.posing.photo_poses import PhotoPoses, image_poses
+from omnilines.records import LARGEST_M
 
 PLACES = ("", "sparse/0", "sparse", "0")
 """Where a model may lie below the folder that is given, the folder itself first."""
@@ -59,9 +61,12 @@ def read_model(folder: Path) -> Any:
         at = folder / place
         for ending in (".bin", ".txt"):
             if all((at / f"{name}{ending}").is_file() for name in FILES):
+                if ending == ".bin":
+                    require_whole(at)
                 model = module.Reconstruction()
                 try:
                     (model.read_binary if ending == ".bin" else model.read_text)(str(at))
+                    _ = [image.name for image in model.images.values()]  # they are decoded as they are asked for
                 except (RuntimeError, ValueError, IndexError) as error:
                     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
                     raise InputError(
@@ -75,7 +80,12 @@ def read_model(folder: Path) -> Any:
 
 
 def pose_of(rigid: Any) -> Pose:
-    """Of pycolmap's Rigid3d."""
+    """Of pycolmap's Rigid3d. Raises InputError where it is none."""
+    if not 0.5 < float(np.linalg.norm(rigid.rotation.quat)) < 2 or not (np.abs(rigid.translation) <= LARGEST_M).all():
+        raise InputError(
+            f"A COLMAP model with unit quaternions and translations up to {LARGEST_M:g} was expected, found "
+            f"{np.asarray(rigid.rotation.quat)} (x, y, z, w) and {np.asarray(rigid.translation)}; export it again."
+        )
     matrix = np.asarray(rigid.matrix(), dtype=np.float64)
     return Pose.of(matrix[:, :3].copy(), matrix[:, 3].copy())
 

@@ -1,11 +1,15 @@
-"""What an attack of its own found: corners of no camera, names that are no text, files of the kernel."""
+"""What an attack of its own found: corners of no camera, names that are no text, files of the kernel, torn files of a run."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hostile.case import Case
+from hostile.corpus_formats import convert, exchange, spoilt
 from hostile.corpus_tables import COMMANDS, Change, Rows, changed, column
 from hostile.good import give
+
+from camera_models import load
+from omnilines.pipelines.arcs import SHORT_ARCS, extract
 
 CORNERS = COMMANDS["corners"][2]
 PATTERN = ("--pattern", "checkerboard:7x5:30mm")
@@ -53,3 +57,67 @@ def cases() -> Iterator[Case]:
         yield Case(f"sfm:scale-{metres}", (*sfm, *known), give("photos", "omnilines"), "scale-from.*METRES")
     out = "OUT/" + "x" * 5000
     yield Case("detect:long-path", ("detect", "IN/photos", *PATTERN, "--out", out), give("photos"), r"xxx\.\.\.")
+    yield Case(
+        "colmap-txt:underscores", convert("colmap-txt"), spoilt("colmap-txt", exchange(b"646 482", b"6_46 482")), "cameras.txt"
+    )
+    ocam = spoilt("ocamcalib", exchange(b"482 646", b"4_82 646"))
+    yield Case("ocamcalib:underscores", convert("ocamcalib"), ocam, "calib_results.txt")
+    yield from of_models()
+    yield from of_kept()
+
+
+RECONSTRUCT = ("reconstruct", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT", "--poses")
+
+
+def of_models() -> Iterator[Case]:
+    """COLMAP models whose poses are none."""
+
+    def model(row: str) -> Callable[[Path], None]:
+        def prepare(folder: Path) -> None:
+            give("photos", "omnilines")(folder)
+            (folder / "IN/model").mkdir()
+            (folder / "IN/model/cameras.txt").write_text("1 PINHOLE 646 482 170 170 323 241\n")
+            (folder / "IN/model/images.txt").write_text(f"{row}\n\n2 1 0 0 0 0 0 1 1 1.png\n\n")
+            (folder / "IN/model/points3D.txt").write_text("")
+
+        return prepare
+
+    def binary(images: bytes) -> Callable[[Path], None]:
+        def prepare(folder: Path) -> None:
+            model("")(folder)
+            (folder / "IN/model/cameras.bin").write_bytes(bytes(8))
+            (folder / "IN/model/points3D.bin").write_bytes(bytes(8))
+            (folder / "IN/model/images.bin").write_bytes(images)
+
+        return prepare
+
+    for what, content in {"cut": b"\6" + bytes(9), "counts": b"\xff" * 8, "name": b"\1" + bytes(71) + b"view"}.items():
+        yield Case(f"colmap-bin:{what}", (*RECONSTRUCT, "IN/model"), binary(content), "images.bin.*COLMAP model")
+    rows = {
+        "quaternion-of-zero": "1 0 0 0 0 0 0 1 1 0.png",
+        "not-a-number": "1 nan 0 0 0 0 0 1 1 0.png",
+        "beyond-reason": "1 1 0 0 0 1e300 0 1 1 0.png",
+        "no-name": "1 1 0 0 0 0 0 1 1",
+        "twice": "2 1 0 0 0 0 0 1 1 0.png",
+    }
+    for what, row in rows.items():
+        yield Case(f"colmap:{what}", (*RECONSTRUCT, "IN/model"), model(row), "COLMAP model")
+
+
+def of_kept() -> Iterator[Case]:
+    """What an earlier run kept of its arcs is damaged: it is made anew."""
+    spoilt: dict[str, Callable[[bytes], bytes]] = {
+        "empty": lambda content: b"",
+        "torn": lambda content: content[:2000],
+        "of-another": lambda content: content[:-1],
+    }
+    for what, change in spoilt.items():
+
+        def prepare(folder: Path, change: Callable[[bytes], bytes] = change) -> None:
+            give("photos", "omnilines", "poses.csv")(folder)
+            extract(folder / "IN/photos", load(folder / "IN/calibration.yaml"), options=SHORT_ARCS, work=folder / "OUT/work")
+            for kept in (folder / "OUT/work/arcs").iterdir():
+                kept.write_bytes(change(kept.read_bytes()))
+
+        case = (*RECONSTRUCT, "IN/poses.csv")
+        yield Case(f"kept:{what}", case, prepare, "lines|No line", status=(0, 2), changes=("OUT/work/arcs/*",))
