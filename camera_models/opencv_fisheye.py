@@ -20,6 +20,7 @@ from torch import Tensor
 from camera_models._model import CameraModel
 from camera_models._radial import angle_over_distance, first_sign_change, invert_monotone, named_vector
 from camera_models.errors import InputError
+from camera_models.repeatable import least_squares
 
 
 class OpenCVFisheye(CameraModel):
@@ -53,7 +54,7 @@ class OpenCVFisheye(CameraModel):
         for terms in (5, 4, 3, 2, 1):
             powers = theta[:, None] ** (2 * torch.arange(terms, dtype=theta.dtype) + 1)
             scale = powers.norm(dim=0)
-            solution = torch.linalg.lstsq(powers / scale, rho_px[:, None]).solution[:, 0] / scale
+            solution = least_squares(powers / scale, rho_px[:, None])[:, 0] / scale
             f = float(solution[0])
             if f > 0:
                 k = [*(solution[1:] / f).tolist(), 0.0, 0.0, 0.0, 0.0][:4]

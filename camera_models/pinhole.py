@@ -28,6 +28,7 @@ from camera_models._distortion import (
 from camera_models._model import CameraModel
 from camera_models._radial import named_vector
 from camera_models.errors import InputError
+from camera_models.repeatable import least_squares
 
 
 class Pinhole(CameraModel):
@@ -75,7 +76,7 @@ class Pinhole(CameraModel):
         t, rho = torch.tan(theta[seen].clamp_max(math.radians(85))), rho_px[seen]
         for terms in (3, 2, 1):
             powers = t[:, None] ** (2 * torch.arange(terms, dtype=t.dtype) + 1)
-            solution = torch.linalg.lstsq(powers, rho[:, None]).solution[:, 0]
+            solution = least_squares(powers, rho[:, None])[:, 0]
             f = float(solution[0])
             k = [*(solution[1:] / f).tolist(), 0.0, 0.0][:2]
             model = cls([f, f, *centre.tolist(), 0.0, *k, *([0.0] * 6)], image_size, coefficients)

@@ -23,6 +23,7 @@ from camera_models._arrays import Array, as_tensor
 from camera_models._model import CameraModel
 from camera_models._radial import SMALL_SLOPE, first_sign_change, horner, invert_monotone, named_vector
 from camera_models.errors import InputError
+from camera_models.repeatable import least_squares
 
 RADIUS_LIMIT = 4.0
 """The polynomial says nothing far outside the image: the domain ends at this many times the farthest image corner."""
@@ -80,7 +81,7 @@ class Scaramuzza(CameraModel):
         for order in range(degree, 1, -1):
             powers = (rho_px / scale)[:, None] ** torch.tensor([0, *range(2, order + 1)], dtype=theta.dtype)
             weights = torch.sin(theta)[:, None]
-            a = torch.linalg.lstsq(powers * weights, (rho_px * torch.cos(theta))[:, None]).solution[:, 0]
+            a = least_squares(powers * weights, (rho_px * torch.cos(theta))[:, None])[:, 0]
             a = a / torch.tensor([scale**k for k in (0, *range(2, order + 1))], dtype=a.dtype)
             padded = torch.cat([a, torch.zeros(degree - order, dtype=a.dtype)])
             model = cls(torch.cat([centre, torch.tensor([1.0, 0.0, 0.0], dtype=a.dtype), sign * padded]), image_size)

@@ -23,6 +23,7 @@ from camera_models._model import CameraModel
 from camera_models._radial import named_vector
 from camera_models._sphere import FURTHEST_RADIUS, START_MARGIN, local_minima, nearest_curves, onto_sphere, refuse_mirror, within
 from camera_models.pinhole import Pinhole
+from camera_models.repeatable import least_squares
 
 
 class Unified(CameraModel):
@@ -62,7 +63,7 @@ class Unified(CameraModel):
         )
         for terms in (3, 2):
             powers = curves[best, :, None] ** (2 * torch.arange(terms, dtype=theta.dtype) + 1)
-            solution = torch.linalg.lstsq(powers, rho_px[:, None]).solution[:, 0]
+            solution = least_squares(powers, rho_px[:, None])[:, 0]
             f = float(solution[0])
             k1, k2 = [*(solution[1:] / f).tolist(), 0.0][:2]
             model = cls([f, f, *centre.tolist(), 0.0, float(xi[best]), k1, k2, 0.0, 0.0], image_size)
@@ -93,7 +94,7 @@ class Unified(CameraModel):
         xi, allowed, curves = _curves(theta)
         powers = curves[..., None] ** torch.tensor([1, 3, 5])
         distorted = (r * (1 + r**2 * (k1 + k2 * r**2)))[:, None].expand(len(xi), -1, 1)
-        solution = torch.linalg.lstsq(powers, distorted).solution
+        solution = least_squares(powers, distorted)
         error = ((powers @ solution - distorted) ** 2).sum((-2, -1))
         found = local_minima(torch.where(allowed, error, torch.inf))
         # The minimum that this model is in is no rival.

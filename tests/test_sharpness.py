@@ -230,7 +230,8 @@ def test_detect_tells_of_the_blurred_photo_and_uses_it(tmp_path: pathlib.Path) -
     assert cv2.imwrite(str(tmp_path / "empty.png"), np.full(SIZE[::-1], 120, np.uint8))
     result = detect([tmp_path], BOARD.specification, tmp_path / "out")
     rows = dict(result.summaries[0].rows)
-    assert rows["2.png"] == "30 corners" and rows["empty.png"].startswith("skipped: ")
+    assert rows["2.png"] == "30 corners" and list(rows) == names
+    assert [one.photo for one in result.details] == ["empty.png"] and result.details[0].text.startswith("empty.png is skipped: ")
     found = {photo["image"]: photo for photo in result.data["photos"]}
     assert list(found) == [*names, "empty.png"] and all(
         set(p) == {"image", "corners", "reason", "remark"} for p in found.values()

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from camera_models.repeatable import least_squares
 from omnilines.least_squares import Cells
 
 RADIAL_ORDERS = ((0, 2, 3, 4), (0, 2, 4), (0, 2), (0,))
@@ -192,7 +193,7 @@ def radial_start(points: BoardPoints, centre: Float[Tensor, "2"]) -> RadialStart
         gains = points.sum_by_view(columns * tilt)
         matrix = columns.mT @ columns
         signs = _best_signs(gains, matrix)
-        a = torch.linalg.lstsq(columns, signs[points.view, None] * tilt).solution[:, 0]
+        a = least_squares(columns, signs[points.view, None] * tilt)[:, 0]
         flip = 1.0 if float(a.sum() if orders == (0,) else (curve_r[:1, None] ** powers @ a)[0]) > 0 else -1.0
         a, signs = a * flip, signs * flip
         theta = torch.atan2(curve_r, curve_r[:, None] ** powers @ a)

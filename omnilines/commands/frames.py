@@ -40,8 +40,7 @@ def frames(
     """
     check_results(out, [TABLE], videos)
     chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
-    with claimed(out, chosen.names, videos, by="frames") as folder:
-        files = chosen.save(folder, progress)
+    files = chosen.save(out, progress)
     return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes)
 
 
@@ -84,7 +83,6 @@ def _cut(paths: Sequence[Path], folder: Path, split: Split, progress: ProgressCa
         for done, photo in enumerate(photos, 1):
             for lens, pixels in zip(split.names, split.parts(photo.read()), strict=True):
                 path = folder / lens / names[photo.name]
-                path.parent.mkdir(parents=True, exist_ok=True)
                 write_png(path, pixels)
             progress("cutting photos", done, len(photos))
 

@@ -15,6 +15,7 @@ from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
 from omnilines.files.frames import FrameRow, write_frames
+from omnilines.files.sets import claimed
 from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.options import FrameOptions
@@ -105,16 +106,13 @@ class ChosenFrames:
 
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
         """Write the frames as PNG, of several cameras a folder for each, and `frames.csv`, which says why; returns the files."""
-        files = []
-        for done, photo in enumerate(self.read(), 1):
-            path = Path(folder) / photo.name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_png(path, photo.pixels)
-            files.append(path)
-            progress("writing frames", done, len(self.taken))
-        table = Path(folder) / TABLE
-        write_frames(table, self.rows, [lens.video.path.name for lens in self.lenses])
-        return (*files, table)
+        inputs = [lens.video.path for lens in self.lenses]
+        with claimed(folder, self.names, inputs, by="frames") as out:
+            for done, photo in enumerate(self.read(), 1):
+                write_png(out / photo.name, photo.pixels)
+                progress("writing frames", done, len(self.taken))
+            write_frames(out / TABLE, self.rows, [path.name for path in inputs])
+        return tuple(Path(folder) / name for name in self.names)
 
 
 def frames(

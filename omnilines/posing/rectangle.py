@@ -21,6 +21,7 @@ from torch import Tensor
 from calib_patterns import parse_length
 from camera_models import InputError
 from camera_models.pose import Pose, hat
+from camera_models.repeatable import least_squares
 
 PREFIX = "rectangle:"
 MIN_M, MAX_M = 0.005, 50.0
@@ -122,7 +123,7 @@ def pose_of_sides(
     for _ in range(STEPS if len(ends) else 0):
         residual, jacobian, _ = _sides(ends, noise, pose, corners, direction)
         normal = jacobian.mT @ jacobian
-        step = -torch.linalg.lstsq(normal, jacobian.mT @ residual[..., None]).solution[..., 0]
+        step = -least_squares(normal, jacobian.mT @ residual[..., None])[..., 0]
         pose = Pose.exp(step) @ pose
         if float(step.abs().max()) < SETTLED:
             break
