@@ -22,6 +22,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "hand_px": (0, 1000),
     "texture_m": (1e-3, 1e6),
     "tolerance_px": (0, 1000),
+    "port": (0, 65535),
 }
 """Of options with numbers, by their parameter, where a command would otherwise run for days or end in arithmetic."""
 ALIASES = {

@@ -13,6 +13,7 @@ from omnilines.options import walk
 STAGES: tuple[tuple[str, str], ...] = (
     ("detection", "calib_patterns.options:DetectionOptions"),
     ("calibration", "omnilines.calibration.options:CalibrationOptions"),
+    ("guide", "omnilines.guide.options:GuideOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),
     ("posing", "omnilines.posing.options:PosingOptions"),
     ("scene", "omnilines.pipelines.options:SceneOptions"),
