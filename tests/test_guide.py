@@ -147,6 +147,8 @@ def test_the_page_is_for_who_has_its_address(tmp_path: pathlib.Path, frames: lis
     session = Session(BOARD, tmp_path / "out", GuideOptions(), FISHEYE)
     session.offer(frames[0])
     with served(session) as address:
+        with pytest.raises(InputError, match="free `port`"), served(session, int(address.split(":")[2].split("/")[0])):
+            pass
         port = int(re.match(r"http://127\.0\.0\.1:(\d+)/[\w-]{20,}/$", address)[1])
         with urllib.request.urlopen(address + "state.json") as answer:
             assert json.load(answer)["kept"] == 1 and answer.headers["Cache-Control"] == "no-store"

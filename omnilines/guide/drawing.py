@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Float, UInt, UInt8
 
 from omnilines.guide.session import Known, Session
@@ -15,6 +16,8 @@ WIDEST_PX = 960
 QUALITY = 80
 FOUND, NEXT, EARLIER = (80, 220, 60), (20, 140, 255), (60, 40, 30)
 """Colours (blue, green, red) of corners in the frame, of the next pose, and of corners in the frames that are kept."""
+WELL, BADLY, UNSEEN = (196, 240, 253), (60, 85, 217), (60, 60, 60)
+"""Where the projection is known well, where badly, and where the camera sees nothing."""
 _SUBPIXEL_BITS = 4
 _CIRCLE = 3
 _WORST_FACTOR = 8.0
@@ -25,7 +28,7 @@ def live_picture(session: Session) -> bytes:
     """JPEG of the last frame; grey before the first."""
     frame, known = session.last, session.known
     if frame is None:
-        return _jpeg(np.full((270, 480, 3), 60, dtype=np.uint8))
+        return _jpeg(np.full((270, 480, 3), UNSEEN, dtype=np.uint8))
     picture, scale = _shown(frame.pixels)
     if known is not None:
         _draw_board(picture, known, scale)
@@ -37,16 +40,20 @@ def map_picture(session: Session) -> bytes:
     """JPEG of the projection uncertainty over the image, the corners that are kept, and the next pose."""
     known, kept = session.known, list(session.kept)
     if not kept:
-        return _jpeg(np.full((270, 480, 3), 60, dtype=np.uint8))
+        return _jpeg(np.full((270, 480, 3), UNSEEN, dtype=np.uint8))
     height, width = kept[0].pixels.shape[:2]
     scale = min(1.0, WIDEST_PX / width)
     size = (round(scale * width), round(scale * height))
-    picture = np.full((size[1], size[0], 3), 60, dtype=np.uint8)
+    picture = np.full((size[1], size[0], 3), UNSEEN, dtype=np.uint8)
     if known is not None:
-        sigma = np.nan_to_num(UncertaintyMap.of(known.result.fit).sigma_px, nan=np.inf)
+        sigma = UncertaintyMap.of(known.result.fit).sigma_px
         share = np.log(np.maximum(sigma / known.advice.median_px, 1e-9)) / np.log(_WORST_FACTOR)
-        grey = (255 * np.clip(0.5 + 0.5 * share, 0, 1)).astype(np.uint8)
-        picture = cv2.applyColorMap(cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR), cv2.COLORMAP_SUMMER)[..., ::-1].copy()
+        bad = np.clip(0.5 + 0.5 * np.nan_to_num(share, nan=1.0), 0, 1).astype(np.float32)
+        bad = cv2.resize(bad, size, interpolation=cv2.INTER_LINEAR)[..., None]
+        picture = ((1 - bad) * np.array(WELL) + bad * np.array(BADLY)).astype(np.uint8)
+        v, u = np.mgrid[: size[1], : size[0]]
+        seen = known.projection.field.shows(torch.as_tensor(np.stack([u, v], -1) / scale))
+        picture[~seen.numpy()] = UNSEEN
     for frame in kept:
         _dots(picture, frame.found.pixels, scale, EARLIER, 2)
     if known is not None:

@@ -1,9 +1,12 @@
 """Options of a guided calibration."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+
+from camera_models import InputError
 
 
-class GuideOptions(NamedTuple):
+@dataclass(frozen=True)
+class GuideOptions:
     """Which frames of a guided calibration are kept, and when it is over."""
 
     until_px: float | None = None
@@ -19,3 +22,10 @@ class GuideOptions(NamedTuple):
     """Frames whose edges are blurred more than this many times as much as those of the kept ones are not kept."""
     frames_per_s: float = 5.0
     """Of a video, the frames that are looked at."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot work."""
+        if self.until_px is not None and not self.until_px > 0:
+            raise InputError(f"`until` was expected to be more than 0 px, found {self.until_px:g}; give one like 0.1.")
+        if not self.frames_per_s > 0:
+            raise InputError(f"`frames_per_s` was expected to be more than 0, found {self.frames_per_s:g}; give one like 5.")

