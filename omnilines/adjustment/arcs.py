@@ -96,7 +96,7 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
     when nothing is left."""
     place = {name: k for k, name in enumerate(poses.images)}
     image = np.array([place.get(name, -1) for name in segments.images], dtype=np.int64)[segments.image]
-    camera_of = _cameras_of_images(segments, poses, cameras)
+    camera_of = cameras_of_images(segments, poses, cameras)
     matched, posed = segments.track >= 0, image >= 0
     rows = np.flatnonzero(matched & posed)
     order = list(cameras)
@@ -140,8 +140,9 @@ def _sentences(*counts: tuple[int, str]) -> tuple[str, ...]:
     return tuple(f"{count} {text}" for count, text in counts if count)
 
 
-def _cameras_of_images(segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> list[str]:
-    """Camera of every photo of `segments`: from either file, or the only camera of the calibration."""
+def cameras_of_images(segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> list[str]:
+    """Camera of every photo of `segments`: from either table, or the only camera of the calibration. Raises InputError where that
+    does not decide it."""
     by_pose = dict(zip(poses.images, poses.cameras or [""] * len(poses.images), strict=True))
     names = []
     for k, image in enumerate(segments.images):

@@ -29,6 +29,7 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.start import CameraKind, ranked_starts
+from omnilines.calibration.table_doubts import misfit_notes, refuse_disorder, refuse_other_squares, size_notes
 from omnilines.calibration.terms import without_unsupported_terms
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.uncertainty import view_leverage
@@ -166,18 +167,22 @@ def calibrate_from_fit(
     minima = refine_with_rivals(problem, start, thresholds.noise.tied_variances, callback)
     solution = minima[0]
     refuse_parallel_boards(solution.state.cam_from_board, parallel_deg)
-    notes: tuple[str, ...] = ()
+    refuse_other_squares(problem, solution.state, thresholds.doubt, callback)
+    notes: tuple[str, ...] = size_notes(final.points.board, thresholds.doubt)
     held = None
     if solution.outcome is Outcome.DEGENERATE:
         direction = basis @ solution.weakest_direction[: basis.shape[1]]
         held = redundant_parameter(solution.state.model, direction, final.points.pixels)
     if held is not None:
         name, value = list(solution.state.model.named_parameters().items())[held]
-        notes = (f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",)
+        notes += (
+            f"The other parameters can make up for any small change of {name}: it is held at {value:.4g}, without a sigma.",
+        )
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
     elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
-        solution, notes = without_unsupported_terms(problem, solution, thresholds.held_out)
+        solution, held_terms = without_unsupported_terms(problem, solution, thresholds.held_out)
+        notes += held_terms
     return _result(final, solution, basis, (problem, minima), notes)
 
 
@@ -267,6 +272,11 @@ def _result(
     variance, q = factor.value, basis.shape[1]
     covariance = basis @ unit[:q, :q] @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
+    squared, count = np.sum(state.residual_px(final.points).numpy() ** 2), len(final.points.view)
+    rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
+    if rough:
+        refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
+    notes = rough + notes
     refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
     refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
     residual = np.full((len(corners), 2), np.nan)
@@ -275,8 +285,6 @@ def _result(
     problem, minima = floor
     curved = camera_intervals(problem, minima[0], minima[1:], factor)
     intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
-    squared = np.sum(residual[final.rows] ** 2)
-    count = int(final.rows.sum())
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     notes += noise_notes(factor, stated, thresholds.noise) + (() if curved is None else (CURVED,))

@@ -93,6 +93,25 @@ class DegeneracyThresholds(NamedTuple):
     """The model is at fault where that is so many times the share among the inner corners."""
 
 
+class DoubtThresholds(NamedTuple):
+    """When a table of corners, or what is said of a board, is doubted."""
+
+    good_share: float = 0.0005
+    """Residuals (root mean square, per axis) up to this share of the longer side of the image raise none."""
+    oblong: float = 0.05
+    """The least change of a board's aspect that is looked for: printers are off by a hundredth at most."""
+    fits_better: float = 3.0
+    """Times as well (root mean square) that another aspect has to fit."""
+    rough_share: float = 0.002
+    """Residuals (root mean square, per axis) above this share of the longer side of the image are spoken of."""
+    rough_sigmas: float = 3.0
+    """Unless they are within so many times what is stated of the corners."""
+    largest_m: float = 10.0
+    """Length of a board beyond which it is asked whether it is in millimetres."""
+    smallest_m: float = 0.001
+    """Length of a board below which it is asked what it is in."""
+
+
 class NoiseThresholds(NamedTuple):
     """What is taken of the noise of corners, and when it is doubted."""
 
@@ -191,6 +210,7 @@ class CalibrationThresholds:
     robust: RobustThresholds = RobustThresholds()
     held_out: HeldOutThresholds = HeldOutThresholds()
     degeneracy: DegeneracyThresholds = DegeneracyThresholds()
+    doubt: DoubtThresholds = DoubtThresholds()
     noise: NoiseThresholds = NoiseThresholds()
     duplicates: DuplicateThresholds = DuplicateThresholds()
     shooting: ShootingThresholds = ShootingThresholds()

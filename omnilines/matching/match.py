@@ -93,6 +93,8 @@ class Evidence:
     """The slack that they ask for."""
     gain: float
     """Photos by which the best line of an arc stands out from its best rival, less those by which it does by chance; the mean."""
+    sigmas: float
+    """That, in standard deviations of what sampling explains."""
     beyond_chance: bool
     """Whether that is more than sampling explains."""
 
@@ -132,12 +134,14 @@ def evidence_of_lines(
     most = int(np.argmax(gain - by_chance))
     excess = (found[most].score - found[most].rival) - (chance[most].score - chance[most].rival)
     over = float((gain - by_chance)[most])
-    if excess.mean() <= its.chance_sigmas * excess.std() / math.sqrt(len(excess)):
-        return Evidence(tried[0], over, False)
+    deviation = float(excess.std()) / math.sqrt(len(excess))
+    sigmas = over / deviation if deviation > 0 else 0.0
+    if sigmas <= its.chance_sigmas:
+        return Evidence(tried[0], over, sigmas, False)
     for k in np.flatnonzero(gain[:most] >= its.enough_share * gain.max()).tolist():
         if _shown_slack(arcs, chosen, found[k], tried[k], its.showing_share) <= tried[k]:
-            return Evidence(tried[k], over, True)
-    return Evidence(tried[most], over, True)
+            return Evidence(tried[k], over, sigmas, True)
+    return Evidence(tried[most], over, sigmas, True)
 
 
 def _sample(arcs: ViewedArcs, count: int, precise_share: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:

@@ -10,11 +10,12 @@ from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
-from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
@@ -45,8 +46,9 @@ def adjust(
     found by consensus and left out. `pose_sigma` (rad, m) makes the given poses a prior with these standard deviations of each
     component; poses have to be refined then. `inputs` is what the scene says that it was made from.
 
-    Raises InputError where tables do not fit together, or poses and cameras explain the tracks no better than chance or
-    far worse than if they were read in another way (`judge_tracks`), and GeometryError when no track determines a line.
+    Raises InputError where tables do not fit together, segments lie outside their images, or poses and cameras explain the tracks
+    no better than chance or far worse than if they were read in another way (`judge_tracks`), and GeometryError when no track
+    determines a line.
 
         >>> segments, poses = ol.read_segments("scene/segments.csv"), ol.read_poses("scene/poses.csv")
         >>> scene = ol.adjust(segments, poses, ol.load("scene/calibration.yaml"))
@@ -63,6 +65,7 @@ def adjust(
             f"A prior on poses takes deviations above 0 and `refine` with poses, found {pose_sigma} and poses {held}."
         )
     cameras, table = calibration_of(camera), _table_of(poses, segments)
+    require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
 
     def tell(step: Progress) -> None:
         progress("adjusting the scene", step.iteration, 0)
@@ -119,7 +122,8 @@ def triangulate(
 ) -> Triangulation:
     """The lines of the tracks of matched segments, from poses and cameras as they are; `options` are those of the method.
 
-    Raises InputError where tables do not fit together, or there is no such method.
+    Raises InputError where tables do not fit together, segments lie outside their images, there is no such method, or poses and
+    cameras explain the tracks no better than chance or far worse than if they were read in another way (`judge_tracks`).
 
         >>> segments, poses = ol.read_segments("scene/segments.csv"), ol.read_poses("scene/poses.csv")
         >>> found = ol.triangulate(segments, poses, ol.load("scene/calibration.yaml"))
@@ -127,8 +131,10 @@ def triangulate(
         (True, True)
     """
     check_triangulation(method)
-    table = _table_of(poses, segments)
-    arcs = arcs_from_segments(segments, table, calibration_of(camera)).arcs
+    cameras, table = calibration_of(camera), _table_of(poses, segments)
+    require_inside(segments, cameras_of_images(segments, table, cameras), cameras)
+    arcs = arcs_from_segments(segments, table, cameras).arcs
+    judge_tracks(arcs, table.cam_from_world)
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     seen_from = table.cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(

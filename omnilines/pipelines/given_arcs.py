@@ -17,6 +17,7 @@ from omnilines.pipelines.arcs import (
     require_any,
     skipped,
 )
+from omnilines.pipelines.inside import require_inside
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Segments
 
@@ -37,7 +38,7 @@ def given_arcs(
     as the tolerance. `name` is what messages call the table. A photo without segments, or one that cannot be read, is skipped
     with its reason.
 
-    Raises InputError where the table is not of these photos (`check_given`), or none is left.
+    Raises InputError where the table is not of these photos (`check_given`), a segment lies outside its image, or none is left.
 
         >>> camera = ol.load("room/calibration.yaml")
         >>> arcs = ol.given_arcs(ol.read_segments("unmatched.csv"), "room/", camera)
@@ -47,6 +48,7 @@ def given_arcs(
     cameras, refs = calibration_of(camera), photos_of(photos)
     camera_of = cameras_of_photos(refs, cameras)
     check_given(segments, refs, camera_of, name)
+    require_inside(segments, [camera_of[image] for image in segments.images], cameras)
     covariance = _covariance_px2(segments, sigma_px)
 
     def look(photo: Photo) -> FoundArcs:

@@ -79,6 +79,10 @@ class JudgeOptions(NamedTuple):
     """Probability up to which another reading of the poses is no chance."""
     gain: float = 2.0
     """Times as much that another reading of the poses has to explain."""
+    stands_out: float = 2.5
+    """Times as many standard deviations, beyond chance, that a reading of the poses of photos has to have as any other."""
+    beyond_share: float = 0.02
+    """Of the longer side of an image, by which segments may end outside of it: detectors draw lines on, crops cut a few rows."""
     far_m: float = 100.0
     """Distance of the lines from the cameras from which on it is asked whether lengths are in millimetres."""
     near_m: float = 0.005

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Mapping
 
+import torch
+
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
 from omnilines.calibration.rig.excess import excess_note
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.result import RigMember
+from omnilines.calibration.table_doubts import misfit_notes, size_notes
 from omnilines.least_squares import Outcome
 
 
@@ -19,6 +22,8 @@ def rig_notes(
     left_out: Mapping[str, str],
 ) -> tuple[str, ...]:
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
+    views, doubt = outcome.data.views, outcome.thresholds.doubt
+    notes += size_notes(torch.as_tensor(views.corners.board_m), doubt)
     if weakest is not None:
         first, second = members[weakest.first].name, members[weakest.second].name
         notes.append(
@@ -35,6 +40,8 @@ def rig_notes(
             )
         own = outcome.fit.points.camera[outcome.fit.points.view] == k
         pixels = outcome.fit.points.pixels[own]
+        rms_px, stated_px = member.rms_px_per_point / math.sqrt(2), outcome.data.sigma_px[k]
+        notes += [f"Camera {member.name}: {note}" for note in misfit_notes(rms_px, member.model.image_size, stated_px, doubt)]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
     notes += _excess_notes(outcome)
     notes += _noise_notes(outcome, members)
