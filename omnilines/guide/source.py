@@ -1,5 +1,6 @@
 """Frames as they come: of a camera, of a video, or of a folder to which photos are added."""
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ class Source:
 
     def __post_init__(self) -> None:
         """Raises InputError where there is no such source."""
-        if not self.live and not Path(self.given).exists():
+        if not self.live and ("\0" in self.given or not Path(self.given).exists()):
             raise InputError(
                 f"A camera (0, 1, ...), a video or a folder was expected as `source`, found '{self.given}', which does not exist."
             )
@@ -34,7 +35,7 @@ class Source:
     @property
     def live(self) -> bool:
         """Whether it is a camera, whose frames do not wait."""
-        return self.given.isdigit()
+        return re.fullmatch(r"[0-9]{1,3}", self.given) is not None
 
     @property
     def path(self) -> Path | None:
