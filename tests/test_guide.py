@@ -138,6 +138,10 @@ def test_too_little_is_refused_in_a_sentence(frames: list[np.ndarray], tmp_path:
     write_video(video, frames[:1], 5.0)
     with pytest.raises(InputError, match="found 1 that show the board"):
         guide(str(video), SPECIFICATION, tmp_path / "out", announce=lambda _: None)
+    (tmp_path / "no.mp4").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="none that can be read"):
+        guide(str(tmp_path / "no.mp4"), SPECIFICATION, tmp_path / "none", announce=lambda _: None)
+    assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="outside of the photos"):
         folder = tmp_path / "folder"
         folder.mkdir()
