@@ -129,7 +129,7 @@ def test_source_of_a_video_a_folder_and_nothing(frames: list[np.ndarray], tmp_pa
     with pytest.raises(InputError, match="does not exist"):
         Source(str(tmp_path / "absent.mp4"), 5.0)
     (tmp_path / "no.mp4").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="none that can be read"):
+    with pytest.raises(InputError, match="cannot be decoded"):
         next(Source(str(tmp_path / "no.mp4"), 5.0).frames())
 
 
@@ -139,7 +139,7 @@ def test_too_little_is_refused_in_a_sentence(frames: list[np.ndarray], tmp_path:
     with pytest.raises(InputError, match="found 1 that show the board"):
         guide(str(video), SPECIFICATION, tmp_path / "out", announce=lambda _: None)
     (tmp_path / "no.mp4").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="none that can be read"):
+    with pytest.raises(InputError, match="cannot be decoded"):
         guide(str(tmp_path / "no.mp4"), SPECIFICATION, tmp_path / "none", announce=lambda _: None)
     assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="outside of the photos"):

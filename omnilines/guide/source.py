@@ -12,6 +12,7 @@ from jaxtyping import UInt
 
 from camera_models import InputError
 from omnilines.files import PHOTO_SUFFIXES, read_photo
+from omnilines.files.videos import Video
 
 WAIT_S = 0.2
 """Between two looks into a folder."""
@@ -64,19 +65,11 @@ def _of_camera(index: int) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]
 
 
 def _of_video(path: Path, frames_per_s: float) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
-    capture = cv2.VideoCapture(str(path))
-    try:
-        came, pixels = capture.read()
-        if not came:
-            raise InputError(f"A video was expected at {path}, found none that can be read; convert it to mp4.")
-        step, number = max(1, round((capture.get(cv2.CAP_PROP_FPS) or frames_per_s) / frames_per_s)), 0
-        while came:
-            if number % step == 0:
-                yield pixels
-            number += 1
-            came, pixels = capture.read()
-    finally:
-        capture.release()
+    video = Video.of(path)
+    step = max(1, round(video.frames_per_s / frames_per_s))
+    for frame in video.frames():
+        if frame.index % step == 0:
+            yield frame.pixels
 
 
 def _of_folder(folder: Path) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
