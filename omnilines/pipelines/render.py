@@ -248,7 +248,8 @@ def render(
         ((2, 3), True)
     """
     options = replace(options, **fields)
-    idle = ["size_px", "mirror"] if isinstance(model, CameraModel) else []
+    of_camera = isinstance(model, CameraModel)
+    idle = [*(["size_px"] if of_camera and options.size_px != model.image_size else []), *(["mirror"] if of_camera else [])]
     for name in [*idle, *(["views"] if poses is not None else [])]:
         if getattr(options, name) != getattr(RenderOptions, name):
             given = "poses" if name == "views" else "a camera"
