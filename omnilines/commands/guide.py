@@ -2,12 +2,14 @@
 hold the board next."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from calib_patterns import pattern as parse_pattern
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult
+from omnilines.files.sets import withdrawn_where_refused
 from omnilines.guide.follow import follow
 from omnilines.guide.options import GuideOptions
 from omnilines.guide.server import served
@@ -36,9 +38,12 @@ def guide(
     given = Source(source, options.frames_per_s)
     inputs = [] if given.path is None else [given.path]
     session = Session(parse_pattern(pattern_spec), out, options, calibration, detection, inputs=inputs)
-    with served(session, port) as address:
+    frames = given.frames()
+    # What a camera has shown is not there any more, and stays.
+    refused = nullcontext() if given.live else withdrawn_where_refused(out)
+    with refused, served(session, port) as address:
         announce(address)
-        follow(session, given.frames(), waits=not given.live, progress=progress)
+        follow(session, frames, waits=not given.live, progress=progress)
         progress("calibrating from all frames", 0, 0)
         result = session.finish()
     files = (*(out / name for name in session.names), *(out / name for name in RESULTS))

@@ -74,7 +74,12 @@ class Session:
                 if len(frame.found):
                     self.kept.append(frame)
                     self.names.append(name)
+        check_results(out, [self._next_name], inputs)
         self.stale = len(self.kept) >= self._needed
+
+    @property
+    def _next_name(self) -> str:
+        return f"{FRAMES}/{len(self.kept):04d}.png"
 
     def offer(self, pixels: UInt[np.ndarray, "h w *channels"]) -> bool:
         """Look at a frame; whether it is kept, and written. `message` then says what came of it."""
@@ -113,7 +118,7 @@ class Session:
         return f"kept: it lowers the uncertainty by about {100 * gain(projection, told):.0f} percent", True
 
     def _keep(self, frame: Frame) -> None:
-        name = f"{FRAMES}/{len(self.kept):04d}.png"
+        name = self._next_name
         with claimed(self.out, [name], self.inputs, by=f"guide {name}"):
             write_png(self.out / name, frame.pixels)
         self.kept.append(frame)
