@@ -130,7 +130,14 @@ def test_source_of_a_video_a_folder_and_nothing(frames: list[np.ndarray], tmp_pa
         Source(str(tmp_path / "absent.mp4"), 5.0)
     (tmp_path / "no.mp4").write_bytes(b"nothing")
     with pytest.raises(InputError, match="cannot be decoded"):
-        next(Source(str(tmp_path / "no.mp4"), 5.0).frames())
+        Source(str(tmp_path / "no.mp4"), 5.0)
+    os.mkfifo(tmp_path / "pipe.mp4")
+    with pytest.raises(InputError, match="a pipe"):
+        Source(str(tmp_path / "pipe.mp4"), 5.0)
+    shutil.rmtree(folder)
+    assert next(coming) is None
+    with pytest.raises(InputError, match="cannot be read"):
+        next(coming)
 
 
 def test_too_little_is_refused_in_a_sentence(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:

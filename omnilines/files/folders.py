@@ -29,7 +29,9 @@ def check_output_folder(out: str | Path) -> None:
     try:
         there = next(path for path in (folder, *folder.parents) if path.exists())
     except OSError as error:
-        raise InputError(f"A folder to write to was expected at {out}, found that it cannot be looked at ({error.strerror}).") from None
+        raise InputError(
+            f"A folder to write to was expected at {out}, found that it cannot be looked at ({error.strerror})."
+        ) from None
     if not there.is_dir() or not os.access(there, os.W_OK):
         why = "cannot be written to" if there.is_dir() else "is no folder"
         raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")
