@@ -39,7 +39,9 @@ def check_truth(out: Path, models: tuple[CameraModel, ...], most_px: float, most
     ("side_px", "frames", "limits"),
     [(400, 10, (0.2, 0.04, 0.15)), pytest.param(640, 40, (0.1, 0.02, 0.08), marks=pytest.mark.full)],
 )
-def test_both_lenses_are_calibrated_from_photos_that_hold_both(tmp_path: Path, side_px: int, frames: int, apart_m: float) -> None:
+def test_both_lenses_are_calibrated_from_photos_that_hold_both(
+    tmp_path: Path, side_px: int, frames: int, limits: tuple[float, float, float]
+) -> None:
     models = twin_lenses("double-sphere", side_px)
     write_boards(tmp_path / "both", models, frames)
     out = tmp_path / "rig"
