@@ -60,6 +60,8 @@ class AloneCamera:
     sigma_px: float
     """Standard deviation of a corner per axis (of mean weight), from the residuals and their degrees of freedom."""
     rms_px_per_point: float
+    kept: Bool[np.ndarray, " n"]
+    """Of its corners, those that fit."""
     refusals: Mapping[int, str]
     """Views without a pose, and why."""
 
@@ -119,6 +121,7 @@ def alone_camera(
         cam_from_board=poses,
         sigma_px=_sigma_px(residual_of_mean_weight, 6 * len(good) + basis.shape[1], stated, thresholds.noise.significance),
         rms_px_per_point=float(residual.square().sum(-1).mean().sqrt()),
+        kept=fitting & np.isin(corners.view, [usable[v] for v in good]),
         refusals={int(numbers[v]): reason for v, reason in refusals.items()},
     )
 

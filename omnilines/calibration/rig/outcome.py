@@ -12,6 +12,7 @@ from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig.by_frames import spread_of_frames
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.shutters import Shutters
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
@@ -40,6 +41,8 @@ class RigOutcome:
     """Whether corners far off were rejected."""
     notes: tuple[str, ...]
     thresholds: CalibrationThresholds
+    shutters: Shutters | None = None
+    """How far the board moves between the shutters of the cameras, where that was estimated."""
 
     @property
     def freedom(self) -> int:
