@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError, InputError
+from camera_models import CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.initialise import BoardPoints, resect_boards
@@ -45,6 +45,13 @@ class CameraSetup:
     hold: bool = False
     """Whether the intrinsics of `start` are held."""
     mirror: bool = False
+
+    @property
+    def variant_open(self) -> bool:
+        """Whether it is open how many of its model's terms a camera has."""
+        if self.start is not None:
+            return False
+        return self.model == AUTO or model_class(self.model).variant_options().isdisjoint(self.options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ from omnilines.calibration.rig.start import (
     posed_views,
     rig_start,
 )
+from omnilines.calibration.rig.terms import without_unsupported_terms
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
@@ -112,7 +113,8 @@ def calibrate_rig(
         notes=notes,
         thresholds=thresholds,
     )
-    return rig_result(loosened(outcome, state, _seen_alone(outcome, start, posed, numbers)))
+    outcome = loosened(outcome, state, _seen_alone(outcome, start, posed, numbers))
+    return rig_result(without_unsupported_terms(outcome))
 
 
 def _seen_alone(outcome: RigOutcome, start: RigStart, posed: PosedViews, numbers: Int[np.ndarray, " p"]) -> SeenAlone:

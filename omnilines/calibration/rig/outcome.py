@@ -69,8 +69,18 @@ class RigOutcome:
 
     @cached_property
     def kept_covariance(self) -> Float[Tensor, "q q"]:
-        """Of the kept columns of the problem by the noise of the corners, as the residuals show it."""
-        return self.solution.kept_covariance() * self.factor.value
+        """Of the kept columns of the problem by the noise of the corners, as the residuals show it, and the motion of the board
+        where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
+        jackknife: a column that is less certain by it is taken to be so."""
+        covariance = self.solution.kept_covariance() * self.factor.value
+        if self.shutters is None:
+            return covariance
+        points = self.fit.points.chosen(self.fit.kept)
+        spread = spread_of_frames(self.data, points, self.solution.state)
+        if spread is None:
+            return covariance
+        wider = (spread.diagonal() / covariance.diagonal().clamp_min(1e-300)).clamp_min(1.0).sqrt()
+        return wider[:, None] * covariance * wider
 
     @cached_property
     def frame_spread(self) -> Float[Tensor, "q q"] | None:
