@@ -10,7 +10,7 @@ import pytest
 
 from camera_models import InputError
 from omnilines import photo_file
-from omnilines.files import read_photo
+from omnilines.files import PHOTO_SUFFIXES, read_photo
 from omnilines.photo_size import size_of_photo
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (37, 53, 3), dtype=np.uint8)
@@ -37,7 +37,7 @@ def encoded(suffix: str, *options: int) -> bytes:
 
 
 ENCODED = {
-    **{suffix: encoded(suffix) for suffix in (*photos.PHOTO_SUFFIXES, ".ppm")},
+    **{suffix: encoded(suffix) for suffix in (*PHOTO_SUFFIXES, ".ppm")},
     "progressive": encoded(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
     "lossless": encoded(".webp", cv2.IMWRITE_WEBP_QUALITY, 101),
     "remark": b"P5\n# a remark 7\n53 37\n255\n" + bytes(37 * 53),
