@@ -165,9 +165,9 @@ def range_of(name: str, default: float | int | None) -> tuple[float | int, float
     if words[0] == "min" and words[-1] not in UNITS:
         # What has to reach it is compared with it, and no more is made.
         return (1, MOST_LEAST) if isinstance(default, int) else (0, 1e12)
-    low = 1e-3 * (default or 0.0) if SCALES & set(words) else -math.inf
+    low = 1e-6 * (default or 0.0) if SCALES & set(words) else -math.inf
     if words[-1] not in UNITS and isinstance(default, int):
         # A count, or a size in pixels: time and memory may grow with its square.
-        return max(default // 10 if "side" in words else 0, 0 if words[0] == "max" else 1), max(1000, 10 * default)
+        return max(min(20, default // 10) if "side" in words else 0, 0 if words[0] == "max" else 1), max(1000, 10 * default)
     lowest, highest = UNITS.get(words[-1], (0, 100 * max(1.0, default or 0.0)))
     return max(low, lowest), highest

@@ -34,8 +34,8 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     try:
         with quiet_codecs():
             pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    except cv2.error as error:
-        raise InputError(f"The image {file} cannot be decoded ({error.err}); convert it to PNG or JPEG.") from None
+    except cv2.error:
+        pixels = None
     if pixels is None:
         raise InputError(f"The image {file} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
     if pixels.dtype not in (np.uint8, np.uint16):

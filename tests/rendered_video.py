@@ -39,6 +39,11 @@ class Path6:
         eased = 0.5 - 0.5 * np.cos(np.pi * share)
         return Pose.exp(eased * (last @ first.inverse()).log()) @ first
 
+    def rests(self, begin_s: float, end_s: float) -> bool:
+        """Whether the board stands still from one time to another, which are near."""
+        first, last = self.at(begin_s), self.at(end_s)
+        return torch.equal(first.rotation, last.rotation) and torch.equal(first.translation, last.translation)
+
 
 @dataclass(frozen=True)
 class Shutter:
@@ -54,9 +59,9 @@ def frame(
     pattern: Pattern, model: CameraModel, path: Path6, time_s: float, shutter: Shutter, noise_grey: float, seed: int
 ) -> UInt8[np.ndarray, "h w"]:
     """A photo of the board at an instant, which is that of the first row's beginning."""
-    if shutter.samples == 1:
-        return render_target(pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, seed=seed)
     span_s = shutter.exposure_s + shutter.readout_s
+    if shutter.samples == 1 or path.rests(time_s, time_s + span_s):
+        return render_target(pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, seed=seed)
     times = np.linspace(0.0, span_s, shutter.samples)
     shots = np.stack([render_target(pattern, model, path.at(time_s + t), supersample=2, blur_px=0.5) for t in times])
     begins = shutter.readout_s * np.linspace(0, 1, model.image_size[1])

@@ -12,6 +12,7 @@ from camera_models.pose import Pose, rotation_from_vector
 from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.records import Corners
+from omnilines.synthetic.targets import example_camera
 
 COLUMNS, ROWS, SQUARE_M = 9, 6, 0.05
 BOARD = np.array([[x * SQUARE_M, y * SQUARE_M, 0.0] for y in range(ROWS) for x in range(COLUMNS)])
@@ -123,6 +124,32 @@ def outward_rig(frames: int, seed: int = 0) -> RigScene:
     return scene(models, looking_along(axes, 0.08 * axes), boards, 110.0)
 
 
+def twin_lenses(model_name: str, side_px: int) -> tuple[CameraModel, CameraModel]:
+    """Two of 200 degrees that differ as two of a kind do."""
+    one = example_camera(model_name, 200.0, (side_px, side_px), 0)
+    values = one.named_parameters()
+    if "e" in values:
+        # Which turn about its axis such a lens has is open: what is calibrated has e = d.
+        values["e"] = values["d"]
+    bent = {"xi": 1.01, "alpha": 0.998, "a2": 1.01}
+    other = {name: value * bent.get(name, 1.0) for name, value in values.items()}
+    other |= {"cx": values["cx"] - 0.01 * side_px, "cy": values["cy"] + 0.006 * side_px}
+    return one.from_mapping(values, one.image_size), one.from_mapping(other, one.image_size)
+
+
+def back_to_back(model_name: str, frames: int = 40, in_rim: int = 10, reach_deg: float = 100.0, seed: int = 0) -> RigScene:
+    """A 360 degree camera: two lenses of 200 degrees back to back, 3 cm apart, the board in hand around them, in `in_rim` of the
+    frames between both. Corners are found up to `reach_deg` off axis, so that both see them only in a rim."""
+    first, second = twin_lenses(model_name, 960)
+    rng = np.random.default_rng(seed)
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    directions = rng.standard_normal((frames, 3))
+    directions[:, 2] = np.copysign(np.abs(directions[:, 2]) + 0.5, np.where(np.arange(frames) % 2, -1.0, 1.0))
+    directions[np.linspace(0, frames - 1, in_rim).round().astype(int), 2] *= 0.1
+    boards = boards_at(directions, rng.uniform(0.3, 0.6, frames), rng)
+    return scene((first, second), looking_along(axes, 0.015 * axes), boards, reach_deg)
+
+
 def mixed_rig(frames: int, seed: int = 0) -> RigScene:
     """A pinhole camera, a fisheye and a mirror camera, side by side, looking about the same way (the mirror camera backwards)."""
     rng = np.random.default_rng(seed)
@@ -154,9 +181,8 @@ def chain_rig(frames_a_link: int, cameras: int = 8, seed: int = 0) -> RigScene:
 
 def setups(rig: RigScene) -> dict[str, CameraSetup]:
     """Every camera anew, by its own model."""
-    options = {"scaramuzza": {"degree": 4}}
     return {
-        name: CameraSetup(model.image_size, model.NAME, options.get(model.NAME, {}))
+        name: CameraSetup(model.image_size, model.NAME, {"degree": 4} if model.NAME == "scaramuzza" else {})
         for name, model in zip(rig.names, rig.models, strict=True)
     }
 

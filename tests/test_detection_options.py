@@ -1,5 +1,6 @@
 """What decides detection: every option is named, said, and reaches the code that it decides."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,8 +28,8 @@ def view(specification: str) -> tuple[np.ndarray, Pose]:
     return render_target(board, LENS, pose, blur_px=0.6, noise_grey=2.0, seed=1), pose
 
 
-def detected(specification: str, *settings: str) -> Detection:
-    return pattern(specification).detect(view(specification)[0], options=with_settings(DetectionOptions(), settings))[0]
+def detected(specification: str, *settings: str, options: DetectionOptions = DetectionOptions()) -> Detection:
+    return pattern(specification).detect(view(specification)[0], options=with_settings(options, settings))[0]
 
 
 def test_every_option_has_a_sentence_and_the_options_are_a_key() -> None:
@@ -53,9 +54,10 @@ def test_every_option_has_a_sentence_and_the_options_are_a_key() -> None:
 def test_what_asks_for_too_much_finds_nothing(specification: str, setting: str) -> None:
     whole = len(pattern(specification).points_m)
     # The classic detector does without saddle points, and its grids are judged as a whole: here none is good enough.
-    without = ("grid.min_good_share=2",)
-    assert len(detected(specification)) == len(detected(specification, *without)) == whole
-    assert len(detected(specification, *without, setting, "appearance.min_correlation=2")) == 0
+    usual = DetectionOptions()
+    without = replace(usual, grid=usual.grid._replace(min_good_share=2.0))
+    assert len(detected(specification)) == len(detected(specification, options=without)) == whole
+    assert len(detected(specification, setting, "appearance.min_correlation=2", options=without)) == 0
 
 
 @pytest.mark.parametrize("specification", [PLAIN, TAGS])

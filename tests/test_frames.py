@@ -59,8 +59,6 @@ def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
     assert all(row.corners >= 20 for row in chosen.taken)
     assert {row.reason for row in chosen.taken} == {"it tells much of the camera"}
     assert all(row.reason for row in chosen.rows)
-    still = np.median([row.motion_px for row in chosen.taken])
-    assert still < 0.5 * np.median([row.motion_px for row in ol.frames(video, options=FrameOptions(looked_per_s=RATE)).rows])
 
 
 def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

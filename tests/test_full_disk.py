@@ -17,10 +17,11 @@ from omnilines import cli
 from omnilines.files.sets import claimed
 
 SCENE = ("--calibration", "IN/calibration.yaml", "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT")
-RECTIFY = ("rectify", "IN/photos", "--calibration", "IN/calibration.yaml", "--size", "64x48", "--out", "OUT")
+RECTIFY = ("rectify", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT")
+SMALL = ("--size", "64x48")
 RUNS = {
     "adjust": (("adjust", *SCENE), ("adjust", *SCENE, "--cost", "sector")),
-    "rectify": ((*RECTIFY, "--view", "cube", "--size", "64x64"), (*RECTIFY, "--poses", "IN/poses.csv")),
+    "rectify": ((*RECTIFY, "--view", "cube", "--size", "64x64"), (*RECTIFY, *SMALL, "--poses", "IN/poses.csv")),
     "pattern": (("pattern", "checkerboard:4x3:30mm", "--out", "OUT"), ("pattern", "checkerboard:4x3:30mm", "--out", "OUT")),
 }
 """Command -> the run of before, the run that the disk has no room for."""
@@ -111,7 +112,7 @@ def test_a_full_file_system_leaves_the_old_results(home: Path, capsys: pytest.Ca
     """Room for the photos but not for the cubes too, and for no file at all."""
     (home / "OUT").mkdir()
     with mounted(home / "OUT", "-o", "size=256k"):
-        assert run(*RECTIFY) == 0
+        assert run(*RECTIFY, *SMALL) == 0
         old = contents(home)
         assert "No space left on device" in refused(capsys, *RECTIFY, "--view", "cube", "--size", "400x400")
         assert contents(home) == old
@@ -119,7 +120,7 @@ def test_a_full_file_system_leaves_the_old_results(home: Path, capsys: pytest.Ca
             while True:
                 file.write(b"\0" * 4096)
         old = contents(home)
-        assert "No space left on device" in refused(capsys, *RECTIFY, "--fov-deg", "80")
+        assert "No space left on device" in refused(capsys, *RECTIFY, *SMALL, "--fov-deg", "80")
         assert contents(home) == old
 
 
@@ -154,8 +155,8 @@ def as_another_user(work: Callable[[], str]) -> str:
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root becomes another user")
 @pytest.mark.parametrize("what", ["the folder", "a sub-folder"])
 def test_a_folder_of_another_user_is_named_and_nothing_is_changed(what: str, tmp_path: Path) -> None:
-    for parent in tmp_path.parents[:2]:
-        parent.chmod(0o711)
+    for parent in tmp_path.parents[:-2]:
+        parent.chmod(parent.stat().st_mode | 0o111)
     out = tmp_path / "out"
     with claimed(out, ["a.csv", "sub/b.csv"], by="test") as folder:
         for name in ("a.csv", "sub/b.csv"):

@@ -52,6 +52,14 @@ def photo(pose: Pose, seed: int = 0) -> np.ndarray:
     return np.where(outside, 3, image).astype(np.uint8)
 
 
+def write_video(path: pathlib.Path, images: list[np.ndarray], frames_per_s: float) -> None:
+    """Grey frames as a video."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), frames_per_s, SIZE)
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
 @pytest.fixture(scope="module")
 def frames() -> list[np.ndarray]:
     """Twelve photos of random poses, in a random order."""
@@ -107,11 +115,7 @@ def test_a_stream_that_follows_the_advice_ends_soon(frames: list[np.ndarray], tm
 
 def test_source_of_a_video_a_folder_and_nothing(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
     video = tmp_path / "video.avi"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, SIZE)
-    for image in frames[:3]:
-        for _ in range(6):
-            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_video(video, [image for image in frames[:3] for _ in range(6)], 30.0)
     assert len(list(Source(str(video), 5.0).frames())) == 3
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -125,17 +129,26 @@ def test_source_of_a_video_a_folder_and_nothing(frames: list[np.ndarray], tmp_pa
     with pytest.raises(InputError, match="does not exist"):
         Source(str(tmp_path / "absent.mp4"), 5.0)
     (tmp_path / "no.mp4").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="none that can be read"):
-        next(Source(str(tmp_path / "no.mp4"), 5.0).frames())
+    with pytest.raises(InputError, match="cannot be decoded"):
+        Source(str(tmp_path / "no.mp4"), 5.0)
+    os.mkfifo(tmp_path / "pipe.mp4")
+    with pytest.raises(InputError, match="a pipe"):
+        Source(str(tmp_path / "pipe.mp4"), 5.0)
+    shutil.rmtree(folder)
+    assert next(coming) is None
+    with pytest.raises(InputError, match="cannot be read"):
+        next(coming)
 
 
 def test_too_little_is_refused_in_a_sentence(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
     video = tmp_path / "short.avi"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 5.0, SIZE)
-    writer.write(cv2.cvtColor(frames[0], cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_video(video, frames[:1], 5.0)
     with pytest.raises(InputError, match="found 1 that show the board"):
         guide(str(video), SPECIFICATION, tmp_path / "out", announce=lambda _: None)
+    (tmp_path / "no.mp4").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="cannot be decoded"):
+        guide(str(tmp_path / "no.mp4"), SPECIFICATION, tmp_path / "none", announce=lambda _: None)
+    assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="outside of the photos"):
         folder = tmp_path / "folder"
         folder.mkdir()
@@ -173,8 +186,10 @@ def test_the_page_is_for_who_has_its_address(tmp_path: pathlib.Path, frames: lis
 
 
 @pytest.mark.slow
-def test_a_video_in_chromium(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
-    """A growing folder is shown, its frames are counted, the next pose is said, and `Finish` ends it with a calibration."""
+@pytest.mark.parametrize("kind", ["video", "folder"])
+def test_in_chromium(kind: str, frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
+    """A video, or a growing folder, is shown, its frames are counted, the next pose is said; the end of the video, or `Finish`,
+    ends it with a calibration."""
     chromium = shutil.which("chromium") or "/usr/bin/chromium"
     if not pathlib.Path(chromium).exists():
         if os.environ.get("CI"):
@@ -182,40 +197,46 @@ def test_a_video_in_chromium(frames: list[np.ndarray], tmp_path: pathlib.Path) -
         pytest.skip("Debian's chromium is absent; install it to test the page in a browser")
     from playwright.sync_api import sync_playwright
 
-    folder, told, results = tmp_path / "photos", list[str](), []
-    folder.mkdir()
+    source, told, results = tmp_path / ("photos" if kind == "folder" else "video.avi"), list[str](), []
+    if kind == "folder":
+        source.mkdir()
+    else:
+        write_video(source, [image for image in frames for _ in range(3)], 15.0)
     options = GuideOptions(first_frames=4)
-    job = threading.Thread(
-        target=lambda: results.append(
-            guide(str(folder), SPECIFICATION, tmp_path / "out", options, calibration=FISHEYE, announce=told.append)
-        )
-    )
-    job.start()
-    while not told:
-        time.sleep(0.05)
+
+    def job() -> None:
+        """What the command does."""
+        out = tmp_path / "out"
+        results.append(guide(str(source), SPECIFICATION, out, options, calibration=FISHEYE, announce=told.append))
+
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1280, "height": 900})
         asked, errors = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: errors.append(str(error)))
+        thread = threading.Thread(target=job)
+        thread.start()
+        while not told:
+            time.sleep(0.01)
         page.goto(told[0])
-        for k, image in enumerate(frames[:7]):
-            write_png(folder / f"{k:02d}.png", image)
-        page.wait_for_selector("body[data-state=calibrated]", timeout=120_000)
-        page.wait_for_function("Number(document.body.dataset.kept) >= 5", timeout=120_000)
-        page.wait_for_function("document.getElementById('next').textContent.startsWith('Hold the board')", timeout=60_000)
+        for k, image in enumerate(frames[:7] if kind == "folder" else []):
+            write_png(source / f"{k:02d}.png", image)
+        page.wait_for_function("document.getElementById('next').textContent.startsWith('Hold the board')", timeout=120_000)
         assert "largest uncertainty" in page.inner_text("#figures")
-        assert page.evaluate("document.getElementById('live').naturalWidth") == SIZE[0]
-        page.wait_for_function("document.getElementById('map').naturalWidth > 0")
+        page.wait_for_function(
+            "document.getElementById('live').naturalWidth == 640 && document.getElementById('map').naturalWidth > 0"
+        )
+        page.wait_for_function("Number(document.body.dataset.kept) >= 5", timeout=120_000)
         if shots := os.environ.get("OMNILINES_SCREENSHOTS"):
             page.wait_for_timeout(1000)
-            page.screenshot(path=pathlib.Path(shots) / "guide.png", full_page=True)
-        page.click("#finish")
+            page.screenshot(path=pathlib.Path(shots) / f"guide-{kind}.png", full_page=True)
+        if kind == "folder":
+            page.click("#finish")
         page.wait_for_selector("body[data-state=ended], body[data-state=over]", timeout=60_000)
         browser.close()
-    job.join(timeout=120)
-    assert not job.is_alive() and not errors and all(url.startswith("http://127.0.0.1:") for url in asked)
+    thread.join(timeout=120)
+    assert not thread.is_alive() and not errors and all(url.startswith("http://127.0.0.1:") for url in asked)
     (result,) = results
     assert result.data["rms_px_per_axis"] < 0.2 and result.data["frames"]["kept"] >= 5
     assert all(path.is_file() for path in result.files)

@@ -193,3 +193,11 @@ def test_callback_sees_a_falling_cost():
 def test_unknown_loss_is_named():
     with pytest.raises(InputError, match="one of none, huber, cauchy, found 'tukey'"):
         Loss("tukey")
+
+
+def test_a_step_that_promises_little_for_its_damping_is_not_the_end():
+    problem = Curves()
+    best = solve(problem, problem.start())
+    damped = solve(problem, problem.start(), damping=1e15)
+    assert damped.outcome is Outcome.CONVERGED and damped.initial_cost > 2 * best.cost
+    assert damped.cost == pytest.approx(best.cost, rel=1e-9)

@@ -15,6 +15,7 @@ from omnilines.calibration.image_field import ImageField, KnownProjection
 from omnilines.calibration.next_pose import next_views
 from omnilines.calibration.pose_candidates import view_information
 from omnilines.calibration.single import calibrate_camera
+from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.pipelines.next_views import lens_rim_px
 
@@ -46,6 +47,17 @@ def joined(poses: Pose, more: Pose) -> Pose:
     return Pose(torch.cat([poses.rotation, more.rotation]), torch.cat([poses.translation, more.translation]))
 
 
+def nearest_side(model, cam_from_board) -> str:
+    """Where in the image the side of the board lies that is nearest to the camera: of points round its middle."""
+    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    round_middle = BOARD.mean(0) + 1e-4 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+    points = cam_from_board.transform(torch.as_tensor(np.concatenate([BOARD.mean(0)[None], round_middle]))).numpy()
+    pixels = model.project(points)[0]
+    u, v = pixels[1 + np.linalg.norm(points[1:], axis=-1).argmin()] - pixels[0]
+    sides = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")
+    return sides[round(math.degrees(math.atan2(v, u)) / 45) % 8]
+
+
 @pytest.mark.parametrize("name", list(LENSES))
 def test_the_uncertainty_falls_as_promised(name):
     """Three photos shot as advised: after each the largest uncertainty of the camera calibrated anew is as was promised, and the
@@ -57,6 +69,8 @@ def test_the_uncertainty_falls_as_promised(name):
     advice = next_views(fit, corners, rim_px=rim, board_m=BOARD)
     assert advice is not None and len(advice.poses) == 3
     assert advice.worst_px > advice.poses[0].worst_px > advice.poses[1].worst_px > advice.poses[2].worst_px
+    for one, other in itertools.combinations(advice.poses, 2):
+        assert math.dist(one.place_px, other.place_px) > 0.14 * SIZE[0]
     distances = poses.transform(torch.as_tensor(BOARD.mean(0)).expand(6, 1, 3))[:, 0].norm(dim=-1)
     for pose in advice.poses:
         seen = pose.cam_from_board.transform(torch.as_tensor(BOARD))
@@ -65,8 +79,10 @@ def test_the_uncertainty_falls_as_promised(name):
         assert float((valid & (radius < 1.02 * rim)).to(torch.float64).mean()) >= 0.79
         straight = (seen * pose.cam_from_board.rotation[:, 2]).sum(-1) / seen.norm(dim=-1)
         assert float(straight[valid].min()) > math.cos(math.radians(65.1))
-        assert pose.tilt_deg <= 45 and 0.9 * distances.min() < pose.distance_m < 1.1 * distances.max()
+        assert pose.tilt_deg <= 45 and 0.7 * distances.min() < pose.distance_m < 1.1 * distances.max()
         assert pose.words.startswith(("at the", "in the middle", "half way")) and pose.words.endswith("away")
+        if pose.tilt_deg > 0:
+            assert f"{nearest_side(fit.model, pose.cam_from_board)} side nearer" in pose.words
         poses = joined(poses, Pose(pose.cam_from_board.rotation[None], pose.cam_from_board.translation[None]))
         again, corners = calibrated(truth, poses, seed=len(poses))
         after = next_views(again, corners, rim_px=rim, board_m=BOARD)
@@ -82,7 +98,7 @@ def test_advice_needs_at_most_half_the_photos_of_random_poses():
     poses = pool[:4]
     for _ in range(6):
         fit, corners = calibrated(truth, poses)
-        advice = next_views(fit, corners, rim_px=rim, board_m=BOARD)
+        advice = next_views(fit, corners, rim_px=rim, board_m=BOARD, thresholds=ShootingThresholds(poses=1))
         one = advice.poses[0].cam_from_board
         poses = joined(poses, Pose(one.rotation[None], one.translation[None]))
     fit, corners = calibrated(truth, poses)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from camera_models import InputError
-from omnilines.files import photos, read_photo
+from omnilines import photo_file
+from omnilines.files import PHOTO_SUFFIXES, read_photo
 from omnilines.photo_size import size_of_photo
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (37, 53, 3), dtype=np.uint8)
@@ -36,7 +37,7 @@ def encoded(suffix: str, *options: int) -> bytes:
 
 
 ENCODED = {
-    **{suffix: encoded(suffix) for suffix in (*photos.PHOTO_SUFFIXES, ".ppm")},
+    **{suffix: encoded(suffix) for suffix in (*PHOTO_SUFFIXES, ".ppm")},
     "progressive": encoded(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
     "lossless": encoded(".webp", cv2.IMWRITE_WEBP_QUALITY, 101),
     "remark": b"P5\n# a remark 7\n53 37\n255\n" + bytes(37 * 53),
@@ -78,7 +79,7 @@ def test_a_photo_larger_than_memory_is_refused(tmp_path: Path, monkeypatch: pyte
     path = tmp_path / "large.png"
     path.write_bytes(png(2000, 1000, 8, 2))
     assert read_photo(path).shape == (1000, 2000, 3)
-    monkeypatch.setattr(photos, "available_bytes", lambda: 5_000_000)
+    monkeypatch.setattr(photo_file, "available_bytes", lambda: 5_000_000)
     with pytest.raises(InputError, match=r"Memory for the image .*large.png of 2000 x 1000 px"):
         read_photo(path)
 

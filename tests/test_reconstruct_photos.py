@@ -272,14 +272,14 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
 @pytest.mark.parametrize(
     ("options", "poses", "sentence"),
     [
-        (("--min-views", "2"), "poses.csv", "--min-views of 3 or more"),
+        (("--min-views", "2"), "poses.csv", "--min-views was expected to be a number from 3"),
         (("--tolerance-px", "0"), "poses.csv", "--tolerance-px above 0"),
-        (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern was expected with --poses boards"),
+        (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern counts only with --poses boards"),
         ((), "nowhere", "--poses was expected to be"),
         ((), "rig", "rig"),
         (("--refine", "walls"), "poses.csv", "--refine was expected"),
-        (("--pose-sigma-deg", "1"), "poses.csv", "are for --segments"),
-        (("--robust",), "poses.csv", "are for --segments"),
+        (("--pose-sigma-deg", "1"), "poses.csv", "counts only with --segments in place of photos"),
+        (("--robust",), "poses.csv", "counts only with --segments in place of photos"),
         (("--refine", "lines,rig"), "poses.csv", "--refine rig was expected"),
         ((), "boards", "--pattern was expected"),
         (("--pattern", "chessboard:8x6"), "boards", "pattern"),

@@ -197,7 +197,7 @@ def test_a_rendered_sheet_gives_the_poses_of_its_photos(
 ) -> None:
     truth = rendered(tmp_path / "photos", model, size, fov_deg)
     cameras = load(tmp_path / "photos" / "calibration.yaml")
-    arcs = extract(tmp_path / "photos", cameras, work=tmp_path)
+    arcs = extract(tmp_path / "photos", cameras, work=tmp_path / "work")
     found = estimate_poses(arcs, cameras, "rectangle:279x216mm")
     assert not found.left_out and found.poses.images == truth.poses.images and found.poses.covariance is not None
     lies = sheet_from_world().inverse()

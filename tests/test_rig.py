@@ -14,6 +14,7 @@ from rig_views import (
     FISHEYE_220,
     PINHOLE,
     RigScene,
+    back_to_back,
     boards_at,
     chain_rig,
     looking_along,
@@ -69,9 +70,17 @@ def errors_of(result: RigCalibration, rig: RigScene) -> tuple[torch.Tensor, torc
     return torch.cat(off), inverse @ torch.as_tensor(result.covariance) @ inverse.mT, parameters
 
 
-RIGS = {"outward": lambda: outward_rig(60), "mixed": lambda: mixed_rig(60), "chain": lambda: chain_rig(8)}
-SEEDS = [pytest.param("chain", 10, marks=pytest.mark.slow)]
-SEEDS += [pytest.param(name, count, marks=pytest.mark.full) for name, count in (("outward", 50), ("mixed", 50), ("chain", 200))]
+RIGS = {
+    "outward": lambda: outward_rig(60),
+    "mixed": lambda: mixed_rig(60),
+    "chain": lambda: chain_rig(8),
+    "360 scaramuzza": lambda: back_to_back("scaramuzza"),
+    "360 double-sphere": lambda: back_to_back("double-sphere"),
+    "360 scaramuzza, narrow rim": lambda: back_to_back("scaramuzza", in_rim=6, reach_deg=95.0),
+    "360 double-sphere, narrow rim": lambda: back_to_back("double-sphere", in_rim=6, reach_deg=95.0),
+}
+SEEDS = [pytest.param("chain", 10, marks=pytest.mark.slow), pytest.param("360 scaramuzza", 6, marks=pytest.mark.slow)]
+SEEDS += [pytest.param(name, 200 if name == "chain" else 50, marks=pytest.mark.full) for name in RIGS]
 
 
 @pytest.mark.parametrize(("name", "seeds"), SEEDS)
@@ -93,12 +102,14 @@ def test_at_the_bound_and_honest_about_it(name, seeds):
         squares.append(float(pose @ torch.linalg.solve(of_poses, pose)) / len(pose))
     mean, error = np.mean(squares), np.std(squares, ddof=1) / math.sqrt(seeds)
     ratio, ratio_error = math.sqrt(mean), 0.5 * error / math.sqrt(mean)
+    # Of few seeds their own spread says little: that of chi-square too.
+    by_chance = math.sqrt(0.5 / (seeds * 6 * (len(rig.models) - 1)))
     covered = np.mean(inside, 0)
     print(f"{name}, {seeds} seeds: poses {ratio:.3f} +- {ratio_error:.3f} of the bound; {covered.mean():.3f} covered, items "
           f"{covered.min():.2f} to {covered.max():.2f}")  # fmt: skip
     # Of 200 seeds one or two may lie outside by chance.
     assert outside <= (0 if seeds < 200 else 2) and farthest < (4.5 if seeds < 200 else 5.0)
-    assert ratio <= 1 + max(0.05, 2 * ratio_error)
+    assert ratio <= 1 + max(0.05, 2 * ratio_error, 2 * by_chance)
     assert 0.91 <= covered.mean() <= 0.985 if seeds < 50 else 0.93 <= covered.mean() <= 0.97
     if seeds >= 200:
         assert 0.90 <= covered.min() and covered.max() <= 0.99

@@ -66,6 +66,8 @@ def test_table_to_calibration_with_rig_and_covariance(mixed):
         np.testing.assert_allclose(block[[0, 4], [0, 4]], covariance[own, own], rtol=1e-9)
         np.testing.assert_allclose(found.rig[name].sigma, np.sqrt(np.diag(block)), rtol=1e-12)
         assert c < 2 and not found.rig["cam0"].covariance.any()
+    page = (folder / "out/report.html").read_text()
+    assert all(f"{name}: what to shoot next" in page for name in rig.names) and page.count("would fall from") >= 3
     view = found.views[30]
     assert view.used and view.frame == rig.corners.frames[30] and view.camera == rig.corners.cameras[30]
     assert view.cam_from_board is not None

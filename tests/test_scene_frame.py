@@ -163,7 +163,7 @@ def test_bad_distances_are_refused_before_work_begins(room, tmp_path, capsys, te
 
 
 def test_a_distance_to_a_photo_without_a_pose_is_refused(room, open_scene, tmp_path, capsys, monkeypatch):
-    shutil.copytree(open_scene / "work" / "arcs", tmp_path / "work" / "arcs")
+    shutil.copytree(open_scene / "work", tmp_path / "work", ignore=shutil.ignore_patterns("poses*", "colmap"))
     posed = found_by_sfm(room)
     few = ImagePoses(posed.poses.images[1:], posed.poses.cam_from_world[1:], posed.poses.cameras[1:])
     lost = {"view00.png": "view00.png has no pose: it is dark."}

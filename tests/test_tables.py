@@ -169,8 +169,9 @@ def test_writing_refuses_what_reading_would_and_keeps_the_old_file(corners: Corn
     corners.pixels[1, 0] = 1.0
     with pytest.raises(InputError, match=r"column view: expected names that are not blank"):
         write_corners(path, Corners(corners.view, (" ",), corners.images, corners.board_m, corners.pixels))
-    with pytest.raises(InputError, match=r"cannot hold the name .*udcff.*; rename"):
-        write_corners(path, Corners(corners.view, ("0",), ("a\udcff.jpg",), corners.board_m, corners.pixels))
+    for name in ("a\udcff.jpg", "a\x1b[31m.jpg", "a\n.jpg", "../a.jpg", "/tmp/a.jpg"):
+        with pytest.raises(InputError, match=r"column image: a name was expected, found '[^\x00-\x1f]*', which (holds|leads|is)"):
+            write_corners(path, Corners(corners.view, ("0",), (name,), corners.board_m, corners.pixels))
     with pytest.raises(InputError, match=r"cannot be written \(No such file or directory\)"):
         write_corners(tmp_path / "absent" / "corners.csv", corners)
     assert path.read_bytes() == before and os.listdir(tmp_path) == ["corners.csv"]

@@ -61,8 +61,8 @@ def load(path: str | Path) -> Calibration:
 def save(path: str | Path, calibration: Mapping[str, CameraModel]) -> None:
     """Write a calibration, or a plain mapping of camera name to model; the file is replaced in one step.
 
-    Raises InputError where a number is NaN or infinite (an unknown one is None) or the file cannot be written; the file that
-    was there is then untouched.
+    Raises InputError where a number is NaN or infinite (an unknown one is None), the name of an image is none inside a folder, or
+    the file cannot be written; the file that was there is then untouched.
     """
     write_atomically(path, calibration_text(calibration))
 
@@ -123,7 +123,7 @@ def _pose_data(pose: Pose) -> dict[str, Any]:
 
 def _view_data(view: ViewRecord) -> dict[str, Any]:
     return {
-        "image": view.image,
+        "image": image_name(view.image, "The image of a view"),
         **_present({"view": view.view}),
         "camera": view.camera,
         **_present({"frame": view.frame}),

@@ -102,12 +102,19 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
     """Sentences on parts of the image without corners."""
     radius = (pixels - model.centre_px).norm(dim=-1)
     shorter = min(image_size) / 2
+    notes: tuple[str, ...] = ()
+    if float(radius.min()) > 1 / 3 * float(radius.max()):
+        notes = (
+            f"No corner lies within {float(radius.min()):.0f} px of the centre: the calibration is extrapolated there, where "
+            "single parameters begin, which say little by themselves; add photos with the board in the middle, unless a mirror "
+            "shows the camera there.",
+        )
     if float(radius.max()) < 2 / 3 * shorter:
-        return (
+        notes += (
             f"No corner lies in the outer third of the image (the farthest is {float(radius.max()):.0f} px from the centre of "
             f"{shorter:.0f} px): the calibration is extrapolated there; add photos with the board near the rim.",
         )
-    return ()
+    return notes
 
 
 def rejection_notes(

@@ -140,13 +140,16 @@ def _best_in_turn(
     of_parameters = view_information(known.field, tried.poses, seen.board_m) / corner_sigma_px**2
     information = known.factor.mT @ of_parameters @ known.factor
     before = float(known.sigma_px.max())
-    for _ in range(thresholds.poses):
+    left = torch.ones(len(tried), dtype=torch.bool)
+    while len(found) < thresholds.poses and bool(left.any()):
         after = known.sigma_after_px(information)
-        best = int(after.amax(-1).argmin())
+        best = int(torch.where(left, after.amax(-1), torch.inf).argmin())
         worst = float(after[best].max())
         if worst > (1 - thresholds.least_gain) * before:
             break
         found.append(_described(known.field, seen, tried, best, (worst, float(after[best].median()))))
+        apart = (tried.places_px - tried.places_px[best]).norm(dim=-1)
+        left &= apart >= thresholds.apart_share * max(known.field.model.image_size)
         known, change = known.with_view(information[best])
         information = change @ information @ change.mT
         before = worst

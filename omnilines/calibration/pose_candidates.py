@@ -85,7 +85,8 @@ def candidates(field: ImageField, seen: SeenBoards, thresholds: ShootingThreshol
     right = model.unproject_jacobian(places)[..., 0]
     right = right / right.norm(dim=-1, keepdim=True)
     below = torch.linalg.cross(ray, right)
-    distance = seen.nearest_m * (seen.farthest_m / seen.nearest_m) ** shares[:, 1]
+    nearest_m = thresholds.nearest_share * seen.nearest_m
+    distance = nearest_m * (seen.farthest_m / nearest_m) ** shares[:, 1]
     steps = round(thresholds.most_tilt_deg / TILTS_DEG) + 1
     tilt_deg = TILTS_DEG * (shares[:, 2] * steps).floor()
     lean = math.radians(3 * TILTS_DEG) * (shares[:, 3] * 8).floor()
@@ -102,8 +103,9 @@ def candidates(field: ImageField, seen: SeenBoards, thresholds: ShootingThreshol
 def _seen_well(field: ImageField, seen: SeenBoards, boards: Candidates, thresholds: ShootingThresholds) -> Bool[Tensor, " k"]:
     points = boards.poses.transform(seen.board_m.expand(len(boards), -1, -1))
     pixels, valid = field.model.project(points)
+    spacing_px = min(thresholds.resolved_px, seen.spacing_px)
     # The squares round a corner are seen too.
-    shown = valid & field.shows(pixels, 0.5 * seen.spacing_px)
+    shown = valid & field.shows(pixels, 0.5 * spacing_px)
     # The angle between the ray and the normal, from the front.
     straight = (points * boards.poses.rotation[:, None, :, 2]).sum(-1) / points.norm(dim=-1).clamp_min(1e-300)
     least = torch.where(shown, straight, torch.ones_like(straight)).amin(-1)
@@ -112,7 +114,7 @@ def _seen_well(field: ImageField, seen: SeenBoards, boards: Candidates, threshol
     pairs = cKDTree(board).query_pairs(1.01 * _to_nearest(board).max(), output_type="ndarray")
     first, second = torch.as_tensor(pairs).unbind(-1)
     apart = (pixels[:, first] - pixels[:, second]).norm(dim=-1)
-    resolved = torch.where(shown[:, first] & shown[:, second], apart, torch.inf).amin(-1) >= seen.spacing_px
+    resolved = torch.where(shown[:, first] & shown[:, second], apart, torch.inf).amin(-1) >= spacing_px
     return enough & (least >= math.cos(math.radians(thresholds.steepest_deg))) & resolved
 
 

@@ -150,12 +150,18 @@ class ShootingThresholds(NamedTuple):
     """Poses tried."""
     poses: int = 3
     """Poses proposed, each for when those before it have been shot."""
+    apart_share: float = 0.15
+    """The middles of proposed boards are this share of the image's longer side apart."""
     most_tilt_deg: float = 45.0
     """Tilt of a proposed board against the ray to its middle, at most."""
     steepest_deg: float = 65.0
     """Angle between a ray and the normal of the board at any of its corners, at most."""
     shown_share: float = 0.8
     """Share of its corners that a proposed board shows, unless boards were seen in part only."""
+    nearest_share: float = 0.8
+    """A proposed board is no nearer than this share of the least distance at which one was seen: it might be out of focus."""
+    resolved_px: float = 12.0
+    """Neighbouring corners of a proposed board are this far apart, or as far as the nearest that were found."""
     least_gain: float = 0.02
     """A photo helps where it lowers the largest uncertainty by more than this share."""
     facing_deg: float = 15.0

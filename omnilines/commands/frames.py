@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from calib_patterns import DetectionOptions
+from camera_models import InputError
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, write_png
-from omnilines.files.folders import check_results
+from omnilines.files.folders import check_results, way_out
 from omnilines.files.photos import require_distinct_stems
-from omnilines.files.sets import claimed
+from omnilines.files.sets import claimed, withdrawn_where_refused
 from omnilines.files.split import Split
 from omnilines.files.videos import find_videos
 from omnilines.footage.options import FrameOptions
@@ -59,17 +60,21 @@ def with_frames(
     """The result of a command on photos; where videos are given, on their frames, which are written to `out/frames`, and with
     `split` on what each lens sees of the photos, written there too."""
     folder = out / FOLDER
+    if (why := way_out(out, f"{FOLDER}/{TABLE}")) is not None:
+        raise InputError(f"Frames were expected inside {out}, found {why}.")
     if not find_videos(paths):
         if split is None:
             return command(list(paths))
-        _cut(paths, folder, Split.of(split), progress)
-        return command([folder])
-    made = frames(
-        paths, folder, pattern_spec, split=split, mirror=mirror, detection=detection, options=options, progress=progress
-    )
+        with withdrawn_where_refused(folder):
+            _cut(paths, folder, Split.of(split), progress)
+            return command([folder])
+    with withdrawn_where_refused(folder):
+        made = frames(
+            paths, folder, pattern_spec, split=split, mirror=mirror, detection=detection, options=options, progress=progress
+        )
+        result = command([folder])
     taken, looked = made.data["taken"], made.data["looked_at"]
     note = f"{taken} of {looked} frames that were looked at closely were taken; {folder / TABLE} says why."
-    result = command([folder])
     return replace(result, warnings=(note, *made.warnings, *result.warnings))
 
 

@@ -1,6 +1,7 @@
 """omnilines guide: a camera, a video or a growing folder -> frames, calibration.yaml, report.html, with a page that says how to
 hold the board next."""
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,10 +36,13 @@ def guide(
     """
     given = Source(source, options.frames_per_s)
     inputs = [] if given.path is None else [given.path]
-    session = Session(parse_pattern(pattern_spec), out, options, calibration, detection, inputs=inputs)
+    pattern, coming = parse_pattern(pattern_spec), given.frames()
+    # A source that gives nothing is refused before anything is made.
+    first = next(coming)
+    session = Session(pattern, out, options, calibration, detection, inputs=inputs)
     with served(session, port) as address:
         announce(address)
-        follow(session, given.frames(), waits=not given.live, progress=progress)
+        follow(session, itertools.chain([first], coming), waits=not given.live, progress=progress)
         progress("calibrating from all frames", 0, 0)
         result = session.finish()
     files = (*(out / name for name in session.names), *(out / name for name in RESULTS))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from camera_models.formats.disk import read_text, write_atomically
+from camera_models.formats.values import items, mapping, text
 from omnilines.commands.result import CommandResult
 from omnilines.files.fingerprint import content_hash
 from omnilines.files.sets import claimed
@@ -25,16 +26,14 @@ class Stamp:
             kept = json.loads(read_text(self.path))
             files = {Path(name): content for name, content in kept["files"]}
             whole = kept["inputs"] == self.inputs and all(content_hash(file) == content for file, content in files.items())
-            summaries = tuple(
-                Summary(one["title"], tuple(map(tuple, one["rows"])), tuple(one["notes"])) for one in kept["summaries"]
-            )
+            summaries, data = tuple(map(_summary, kept["summaries"])), mapping(kept["data"], "data")
             report = Path(kept["report"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):  # InputError is a ValueError
             return None
         if not whole:
             return None
         note = "Inputs and options are those of the last run, and so is the result; nothing was done."
-        return CommandResult(summaries, kept["data"], files=tuple(files), report=report, warnings=(note,))
+        return CommandResult(summaries, data, files=tuple(files), report=report, warnings=(note,))
 
     def write(self, result: CommandResult) -> None:
         """Keep a result, after all its files are written."""
@@ -47,3 +46,9 @@ class Stamp:
         }
         with claimed(self.path.parent, [self.path.name], by="done"):
             write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
+
+
+def _summary(kept: Any) -> Summary:
+    """One that was written; raises InputError, KeyError, TypeError or ValueError where it is none."""
+    rows = tuple((text(name, "rows"), text(told, "rows")) for name, told in kept["rows"])
+    return Summary(text(kept["title"], "title"), rows, tuple(text(note, "notes") for note in items(kept["notes"], "notes")))

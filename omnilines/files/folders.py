@@ -26,7 +26,12 @@ def output_folder(out: str | Path) -> Path:
 def check_output_folder(out: str | Path) -> None:
     """Refuse, before any work, a folder that could not be made or written to; nothing is made yet. Raises InputError."""
     folder = Path(out).absolute()
-    there = next(path for path in (folder, *folder.parents) if path.exists())
+    try:
+        there = next(path for path in (folder, *folder.parents) if path.exists())
+    except OSError as error:
+        raise InputError(
+            f"A folder to write to was expected at {out}, found that it cannot be looked at ({error.strerror})."
+        ) from None
     if not there.is_dir() or not os.access(there, os.W_OK):
         why = "cannot be written to" if there.is_dir() else "is no folder"
         raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")

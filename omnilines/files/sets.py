@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from camera_models import InputError
+from camera_models.errors import OmnilinesError
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING, fcntl
 from omnilines.files.fingerprint import content_hash
@@ -69,6 +70,24 @@ def claimed(
 def claimed_page(path: str | Path) -> AbstractContextManager[Path]:
     """A page by itself: `claimed` for one file, the folder of which may hold others."""
     return claimed(Path(path).parent, [Path(path).name], by=f"page {Path(path).name}")
+
+
+@contextmanager
+def withdrawn_where_refused(out: str | Path) -> Iterator[None]:
+    """Where a command is refused after it wrote a set of its inputs, the folder is gone again, if it was not there before."""
+    folder = Path(out)
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        yield
+    except OmnilinesError:
+        if made:
+            for name, row in written(folder).items():
+                _remove(folder, name, row.sha256)
+            (folder / MANIFEST).unlink(missing_ok=True)
+            for path in made:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+        raise
 
 
 def settle(folder: Path) -> None:

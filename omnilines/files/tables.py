@@ -218,9 +218,14 @@ def number_cells(values: Float[np.ndarray, " n"], path: str | Path, column: str,
 
 
 def name_cells(names: Sequence[str], index: Int[np.ndarray, " n"] | None, path: str | Path, column: str) -> list[str]:
-    """The name of each row (all names in order without an index), quoted where CSV needs it; an empty cell for index -1."""
+    """The name of each row (all names in order without an index), quoted where CSV needs it; an empty cell for index -1.
+
+    Raises InputError on names that the readers refuse.
+    """
     for name in names:
         if not name.strip():
             raise InputError(f"{path}, column {column}: expected names that are not blank, found '{name}'; give it a name.")
+        if (why := stray(name)) is not None and (column == "image" or not is_text(name)):
+            raise InputError(f"{path}, column {column}: a name was expected, found {name[:80]!r}, which {why}.")
     quoted = [f'"{name.replace(chr(34), chr(34) * 2)}"' if any(c in name for c in ',"\r\n') else name for name in names]
     return quoted if index is None else list(map([*quoted, ""].__getitem__, index.tolist()))

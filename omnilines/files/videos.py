@@ -13,6 +13,7 @@ from jaxtyping import UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
+from camera_models.formats.values import is_text
 from omnilines.files.photos import PHOTO_SUFFIXES
 from omnilines.photo_file import quiet_codecs
 
@@ -46,6 +47,8 @@ class Video:
         """Raises InputError where the file does not exist, or is no video that OpenCV decodes."""
         file = Path(path)
         read_bytes(file, most=1)  # says what is wrong with a path, and refuses pipes and devices
+        if not is_text(str(file)):  # OpenCV ends the process over a name that is not UTF-8
+            raise InputError(f"The name of the video {str(file)!r} holds characters that are not text; rename it.")
         with _opened(file) as source:
             rate, count = source.get(cv2.CAP_PROP_FPS), source.get(cv2.CAP_PROP_FRAME_COUNT)
             read, pixels = source.read()
@@ -87,20 +90,31 @@ def is_video(path: str | Path) -> bool:
 
 def find_videos(paths: Sequence[str | Path]) -> list[Path]:
     """The videos among files, and in folders that hold videos and no photos, in order of their names; none where there are
-    photos alone. Raises InputError where there are both."""
+    photos alone. Files in folders whose name begins with a dot are left out.
+
+    Raises InputError where there are both, or a folder cannot be read.
+    """
     videos: list[Path] = []
     others: list[Path] = []
     for path in map(Path, paths):
-        inside = sorted(entry for entry in path.iterdir() if is_video(entry)) if path.is_dir() else []
+        files = _files_in(path) if path.is_dir() else []
+        inside = [file for file in files if is_video(file)]
         if is_video(path) and not path.is_dir():
             videos.append(path)
-        elif inside and not any(entry.suffix.lower() in PHOTO_SUFFIXES for entry in path.iterdir()):
+        elif inside and not any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
             videos += inside
         else:
             others.append(path)
     if videos and others:
         raise InputError(f"Videos or photos were expected, found {videos[0]} and {others[0]}; give them one after the other.")
     return list(dict.fromkeys(videos))
+
+
+def _files_in(folder: Path) -> list[Path]:
+    try:
+        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and not entry.is_dir())
+    except OSError as error:
+        raise InputError(f"The folder {folder} cannot be read ({error.strerror}); give one that can be.") from None
 
 
 def together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:

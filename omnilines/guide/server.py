@@ -17,6 +17,8 @@ from omnilines.report.page import fragment
 
 HOST = "127.0.0.1"
 TOKEN_BYTES = 16
+REQUEST_S = 10.0
+"""Within which a request has to be there."""
 
 
 def state_of(session: Session) -> dict[str, Any]:
@@ -44,17 +46,22 @@ def state_of(session: Session) -> dict[str, Any]:
     return state
 
 
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Nothing: a browser that goes away in the middle of an answer is no error."""
+
+
 @contextmanager
 def served(session: Session, port: int = 0) -> Iterator[str]:
     """The address of the page, for as long as it is shown; port 0: any that is free. Raises InputError where it is taken."""
     token = secrets.token_urlsafe(TOKEN_BYTES)
     try:
-        server = ThreadingHTTPServer((HOST, port), _handler(session, token))
-    except OSError as error:
-        raise InputError(
-            f"A free `port` was expected, found that {port} cannot be used ({error.strerror}); give another."
-        ) from None
-    server.daemon_threads = True
+        server = _Server((HOST, port), _handler(session, token))
+    except (OSError, OverflowError) as error:
+        why = "there are ports up to 65535" if isinstance(error, OverflowError) else error.strerror
+        raise InputError(f"A free `port` was expected, found that {port} cannot be used ({why}); give another.") from None
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
     thread.start()
     try:
@@ -70,6 +77,7 @@ def _handler(session: Session, token: str) -> type[BaseHTTPRequestHandler]:
         """One request."""
 
         server_version, sys_version = "omnilines", ""
+        timeout = REQUEST_S
 
         def do_GET(self) -> None:
             """The page, its pictures and its figures; all else is not found."""

@@ -3,6 +3,7 @@
 It knows neither where frames come from nor who looks on. `offer` and `refit` may be called from two threads.
 """
 
+import re
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -68,12 +69,13 @@ class Session:
         self._lock = threading.Lock()
         self._needed = options.first_frames
         check_results(out, RESULTS, inputs)
-        for name in written(out):
-            if name.startswith(f"{FRAMES}/") and (out / name).is_file():
-                frame = self._looked_at(read_photo(out / name))
-                if len(frame.found):
-                    self.kept.append(frame)
-                    self.names.append(name)
+        before = sorted(name for name in written(out) if re.fullmatch(FRAMES + r"/[0-9]{4,8}\.png", name))
+        self._number = 1 + max((int(Path(name).stem) for name in before), default=-1)
+        for name in before:
+            frame = self._looked_at(read_photo(out / name)) if (out / name).is_file() else None
+            if frame is not None and self._judged(frame)[1]:
+                self.kept.append(frame)
+                self.names.append(name)
         self.stale = len(self.kept) >= self._needed
 
     def offer(self, pixels: UInt[np.ndarray, "h w *channels"]) -> bool:
@@ -113,7 +115,8 @@ class Session:
         return f"kept: it lowers the uncertainty by about {100 * gain(projection, told):.0f} percent", True
 
     def _keep(self, frame: Frame) -> None:
-        name = f"{FRAMES}/{len(self.kept):04d}.png"
+        name = f"{FRAMES}/{self._number:04d}.png"
+        self._number += 1
         with claimed(self.out, [name], self.inputs, by=f"guide {name}"):
             write_png(self.out / name, frame.pixels)
         self.kept.append(frame)

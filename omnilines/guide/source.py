@@ -1,5 +1,8 @@
 """Frames as they come: of a camera, of a video, or of a folder to which photos are added."""
 
+import contextlib
+import os
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +14,8 @@ from jaxtyping import UInt
 
 from camera_models import InputError
 from omnilines.files import PHOTO_SUFFIXES, read_photo
+from omnilines.files.videos import Video
+from omnilines.photo_file import quiet_codecs
 
 WAIT_S = 0.2
 """Between two looks into a folder."""
@@ -26,15 +31,22 @@ class Source:
 
     def __post_init__(self) -> None:
         """Raises InputError where there is no such source."""
-        if not self.live and not Path(self.given).exists():
+        if self.live:
+            return
+        path = Path(self.given)
+        if not os.path.lexists(path):
             raise InputError(
                 f"A camera (0, 1, ...), a video or a folder was expected as `source`, found '{self.given}', which does not exist."
             )
+        if path.is_dir():
+            _photos_in(path)
+        else:
+            Video.of(path)
 
     @property
     def live(self) -> bool:
         """Whether it is a camera, whose frames do not wait."""
-        return self.given.isdigit()
+        return re.fullmatch("[0-9]{1,4}", self.given) is not None
 
     @property
     def path(self) -> Path | None:
@@ -42,7 +54,9 @@ class Source:
         return None if self.live else Path(self.given)
 
     def frames(self) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
-        """One after the other; None where there is none yet. A video ends, a camera and a folder do not."""
+        """One after the other; None where there is none yet. A video ends, a camera and a folder do not.
+
+        Raises InputError where no camera opens."""
         if self.live:
             return _of_camera(int(self.given))
         path = Path(self.given)
@@ -50,11 +64,17 @@ class Source:
 
 
 def _of_camera(index: int) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
-    capture = cv2.VideoCapture(index)
+    capture = cv2.VideoCapture()
+    with quiet_codecs(), contextlib.suppress(cv2.error):
+        capture.open(index)
+    if not capture.isOpened():
+        raise InputError(f"A camera was expected at index {index}, found none that opens; give another `source`.")
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    return _shots(capture)
+
+
+def _shots(capture: cv2.VideoCapture) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
     try:
-        if not capture.isOpened():
-            raise InputError(f"A camera was expected at index {index}, found none that opens; give another `source`.")
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         while True:
             came, pixels = capture.read()
             yield pixels if came else None
@@ -63,27 +83,18 @@ def _of_camera(index: int) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]
 
 
 def _of_video(path: Path, frames_per_s: float) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
-    capture = cv2.VideoCapture(str(path))
-    try:
-        came, pixels = capture.read()
-        if not came:
-            raise InputError(f"A video was expected at {path}, found none that can be read; convert it to mp4.")
-        step, number = max(1, round((capture.get(cv2.CAP_PROP_FPS) or frames_per_s) / frames_per_s)), 0
-        while came:
-            if number % step == 0:
-                yield pixels
-            number += 1
-            came, pixels = capture.read()
-    finally:
-        capture.release()
+    video = Video.of(path)
+    step = max(1, round(video.frames_per_s / frames_per_s))
+    return (frame.pixels for frame in video.frames() if frame.index % step == 0)
 
 
 def _of_folder(folder: Path) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
     """Photos in the order in which they come; one that cannot be read is still being written, and is looked at again."""
     done: set[str] = set()
     while True:
-        new = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PHOTO_SUFFIXES and path.name not in done]
-        for path in new:
+        for path in _photos_in(folder):
+            if path.name in done:
+                continue
             try:
                 pixels = read_photo(path)
             except InputError:
@@ -92,3 +103,10 @@ def _of_folder(folder: Path) -> Iterator[UInt[np.ndarray, "h w *channels"] | Non
             yield pixels
         time.sleep(WAIT_S)
         yield None
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    try:
+        return [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PHOTO_SUFFIXES]
+    except OSError as error:
+        raise InputError(f"The folder {folder} cannot be read ({error.strerror}); give one that can be.") from None

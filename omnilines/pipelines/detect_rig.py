@@ -133,8 +133,8 @@ def _frames(corners: Corners, cameras: Sequence[str]) -> tuple[str, ...]:
 def is_rig(paths: Sequence[Path]) -> bool:
     """Whether this is a rig: a table with several cameras or boards; one folder whose photos all lie in two or more sub-folders,
     at least one file name standing in two of them; or several videos."""
-    if len(find_videos(paths)) > 1:
-        return True
+    if videos := find_videos(paths):
+        return len(videos) > 1
     if len(paths) != 1:
         return False
     path = paths[0]

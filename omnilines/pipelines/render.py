@@ -248,7 +248,9 @@ def render(
         ((2, 3), True)
     """
     options = replace(options, **fields)
-    idle = ["size_px", "mirror"] if isinstance(model, CameraModel) else []
+    idle = ["mirror"] if isinstance(model, CameraModel) else []
+    if isinstance(model, CameraModel) and options.size_px != model.image_size:
+        idle.append("size_px")
     for name in [*idle, *(["views"] if poses is not None else [])]:
         if getattr(options, name) != getattr(RenderOptions, name):
             given = "poses" if name == "views" else "a camera"

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from camera_models import CameraModel, GeometryError, InputError
+from camera_models import CameraModel, GeometryError, InputError, model_class
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.initialise import BoardPoints, resect_boards
@@ -46,6 +46,13 @@ class CameraSetup:
     """Whether the intrinsics of `start` are held."""
     mirror: bool = False
 
+    @property
+    def variant_open(self) -> bool:
+        """Whether it is open how many of its model's terms a camera has."""
+        if self.start is not None:
+            return False
+        return self.model == AUTO or model_class(self.model).variant_options().isdisjoint(self.options)
+
 
 @dataclass(frozen=True, eq=False)
 class AloneCamera:
@@ -60,6 +67,8 @@ class AloneCamera:
     sigma_px: float
     """Standard deviation of a corner per axis (of mean weight), from the residuals and their degrees of freedom."""
     rms_px_per_point: float
+    kept: Bool[np.ndarray, " n"]
+    """Of its corners, those that fit."""
     refusals: Mapping[int, str]
     """Views without a pose, and why."""
 
@@ -119,6 +128,7 @@ def alone_camera(
         cam_from_board=poses,
         sigma_px=_sigma_px(residual_of_mean_weight, 6 * len(good) + basis.shape[1], stated, thresholds.noise.significance),
         rms_px_per_point=float(residual.square().sum(-1).mean().sqrt()),
+        kept=fitting & np.isin(corners.view, [usable[v] for v in good]),
         refusals={int(numbers[v]): reason for v, reason in refusals.items()},
     )
 

@@ -15,10 +15,11 @@ from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.options import AUTO
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
-from omnilines.calibration.rig.consensus import reflected
+from omnilines.calibration.rig.consensus import PosedViews, reflected
 from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
+from omnilines.calibration.rig.loose import SeenAlone, loosened
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
@@ -30,6 +31,7 @@ from omnilines.calibration.rig.start import (
     posed_views,
     rig_start,
 )
+from omnilines.calibration.rig.terms import without_unsupported_terms
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.select import select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera
@@ -97,22 +99,39 @@ def calibrate_rig(
     data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
     singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
     signs = _sign_sources(alone, sides, by_tags, graph, cameras)
-    return rig_result(
-        RigOutcome(
-            data=data,
-            fit=fit,
-            solution=solution,
-            setups=cameras,
-            alone=alone,
-            failures=failures,
-            reasons=reasons,
-            sign_sources=signs,
-            singles=singles,
-            rejects=loss != "none",
-            notes=notes,
-            thresholds=thresholds,
-        )
+    outcome = RigOutcome(
+        data=data,
+        fit=fit,
+        solution=solution,
+        setups=cameras,
+        alone=alone,
+        failures=failures,
+        reasons=reasons,
+        sign_sources=signs,
+        singles=singles,
+        rejects=loss != "none",
+        notes=notes,
+        thresholds=thresholds,
     )
+    outcome = loosened(outcome, state, _seen_alone(outcome, start, posed, numbers))
+    return rig_result(without_unsupported_terms(outcome))
+
+
+def _seen_alone(outcome: RigOutcome, start: RigStart, posed: PosedViews, numbers: Int[np.ndarray, " p"]) -> SeenAlone:
+    """What the members see by themselves, of views whose numbering is beyond doubt."""
+    members, alone, views = outcome.data.cameras, outcome.alone, outcome.data.views
+    turned = [c for c, model in zip(start.cameras, start.models, strict=True) if model is not alone[c].model]
+    poses = posed.seen_in_mirrors(turned).cam_from_board
+    sure = (posed.allowed.sum(1) == 1).tolist()
+    found = {}
+    for place, v in enumerate(numbers.tolist()):
+        if int(views.camera[v]) in members and (sure[place] or v in start.board_from_numbered):
+            motion = start.board_from_numbered.get(v, Pose.identity())
+            found[v] = poses[place] @ motion.inverse()
+    kept = np.zeros(len(views.corners), dtype=bool)
+    for c in members:
+        kept[views.of_camera(c)[2]] = alone[c].kept
+    return SeenAlone(found, kept & np.isin(views.corners.view, list(found)))
 
 
 def _alone(

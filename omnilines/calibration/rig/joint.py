@@ -11,6 +11,7 @@ from torch import Tensor
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.redundancy import basis_without, redundant_parameter
 from omnilines.calibration.refine import robust_scale_px
+from omnilines.calibration.rig.own_motion import OwnMotion
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.robust import CONVERGED, LEAST_SCALE_PX, PASSES
@@ -39,6 +40,8 @@ class RigData:
     board_m: Float[np.ndarray, "n 3"]
     shape: BoardShape = AS_DRAWN
     """Which terms of the board's shape are free."""
+    motion: OwnMotion | None = None
+    """What is known of the own motion of every view of the table; None where cameras see the board at one pose."""
 
     def points(self, chosen: Int[np.ndarray, " v"]) -> tuple[RigPoints, Int[np.ndarray, " v"], Int[np.ndarray, " n"]]:
         """The corners of some views in the order of their cameras and views, these views, and their rows in the table."""
@@ -62,6 +65,7 @@ class RigData:
             camera=torch.as_tensor(camera),
             frame=torch.as_tensor(views.block[ordered]),
             board=torch.as_tensor(part[views.part[ordered]]),
+            motion=None if self.motion is None else replace(self.motion, sigma=self.motion.sigma[torch.as_tensor(ordered)]),
         )
         return points, ordered, rows
 

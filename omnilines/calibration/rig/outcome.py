@@ -12,6 +12,7 @@ from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig.by_frames import spread_of_frames
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.shutters import Shutters
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
@@ -40,6 +41,8 @@ class RigOutcome:
     """Whether corners far off were rejected."""
     notes: tuple[str, ...]
     thresholds: CalibrationThresholds
+    shutters: Shutters | None = None
+    """How far the board moves between the shutters of the cameras, where that was estimated."""
 
     @property
     def freedom(self) -> int:
@@ -66,8 +69,18 @@ class RigOutcome:
 
     @cached_property
     def kept_covariance(self) -> Float[Tensor, "q q"]:
-        """Of the kept columns of the problem by the noise of the corners, as the residuals show it."""
-        return self.solution.kept_covariance() * self.factor.value
+        """Of the kept columns of the problem by the noise of the corners, as the residuals show it, and the motion of the board
+        where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
+        jackknife: a column that is less certain by it is taken to be so."""
+        covariance = self.solution.kept_covariance() * self.factor.value
+        if self.shutters is None:
+            return covariance
+        points = self.fit.points.chosen(self.fit.kept)
+        spread = spread_of_frames(self.data, points, self.solution.state)
+        if spread is None:
+            return covariance
+        wider = (spread.diagonal() / covariance.diagonal().clamp_min(1e-300)).clamp_min(1.0).sqrt()
+        return wider[:, None] * covariance * wider
 
     @cached_property
     def frame_spread(self) -> Float[Tensor, "q q"] | None:

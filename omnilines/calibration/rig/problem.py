@@ -5,6 +5,9 @@
 The first camera is the rig frame and the first board that of the target (unless all boards are held in a frame of their own), so
 that nothing is left open. The target's poses are the eliminated blocks (one for each frame), all else is kept. Residuals are in
 standard deviations: pixels times the weights.
+
+Where the board moves between the shutters of the cameras, each view has a small motion xi of its own (`rig/shutters.py`) that is
+known beforehand to be zero within some standard deviations. It is eliminated within its view (`rig/own_motion.py`).
 """
 
 from collections.abc import Sequence
@@ -18,6 +21,7 @@ from torch import Tensor
 from camera_models import CameraModel
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
+from omnilines.calibration.rig.own_motion import Moved, OwnMotion, motion_pose, without_motion
 from omnilines.least_squares import CellLinearisation, CellPart, Cells, KeptGroup, Structure
 
 
@@ -46,6 +50,8 @@ class RigPoints:
     """Camera of each view."""
     frame: Int[Tensor, " v"]
     board: Int[Tensor, " v"]
+    motion: OwnMotion | None = None
+    """What is known of each view's own motion of the board; None where cameras see the same."""
 
     @cached_property
     def parts(self) -> tuple[RigPart, ...]:
@@ -83,10 +89,15 @@ class RigState:
     """Of every frame."""
     shape: BoardShape = AS_DRAWN
     """How the board differs from its drawing."""
+    moved: Float[Tensor, "v 6"] | None = None
+    """Own motion of every view, where the points say what is known of it."""
 
     def cam_from_board(self, points: RigPoints) -> Pose:
         """Of every view."""
-        return self.cam_from_rig[points.camera] @ self.rig_from_target[points.frame] @ self.target_from_board[points.board]
+        shared = self.cam_from_rig[points.camera] @ self.rig_from_target[points.frame] @ self.target_from_board[points.board]
+        if points.motion is None or self.moved is None:
+            return shared
+        return shared @ motion_pose(self.moved, points.motion)
 
     def residual_px(self, points: RigPoints) -> Float[Tensor, "n 2"]:
         """Projected minus observed pixel."""
@@ -125,16 +136,32 @@ class RigProblem:
         if not shape.plain:
             groups.append(KeptGroup(torch.zeros_like(points.board), 1, shape.free.shape[1]))
         self.structure = Structure(points.frame, frames, 6, tuple(groups))
-        self._last: tuple[RigState, CellLinearisation] | None = None
+        self._last: tuple[RigState, CellLinearisation, tuple[Moved, ...]] | None = None
 
     def linearise(self, state: RigState) -> CellLinearisation:
-        """Weighted reprojection error and its derivatives; see `_linearised`."""
+        """Weighted reprojection error and its derivatives, without the views' own motion; see `linearise_corners`."""
+        return self._at(state)[0]
+
+    def of_corners(self, values: Float[Tensor, "n 2"]) -> Float[Tensor, "m 2"]:
+        """Values of the corners as residuals of the problem: zero where those are of the views' own motion."""
+        if self.points.motion is None:
+            return values
+        rows = [torch.cat([values[slice(*part.rows)], values.new_zeros(3 * (part.views[1] - part.views[0]), 2)])
+                for part in self.points.parts]  # fmt: skip
+        return torch.cat(rows)
+
+    def _at(self, state: RigState) -> tuple[CellLinearisation, tuple[Moved, ...]]:
         # A solution begins where the one before ended.
         if self._last is None or self._last[0] is not state:
-            self._last = state, self._linearised(state)
-        return self._last[1]
+            at = self.linearise_corners(state)
+            moved: tuple[Moved, ...] = ()
+            if self.points.motion is not None and state.moved is not None:
+                pose = state.cam_from_board(self.points)
+                at, moved = without_motion(at, [part.views for part in self.points.parts], self.points.motion, state.moved, pose)
+            self._last = state, at, moved
+        return self._last[1:]
 
-    def _linearised(self, state: RigState) -> CellLinearisation:
+    def linearise_corners(self, state: RigState) -> CellLinearisation:
         """Weighted reprojection error by the pose of each view's board in its camera and by the intrinsics; how these follow.
 
         A left perturbation of the target's pose is one of the board's by the adjoint of cam_from_rig, and one of the board on the
@@ -142,7 +169,7 @@ class RigProblem:
         """
         points = self.points
         cam_from_target = state.cam_from_rig[points.camera] @ state.rig_from_target[points.frame]
-        cam_from_board = cam_from_target @ state.target_from_board[points.board]
+        cam_from_board = state.cam_from_board(points)
         seen = _placed(cam_from_board, points, state.shape)
         on_rig, on_target = adjoint(state.cam_from_rig), adjoint(cam_from_target)
         residual, parts = [], []
@@ -190,7 +217,22 @@ class RigProblem:
             _moved(state.target_from_board, boards),
             Pose.exp(eliminated) @ state.rig_from_target,
             state.shape.moved(self.free_terms @ bent),
+            None if state.moved is None else state.moved + self._own_step(state, kept, eliminated),
         )
+
+    def _own_step(self, state: RigState, kept: Tensor, eliminated: Tensor) -> Float[Tensor, "v 6"]:
+        """How each view's own motion follows a step of all else."""
+        at, moved = self._at(state)
+        steps = []
+        for part, own, cells in zip(at.parts, moved, self.points.parts, strict=True):
+            views = slice(*cells.views)
+            local = (part.by_eliminated @ eliminated[self.points.frame[views], :, None])[..., 0]
+            for number, by_block in part.by_kept:
+                group, low = self.structure.groups[number], self.structure.offsets[number]
+                blocks = kept[low : low + group.count * group.dim].view(group.count, group.dim)[group.index[views]]
+                local = local + (by_block @ blocks[..., None])[..., 0]
+            steps.append(own.step(local))
+        return torch.cat(steps)
 
     def gauge(self, state: RigState) -> Float[Tensor, "k 0"]:
         """None: the first camera and the first board fix the frames, the boards the scale."""

@@ -25,12 +25,12 @@ def moved_by_radial_shifts(
     centre of its image by so much."""
     points, state = problem.points, solution.state
     at = problem.linearise(state)
-    weight, covariance = torch.ones(len(points.view), dtype=torch.float64), solution.kept_covariance()
+    weight, covariance = torch.ones(len(at.residual), dtype=torch.float64), solution.kept_covariance()
     kept, frames = [], []
     for camera, model in enumerate(state.models):
         shift = _outwards(points, camera, model.centre_px) * points.weight[:, None] * radial_shift_px
         # An observed pixel that moves outwards is a residual that shrinks by as much.
-        equations = normal_equations(problem.structure, replace(at, residual=-shift), weight)
+        equations = normal_equations(problem.structure, replace(at, residual=-problem.of_corners(shift)), weight)
         reduced = reduce(equations, 0.0)
         step = covariance @ reduced.right_side
         kept.append(step)
