@@ -150,7 +150,7 @@ UNITS = {
 """Ranges of values, by the unit that the name of an option ends in."""
 SEED, ROUNDS = "seed", ("rounds", "searches")
 MOST_ROUNDS, MOST_LISTED, MOST_LEAST = 100, 10, 10_000
-SCALES = {"smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets"}
+SCALES = {"smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets", "per"}
 """Words in names of what is divided by, or steps and sizes are made of: not 0."""
 
 

@@ -19,6 +19,9 @@ from omnilines.photo_file import quiet_codecs
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".insv", ".360")
 
+LATEST_MS = 1e10
+"""Of a frame, four months: containers may state any time."""
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -79,7 +82,7 @@ class Video:
                     read, pixels = source.retrieve()
                     if not read:
                         return
-                    yield Frame(index, 1e-3 * time_ms if time_ms > 0 or not index else index / self.frames_per_s, pixels)
+                    yield Frame(index, 1e-3 * time_ms if 0 < time_ms < LATEST_MS else index / self.frames_per_s, pixels)
                 index += 1
 
 

@@ -61,7 +61,8 @@ class Meter:
         """Of the next frame; its motion is that since the frame before."""
         grey = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
         scale = min(1.0, self._width_px / grey.shape[1])
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
+        size = [max(1, round(scale * side)) for side in grey.shape[::-1]]
+        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1 else grey
         motion_px = 0.0
         if self._before is not None and min(small.shape) >= LEAST_FLOW_SIDE_PX:
             flow = np.asarray(self._flow.calc(self._before, small, np.zeros((*small.shape, 2), np.float32)))
