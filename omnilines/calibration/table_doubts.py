@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -15,11 +14,11 @@ from omnilines.least_squares import Progress
 
 
 def refuse_disorder(in_order: Bool[Tensor, " v"]) -> None:
-    """Raises InputError where no view has its corners in an order that fits a board, whatever the camera is (`smooth_corners`)."""
+    """Raises InputError where no view has its corners in the order of a board, whatever the camera is (`smooth_corners`)."""
     if not bool(in_order.any()):
         raise InputError(
-            f"Corners in the order of a board were expected, found none of {len(in_order)} views in which pixels follow the places "
-            "on the board smoothly; check that rows and columns are not exchanged, and which pixel belongs to which corner."
+            f"Corners in the order of a board were expected, found none of {len(in_order)} views in which pixels follow the "
+            "places on the board smoothly; check that rows and columns are not exchanged, and which pixel is of which corner."
         )
 
 
@@ -36,9 +35,9 @@ def refuse_other_squares(
     without_px = _rms_px(end, problem.points)
     if abs(_aspect(end)) >= thresholds.oblong and thresholds.fits_better * without_px <= left_px:
         raise InputError(
-            f"The corners fit a board whose y is {1 + _aspect(end):.3g} times as long beside x as it is written: with it the camera "
-            f"leaves {without_px:.2g} px, as written {left_px:.2g} px (root mean square); correct the size of the squares, or let "
-            "`refine_board` find their aspect."
+            f"The corners fit a board whose y is {1 + _aspect(end):.3g} times as long beside x as it is written: with it the "
+            f"camera leaves {without_px:.2g} px, as written {left_px:.2g} px (root mean square); correct the size of the "
+            "squares, or let `refine_board` find their aspect."
         )
 
 
@@ -50,8 +49,8 @@ def misfit_notes(
         return ()
     return (
         f"The corners lie {rms_px_per_axis:.2g} px (root mean square, per axis) from where the camera sees them, far more than "
-        "corners are found wrongly by: do not rely on the camera, and check the pattern and the table, that all photos are of one "
-        "camera, and the camera model (model `auto` compares all).",
+        "corners are found wrongly by: do not rely on the camera, and check the pattern and the table, that all photos are of "
+        "one camera, and the camera model (model `auto` compares all).",
     )
 
 

@@ -47,6 +47,6 @@ def refuse_reading(
     # Other arcs, and another chance, have to say the same.
     if sigmas[best] > least and evidence(readings[best].poses, options.seed + 1).sigmas > least:
         raise InputError(
-            f"The poses look {readings[best].looks}: as given the lines of the photos agree by chance only, read so they stand out. "
-            f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {readings[best].remedy}."
+            f"The poses look {readings[best].looks}: as given the lines of the photos agree by chance only, read so they stand "
+            f"out. X_cam = R X_world + t and qw,qx,qy,qz were expected; {readings[best].remedy}."
         )
