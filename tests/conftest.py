@@ -3,6 +3,7 @@
 import gc
 import os
 import pathlib
+import signal
 from collections.abc import Generator
 
 # The workers of pytest-xdist share the cores: more threads than one each wait for each other, busily, and small systems of
@@ -19,6 +20,10 @@ install_import_hook(["camera_models", "calib_patterns", "omnilines"], "beartype.
 
 torch.set_num_threads(1)
 cv2.setNumThreads(1)
+
+# A shell starts what it runs in the background with Ctrl-C ignored, which commands that tests start would inherit.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DATA = pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"
 
