@@ -65,6 +65,7 @@ _stderr_is_taken = threading.Lock()
 
 @contextlib.contextmanager
 def quiet_codecs() -> Iterator[None]:
+    """Within it decoders say nothing on the standard error of the process."""
     # libjpeg and libpng write about damaged files to the process's standard error, past OpenCV's logging and past Python.
     with _stderr_is_taken:
         try:

@@ -92,6 +92,7 @@ class _Design:
 
     @staticmethod
     def of(cameras: Sequence[ViewInformation], instants: Mapping[str, int], count: int) -> "_Design":
+        """Views that no camera used add nothing."""
         matrices = []
         seen = torch.zeros(len(cameras), count, dtype=torch.float64)
         for number, camera in enumerate(cameras):
