@@ -41,7 +41,7 @@ def cases() -> Iterator[Case]:
     """All of them."""
     for model in ("opencv-fisheye", "scaramuzza", "unified", "pinhole", "double-sphere"):
         command = tuple(model if word == "opencv-fisheye" else word for word in CORNERS)
-        yield Case(f"corners:scattered-{model}", command, changed("corners", scattered), "corners|angles")
+        yield Case(f"corners:scattered-{model}", command, changed("corners", scattered), "[Cc]orners|angles")
     for kind in ("segments", "poses", "corners"):
         name = {"segments": "track", "poses": "camera", "corners": "view"}[kind]
         for what, end in {"escape": "\x1b[31m", "newline": "\nomnilines: done"}.items():
