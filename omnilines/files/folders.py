@@ -27,7 +27,7 @@ def check_output_folder(out: str | Path) -> None:
     """Refuse, before any work, a folder that could not be made or written to; nothing is made yet. Raises InputError."""
     folder = Path(out).absolute()
     try:
-        there = next(path for path in (folder, *folder.parents) if path.exists())
+        there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
     except OSError as error:
         raise InputError(
             f"A folder to write to was expected at {out}, found that it cannot be looked at ({error.strerror})."

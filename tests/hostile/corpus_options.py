@@ -33,7 +33,7 @@ BASE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         (),
     ),
     "scene": (("render", "scene", "--size", "64x48", "--views", "2", "--out", "OUT"), ()),
-    "validate": (("validate", "--size", "64x48", "--out", "OUT"), ()),
+    "validate": (("validate", "--size", "320x240", "--pattern", "checkerboard:4x3:30mm", "--out", "OUT"), ()),
     "board": (("experiment", "board", "--data", "IN/photos", "--pattern", "checkerboard:7x5:30mm", "--out", "OUT"), ("photos",)),
     "wide": (("experiment", "wide", "--trials", "1", "--noise", "1", "--out", "OUT"), ()),
     "short": (("experiment", "short", "--trials", "1", "--noise", "1", "--out", "OUT"), ()),
