@@ -103,7 +103,8 @@ def first_fold(coefficients: Sequence[float]) -> float:
     orders = np.arange(4)
     growth = numerator * (1 + 2 * orders)
     if rational:
-        growth = np.convolve(growth, denominator) - 2 * np.convolve(numerator, denominator * orders)
+        with np.errstate(over="ignore", invalid="ignore"):
+            growth = np.convolve(growth, denominator) - 2 * np.convolve(numerator, denominator * orders)
     # Where r q grows from zero on, q is positive: N needs no look of its own.
     curves = (growth, denominator) if rational else (growth,)
     radius = min(math.sqrt(min(first_sign_change(curve, 1.0) for curve in curves)), FURTHEST_SLOPE)

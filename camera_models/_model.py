@@ -190,7 +190,7 @@ class CameraModel(ABC):
         """Distance from the centre pixel to the farthest image corner."""
         w, h = self.image_size
         cx, cy = self.centre_px.detach().tolist()
-        return float(max((x - cx) ** 2 + (y - cy) ** 2 for x in (-0.5, w - 0.5) for y in (-0.5, h - 0.5)) ** 0.5)
+        return max(math.hypot(x - cx, y - cy) for x in (-0.5, w - 0.5) for y in (-0.5, h - 0.5))
 
     def __repr__(self) -> str:
         values = " ".join(f"{name}={value:.9g}" for name, value in self.named_parameters().items())

@@ -217,7 +217,7 @@ class Scaramuzza(CameraModel):
         return pixels, valid
 
     def _unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        inverse = torch.linalg.inv(self._affine)
+        inverse, singular = torch.linalg.inv_ex(self._affine)
         plane = (pixels - self.parameters[:2]) @ inverse.mT
         rho2 = (plane**2).sum(-1)
         zero = rho2 == 0
@@ -229,7 +229,13 @@ class Scaramuzza(CameraModel):
             back = torch.where(valid, 1.0, self.max_radius_px / rho)
             plane, rho = plane * back[..., None], rho.clamp(max=self.max_radius_px)
         ray = torch.cat([plane, self._height(rho)[..., None]], -1)
-        return ray / ray.norm(dim=-1, keepdim=True), valid
+        length = ray.norm(dim=-1, keepdim=True)
+        known = (singular == 0) & (length > 0) & torch.isfinite(length)
+        if not bool(known.all()):
+            # Of numbers that no lens has: the polynomial vanishes or overflows inside of the image.
+            ray = torch.where(known, ray, ray.new_tensor([0.0, 0.0, 1.0]))
+            length, valid = torch.where(known, length, 1.0), valid & known[..., 0]
+        return ray / length, valid
 
     def project_with_jacobians(
         self, points: Float[Tensor, "*batch 3"]
