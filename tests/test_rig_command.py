@@ -199,7 +199,16 @@ def test_photos_of_cameras_that_look_outwards(tmp_path):
     models = fisheyes(("cam0", "cam1", "cam2", "cam3"), 150.0, 640)
     rig = rendered(tmp_path / "photos", models, looking_along(axes, 0.08 * axes), boards, specification, 105.0)
     out = tmp_path / "out"
-    arguments = ["calibrate", tmp_path / "photos", "--pattern", specification, "--model", "opencv-fisheye", "--out", out]
+    arguments = [
+        "calibrate",
+        *sorted((tmp_path / "photos").iterdir()),
+        "--pattern",
+        specification,
+        "--model",
+        "opencv-fisheye",
+        "--out",
+        out,
+    ]
     assert run(*arguments) == 0
     assert len(load(out / "calibration.yaml").rig) == 4
     check_truth(out, rig, "outward rig")
@@ -210,8 +219,9 @@ def test_what_is_a_rig(tmp_path):
     for name in ("a/1.png", "a/2.png", "b/1.png", "c/inner/3.png"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(tmp_path / name), photo)
-    assert is_rig([tmp_path])
-    assert not is_rig([tmp_path / "a"]) and not is_rig([tmp_path / "a", tmp_path / "b"]) and not is_rig([tmp_path / "c"])
+    assert is_rig([tmp_path]) and is_rig([tmp_path / "a", tmp_path / "b"])
+    assert not is_rig([tmp_path / "a"]) and not is_rig([tmp_path / "a", tmp_path / "c"]) and not is_rig([tmp_path / "c"])
+    assert not is_rig([tmp_path / "a/1.png", tmp_path / "b/1.png"])
     cv2.imwrite(str(tmp_path / "beside.png"), photo)
     assert not is_rig([tmp_path])
     (tmp_path / "beside.png").unlink()

@@ -140,9 +140,7 @@ def calibrate(
             return calibrate_rig_corners(tables[0], sizes, out, setup, read=start, progress=progress)
         patterns = [text.strip() for text in (pattern or "").split(",")]
         return from_frames(
-            lambda paths: calibrate_rig_photos(
-                paths[0], patterns, out, setup, detection=detection, read=start, progress=progress
-            ),
+            lambda paths: calibrate_rig_photos(paths, patterns, out, setup, detection=detection, read=start, progress=progress),
             patterns[0],
         )
 

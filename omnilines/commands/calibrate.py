@@ -1,17 +1,19 @@
 """omnilines calibrate: photos or corners.csv -> calibration.yaml, corners.csv, report.html."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult
-from omnilines.files import read_corners
+from omnilines.files import find_photos, read_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult, calibrate
 from omnilines.pipelines.detect import PhotoCorners, detect
+from omnilines.pipelines.detect_rig import shared_frames
 from omnilines.progress import ProgressCallback, silent
 
 PAGE = "report.html"
@@ -35,7 +37,14 @@ def calibrate_photos(
     check_results(out, NAMES, photos)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, progress=progress)
-    return _written(calibrate(found, options=options, progress=progress), out, photos, progress)
+    done = _written(calibrate(found, options=options, progress=progress), out, photos, progress)
+    if cameras := shared_frames(find_photos(photos)):
+        one = (
+            f"Photos of the same names lie in {' and '.join(cameras[:2])}, and were taken to be of one camera; give the folders "
+            "themselves where they are cameras of a rig."
+        )
+        return replace(done, warnings=(*done.warnings, one))
+    return done
 
 
 def calibrate_corners(

@@ -17,7 +17,7 @@ from omnilines.progress import ProgressCallback, silent
 
 
 def calibrate_rig_photos(
-    folder: Path,
+    folders: Sequence[Path],
     pattern_specs: Sequence[str],
     out: Path,
     setup: RigSetup,
@@ -26,25 +26,26 @@ def calibrate_rig_photos(
     read: Sequence[Path] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Calibrate a rig from a folder with one sub-folder of photos per camera; photos of the same name are of the same instant.
+    """Calibrate a rig from a folder with one sub-folder of photos per camera, or from these sub-folders; photos of the same name
+    are of the same instant.
 
     `read` are the files that the setup is from.
     Raises InputError or GeometryError with one sentence.
     """
     setup.require_photos()
-    check_results(out, (*RIG_FILES, PAGE), [folder, *read])
-    cameras = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
+    check_results(out, (*RIG_FILES, PAGE), [*folders, *read])
+    cameras = [path.name for path in (sorted(folders[0].iterdir()) if len(folders) == 1 else folders) if path.is_dir()]
     setup.require_cameras(cameras)
     perhaps = [name for name in cameras if setup.axis_sign_open(name)]
     found = detect_rig(
-        folder,
+        folders[0] if len(folders) == 1 else folders,
         pattern_specs,
         mirrored=setup.options.mirror,
         perhaps_mirrored=perhaps,
         options=detection,
         progress=progress,
     )
-    return _written(found, setup, out, [folder, *read], progress)
+    return _written(found, setup, out, [*folders, *read], progress)
 
 
 def calibrate_rig_corners(

@@ -14,7 +14,7 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
-from omnilines.files import Photo, Photos, find_photos, is_rig_table, photos_of, write_corners
+from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of, write_corners
 from omnilines.files.sets import claimed
 from omnilines.files.videos import find_videos
 from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
@@ -132,21 +132,22 @@ def _frames(corners: Corners, cameras: Sequence[str]) -> tuple[str, ...]:
 
 def is_rig(paths: Sequence[Path]) -> bool:
     """Whether this is a rig: a table with several cameras or boards; one folder whose photos all lie in two or more sub-folders,
-    at least one file name standing in two of them; or several videos."""
+    or such folders side by side, at least one file name standing in two of them; or several videos."""
     if videos := find_videos(paths):
         return len(videos) > 1
-    if len(paths) != 1:
-        return False
-    path = paths[0]
-    if path.suffix.lower() == ".csv":
-        return path.is_file() and is_rig_table(path)
-    if not path.is_dir():
-        return False
-    names = [PurePosixPath(photo.name) for photo in find_photos([path])]
+    if len(paths) == 1 and paths[0].suffix.lower() == ".csv":
+        return paths[0].is_file() and is_rig_table(paths[0])
+    return all(path.is_dir() for path in paths) and bool(shared_frames(find_photos(paths)))
+
+
+def shared_frames(photos: Sequence[Photo]) -> tuple[str, ...]:
+    """The folders of photos of which at least two hold one file name; none where a photo lies beside them."""
+    names = [PurePosixPath(photo.name) for photo in photos]
     if any(len(name.parts) < 2 for name in names):
-        return False
+        return ()
     counts = Counter({(name.parts[0], frame_of(name)): 1 for name in names})
-    return len({camera for camera, _ in counts}) > 1 and max(Counter(frame for _, frame in counts).values()) > 1
+    common = max(Counter(frame for _, frame in counts).values()) > 1
+    return tuple(dict.fromkeys(name.parts[0] for name in names)) if common else ()
 
 
 def frame_of(name: PurePosixPath) -> str:
@@ -161,7 +162,7 @@ def frame_of(name: PurePosixPath) -> str:
 
 
 def detect_rig(
-    photos: str | Path | Mapping[str, Photos],
+    photos: str | Path | Sequence[str | Path] | Mapping[str, Photos],
     patterns: str | Sequence[str],
     *,
     mirrored: bool = False,
@@ -171,8 +172,8 @@ def detect_rig(
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
 
-    `photos` are a folder with one sub-folder for each camera, or photos by camera as `detect` takes them; those of the same name
-    are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by default of any), they are
+    `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them; those
+    of the same name are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by default of any), they are
     read as mirror images; with `mirrored` all are. Raises InputError where no camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
@@ -200,7 +201,7 @@ def detect_rig(
                 found.append(CameraCorners(camera, looked))
             except InputError as error:
                 notes.append(f"Camera {camera}: {error}")
-    folder = Path(photos) if isinstance(photos, str | Path) else None
+    folder = Path(photos) if isinstance(photos, str | Path) else None if isinstance(photos, Mapping) else photo_folder(every)
     if not found:
         where = "" if folder is None else f" in {folder}"
         raise InputError(f"A pattern was expected in the photos of some camera{where}, found none; {notes[-1]}")
@@ -215,14 +216,14 @@ def detect_rig(
     )
 
 
-def _by_camera(photos: str | Path | Mapping[str, Photos]) -> dict[str, list[Photo]]:
+def _by_camera(photos: str | Path | Sequence[str | Path] | Mapping[str, Photos]) -> dict[str, list[Photo]]:
     """The photos of each camera, whose name stands before theirs."""
     if isinstance(photos, Mapping):
         return {
             camera: [replace(photo, name=f"{camera}/{photo.name}") for photo in photos_of(own)] for camera, own in photos.items()
         }
     found: dict[str, list[Photo]] = {}
-    for photo in find_photos([photos]):
+    for photo in find_photos([photos] if isinstance(photos, str | Path) else photos):
         found.setdefault(PurePosixPath(photo.name).parts[0], []).append(photo)
     return found
 
