@@ -43,10 +43,15 @@ class SamplingGrid:
 
 
 def sampling_grid(
-    output: CameraModel, source: CameraModel, source_from_output: Float[Array, "3 3"] | None = None
+    output: CameraModel,
+    source: CameraModel,
+    source_from_output: Float[Array, "3 3"] | None = None,
+    parallax: Float[Array, "3"] | None = None,
 ) -> SamplingGrid:
     """The source pixels of all output pixels; `source_from_output` turns bearings of the output camera, by default not at all.
 
+    `parallax` is where the output camera stands in the source's frame, as a share of the distance of what both see: by default
+    zero, which is true of the same place and of whatever is far away.
     Raises InputError where an image is too large for cv2.remap (32766 px a side).
     """
     for camera in (output, source):
@@ -55,6 +60,7 @@ def sampling_grid(
                 f"Images of at most {LARGEST_SIDE_PX} px a side can be resampled, found {camera.image_size}; take a smaller one."
             )
     turn = torch.eye(3, dtype=torch.float64) if source_from_output is None else as_tensor(source_from_output)
+    shift = torch.zeros(3, dtype=torch.float64) if parallax is None else as_tensor(parallax)
     width, height = output.image_size
     pixels = np.zeros((height, width, 2), dtype=np.float32)
     valid = np.zeros((height, width), dtype=bool)
@@ -62,19 +68,20 @@ def sampling_grid(
     rows = max(1, _PIXELS_PER_STRIP // width)
     for top in range(0, height, rows):
         strip = slice(top, min(top + rows, height))
-        pixels[strip], valid[strip], area[strip] = _strip(output, source, turn, strip)
+        pixels[strip], valid[strip], area[strip] = _strip(output, source, (turn, shift), strip)
     return SamplingGrid(pixels, valid, area, source.image_size, source.PERIODIC)
 
 
 def _strip(
-    output: CameraModel, source: CameraModel, turn: Float[torch.Tensor, "3 3"], rows: slice
+    output: CameraModel, source: CameraModel, motion: tuple[torch.Tensor, torch.Tensor], rows: slice
 ) -> tuple[Float[np.ndarray, "r w 2"], Bool[np.ndarray, "r w"], Float[np.ndarray, "r w"]]:
     """Some rows of a grid. A pixel more on every side tells the area that a pixel covers."""
     width, _ = output.image_size
+    turn, shift = motion
     u, v = torch.arange(-1, width + 1, dtype=torch.float64), torch.arange(rows.start - 1, rows.stop + 1, dtype=torch.float64)
     with torch.no_grad():
         bearings, seen = output.unproject(torch.stack(torch.meshgrid(u, v, indexing="xy"), -1))
-        found, imaged = source.project(bearings @ turn.mT)
+        found, imaged = source.project(bearings @ turn.mT + shift)
     # A model with wild coefficients may project anywhere: so far outside, it does not matter where.
     place = np.nan_to_num(found.numpy(), nan=_FARTHEST_PX).clip(-_FARTHEST_PX, _FARTHEST_PX)
     known = (seen & imaged).numpy()

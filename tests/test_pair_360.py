@@ -3,13 +3,17 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from pair_360 import BOARDS, NAMES, mounts, write_boards
+from pair_360 import BOARDS, NAMES, mounts, write_boards, write_room
 from rig_views import twin_lenses
 
-from camera_models import CameraModel, load
+from camera_models import Calibration, CameraModel, Equirectangular, load, save
+from camera_models.blending import axis_from_rig
+from camera_models.formats.calibration_data import RigCamera
 from omnilines.cli import main
+from omnilines.scenes import build_scene, eye, render_photo, scene_poses
 
 
 def run(*arguments: object) -> int:
@@ -48,3 +52,52 @@ def test_both_lenses_are_calibrated_from_photos_that_hold_both(
     given = ["calibrate", tmp_path / "both", "--split", ",".join(NAMES), "--pattern", BOARDS]
     assert run(*given, "--model", "double-sphere", "--out", out) == 0
     check_truth(out, models, *limits)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two instants of the room with both lenses in one image, the true rig, and what a panorama sees from between the lenses."""
+    folder = tmp_path_factory.mktemp("room")
+    models = twin_lenses("double-sphere", 400)
+    write_room(folder / "both", models, 2, seed=1)
+    save(
+        folder / "rig.yaml",
+        Calibration(dict(zip(NAMES, models, strict=True)), rig={name: RigCamera(mounts()[k]) for k, name in enumerate(NAMES)}),
+    )
+    scene = build_scene("room", 1)
+    middle = axis_from_rig(models, mounts()) @ scene_poses(scene, 2, 1, models[0])
+    for k in range(2):
+        seen = render_photo(scene, eye(Equirectangular([], (512, 256)), math.pi), middle[k])
+        cv2.imwrite(str(folder / f"seen{k}.png"), seen)
+    return folder
+
+
+def likeness(made: np.ndarray, seen: np.ndarray) -> float:
+    """Correlation around the seams, which lie 90 degrees to the left and right; below, a hand's width of parallax shows."""
+    rows = slice(40, 180)
+    seams = np.r_[108:148, 364:404]
+    first, second = (cv2.GaussianBlur(image[rows, seams].mean(-1), (0, 0), 1.0).ravel() for image in (made, seen))
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+def test_both_lenses_become_one_panorama(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Against photos rendered by a panoramic camera between the lenses."""
+    given = ["rectify", room / "both", "--calibration", room / "rig.yaml", "--view", "panorama", "--size", "512x256"]
+    likely = {}
+    for distance in ("0.1", "2.5", None):
+        out = tmp_path / f"out{distance}"
+        more = [] if distance is None else ["--distance-m", distance]
+        assert run(*given, "--split", ",".join(NAMES), *more, "--out", out) == 0
+        assert "100.0 percent of the views" in capsys.readouterr().out
+        made = [cv2.imread(str(out / f"view0{k}.png")) for k in range(2)]
+        likely[distance] = [likeness(image, cv2.imread(str(room / f"seen{k}.png"))) for k, image in enumerate(made)]
+    print(likely)
+    assert min(likely["2.5"]) > 0.97 and np.mean(likely["2.5"]) > np.mean(likely[None]) > np.mean(likely["0.1"])
+    folders = tmp_path / "outNone/frames"
+    (folders / "right/view01.png").unlink()
+    assert run("rectify", folders, *given[2:], "--out", tmp_path / "half") == 0
+    whole, half = (cv2.imread(str(tmp_path / name / "view01.png")) for name in ("outNone", "half"))
+    assert (whole[60:200, 200:300] == half[60:200, 200:300]).all()
+    assert not half[60:200, :20].any() and whole[60:200, :20].any()
+    assert run("rectify", folders / "left", *given[2:], "--distance-m", "0", "--out", tmp_path / "no") == 2
+    assert "--distance-m was expected above 0" in " ".join(capsys.readouterr().err.split())

@@ -1,11 +1,16 @@
 """Commands on scenes and views: render scene, rectify."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, app, parse_size, render_app, run
+from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, SplitInto, app, parse_size, render_app, run
+
+if TYPE_CHECKING:
+    from omnilines.commands.result import CommandResult
+    from omnilines.progress import ProgressCallback
 
 
 @render_app.command()
@@ -68,16 +73,26 @@ def rectify(
     size: Annotated[str | None, typer.Option("--size", help="Size of a view, WIDTHxHEIGHT.")] = None,
     yaw_deg: Annotated[float, typer.Option("--yaw-deg", help="Turn to the right from the optical axis, degrees.")] = 0.0,
     pitch_deg: Annotated[float, typer.Option("--pitch-deg", help="Turn upwards, degrees.")] = 0.0,
+    distance_m: Annotated[
+        float | None,
+        typer.Option("--distance-m", help="Of a rig: how far away what its cameras see together is (far), metres."),
+    ] = None,
+    split: SplitInto = None,
     as_json: Json = False,
 ) -> None:
-    """Perspective, cylindrical, panoramic or cube views of photos, with their calibration and poses."""
+    """Perspective, cylindrical, panoramic or cube views of photos, with their calibration and poses; a rig is one camera."""
+    from omnilines.commands.frames import with_frames
     from omnilines.commands.rectify import rectify as command
 
     image_size = None if size is None else parse_size(size, "--size")
+
+    def views_of(paths: Sequence[Path], progress: "ProgressCallback") -> "CommandResult":
+        return command(
+            paths, calibration, out, view=view, poses=poses, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg, distance_m=distance_m, progress=progress,
+        )  # fmt: skip
+
     run(
-        lambda progress: command(
-            photos, calibration, out, view=view, poses=poses, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
-            pitch_deg=pitch_deg, progress=progress,
-        ),
+        lambda progress: with_frames(lambda paths: views_of(paths, progress), photos, out, split=split, progress=progress),
         as_json,
-    )  # fmt: skip
+    )

@@ -31,6 +31,7 @@ def rectify(
     size: tuple[int, int] | None = None,
     yaw_deg: float = 0.0,
     pitch_deg: float = 0.0,
+    distance_m: float | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write views of photos (PNG) into `out`, with calibration.yaml and, where poses are given, poses.csv of the views.
@@ -41,14 +42,15 @@ def rectify(
     cameras, refs = load(calibration), find_photos(photos)
     require_distinct_stems(refs)
     table = None if poses is None else read_poses(poses)
-    asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg}
+    asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "distance_m": distance_m}
     folder = Path(out)
     check_output_folder(folder)
     if table is not None and view in COLMAP_VIEWS:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     inputs = {"calibration": calibration, "poses": poses, "view": view, **asked}
     made = pipeline(
-        refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg, inputs=inputs
+        refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg,
+        distance_m=distance_m, inputs=inputs,
     )  # fmt: skip
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
     with claimed(folder, made.file_names, read, by="rectify", kept=made.views_that_stay(folder)):

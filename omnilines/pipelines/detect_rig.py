@@ -172,9 +172,9 @@ def detect_rig(
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
 
-    `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them; those
-    of the same name are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by default of any), they are
-    read as mirror images; with `mirrored` all are. Raises InputError where no camera sees a target.
+    `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them;
+    those of the same name are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by
+    default of any), they are read as mirror images; with `mirrored` all are. Raises InputError where no camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> found.image_sizes, found.corners.frames[:2]
