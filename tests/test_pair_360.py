@@ -1,6 +1,7 @@
 """A 360 degree camera from photos of a board: two lenses back to back that overlap only in a rim, their images in one file."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,9 @@ from camera_models import Calibration, CameraModel, Equirectangular, load, save
 from camera_models.blending import axis_from_rig
 from camera_models.formats.calibration_data import RigCamera
 from omnilines.cli import main
+from omnilines.evaluation.scene import aligned_ends, scene_scores
+from omnilines.files import read_lines, read_poses
+from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.scenes import build_scene, eye, render_photo, scene_poses
 
 
@@ -101,3 +105,28 @@ def test_both_lenses_become_one_panorama(room: Path, tmp_path: Path, capsys: pyt
     assert not half[60:200, :20].any() and whole[60:200, :20].any()
     assert run("rectify", folders / "left", *given[2:], "--distance-m", "0", "--out", tmp_path / "no") == 2
     assert "--distance-m was expected above 0" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.full
+def test_recipe_from_photos_to_lines(tmp_path: Path) -> None:
+    """docs/recipes.md: both lenses in every image, a board, then a room; against the edges of the room, in its metres."""
+    models = twin_lenses("double-sphere", 640)
+    write_boards(tmp_path / "board", models, 20)
+    left, _ = write_room(tmp_path / "walk", models, 12, seed=1)
+    left.save(tmp_path / "truth")
+    split = ("--split", ",".join(NAMES))
+    given = ["calibrate", tmp_path / "board", *split, "--pattern", BOARDS, "--model", "double-sphere"]
+    assert run(*given, "--out", tmp_path / "camera") == 0
+    camera = ("--calibration", tmp_path / "camera/calibration.yaml")
+    assert run("reconstruct", tmp_path / "walk", *split, *camera, "--poses", "sfm", "--out", tmp_path / "scene") == 0
+    lines, poses = read_lines(tmp_path / "scene/lines.csv"), read_poses(tmp_path / "scene/poses.csv")
+    truth = read_poses(tmp_path / "truth/poses.csv")
+    truth = replace(truth, images=tuple(f"left/{name}" for name in truth.images))
+    assert len(poses) == 24
+    ends = aligned_ends(lines.ends_m, poses, truth)
+    edges = read_true_edges(tmp_path / "truth/truth.csv")
+    scores = scene_scores(ends, edges, read_stretches(tmp_path / "truth/visibility.csv", edges))
+    print(f"{scores.lines} lines; right at 10 mm {scores.precision[-1]:.3f}; edges found {scores.recall[-1]:.3f}")
+    assert scores.precision[-1] > 0.85 and scores.recall[-1] > 0.6
+    scale = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) / np.linalg.norm(lines.ends_m[:, 1] - lines.ends_m[:, 0], axis=-1)
+    assert abs(scale.mean() - 1.0) < 0.02
