@@ -53,9 +53,9 @@ def blended_grid(
     """Pixels of a view in the photos of several cameras; `cam_from_axis` are these, from the frame that the view is turned in.
 
     Photos are blended over `blend_deg`, by how much farther a direction is from the axis of one camera than from that of the
-    nearest. What lies at `distance_m` is seen once; what is nearer or farther is seen twice in the seam, by the distance between the
-    cameras over its own. Raises InputError for a distance that is not above zero, an angle outside of 0 to 90 degrees, or an
-    image that is too large.
+    nearest. What lies at `distance_m` is seen once; what is nearer or farther is seen twice in the seam, by the distance between
+    the cameras over its own. Raises InputError for a distance that is not above zero, an angle outside of 0 to 90 degrees, or
+    an image that is too large.
     """
     if not distance_m > 0:
         raise InputError(f"`distance_m` was expected above 0, found {distance_m:g}; give metres, or leave it out for far away.")
