@@ -1,13 +1,16 @@
 """Prints at true scale: what the files say, parsed by hand, against the geometry of the targets; every target."""
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -160,3 +163,51 @@ def test_matplotlib_is_imported_for_printing_only() -> None:
         "sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "specification", ["checkerboard:8x6:30mm", "charuco:9x7:30mm:22mm:DICT_5X5_100", "aprilgrid:4x3:60mm:0.3:36h11"]
+)
+def test_the_page_of_a_screen_shows_the_target_that_it_names(specification: str, tmp_path: Path) -> None:
+    """In Chromium: what is detected in a screenshot has the size that the page states, for the size of a pixel it was told."""
+    chromium = shutil.which("chromium") or "/usr/bin/chromium"
+    if not Path(chromium).exists():
+        if os.environ.get("CI"):
+            pytest.fail("CI must have Debian's chromium (apt-get install chromium); it is absent.")
+        pytest.skip("Debian's chromium is absent; install it to test the page in a browser")
+    from playwright.sync_api import sync_playwright
+
+    assert CliRunner().invoke(app, ["pattern", specification, "--screen", "--out", str(tmp_path)]).exit_code == 0
+    (path,) = tmp_path.glob("*.html")
+    pixel_mm = 0.27
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        asked, errors = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(path.as_uri())
+        page.fill("#measured", f"{pixel_mm * float(page.input_value('#width')):.4f}")
+        shown = page.evaluate("document.body.dataset.pattern")
+        assert shown in page.inner_text("#found")
+        page.evaluate("document.getElementById('panel').hidden = true")
+        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        browser.close()
+    assert not errors and asked == [path.as_uri()]
+    target = calib_patterns.pattern(shown)
+    found, why = target.detect(image)
+    assert why is None
+    assert len(found.pixels) == len(target.points_m)
+    ideal = target.points_m[found.ids, :2]
+    scale = 1e3 / pixel_mm
+    off = found.pixels - scale * ideal
+    # A corner of pixels lies half a pixel before their centres; edges of tags are rounded to pixels.
+    assert np.abs(off - np.median(off, axis=0)).max() < 0.75
+    nominal = calib_patterns.pattern(specification)
+    assert 0.85 < target.size_m[0] / nominal.size_m[0] <= 1.0001
+
+
+def test_a_page_of_a_screen_goes_to_a_page(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["pattern", "checkerboard:8x6:30mm", "--screen", "--out", str(tmp_path / "a.pdf")])
+    assert isinstance(done.exception, InputError) and ".html" in str(done.exception) and not list(tmp_path.iterdir())

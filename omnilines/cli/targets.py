@@ -35,13 +35,14 @@ if TYPE_CHECKING:
 @app.command()
 def pattern(
     specification: Annotated[str, typer.Argument(help="Target: checkerboard:8x6:32.5mm, charuco:..., aprilgrid:...")],
-    out: Annotated[Path, typer.Option("--out", help="File ending in .pdf or .svg, or a folder.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="File ending in .pdf, .svg or .html, or a folder.", show_default=False)],
+    screen: Annotated[bool, typer.Option("--screen", help="A page that shows it on a screen, at true scale.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Print a calibration target at true scale -> PDF, SVG."""
-    from omnilines.commands.pattern import pattern as command
+    """A calibration target at true scale: printed -> PDF, SVG; on a screen -> HTML."""
+    from omnilines.commands.pattern import pattern, pattern_on_screen
 
-    run(lambda progress: command(specification, out), as_json)
+    run(lambda progress: (pattern_on_screen if screen else pattern)(specification, out), as_json)
 
 
 @app.command()

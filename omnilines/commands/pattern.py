@@ -1,9 +1,11 @@
-"""omnilines pattern: a calibration target at true scale, as PDF and SVG."""
+"""omnilines pattern: a calibration target at true scale, as PDF and SVG, or as a page for a screen."""
 
 from pathlib import Path
 
 from calib_patterns import pattern as parse_pattern
 from calib_patterns.printing import FORMATS, print_pattern
+from camera_models import InputError
+from camera_models.formats.disk import write_atomically
 from omnilines.commands.result import CommandResult
 from omnilines.files.sets import claimed
 from omnilines.records import Summary
@@ -38,3 +40,27 @@ def pattern(specification: str, out: Path) -> CommandResult:
         "corners": len(target.points_m),
     }
     return CommandResult((Summary(target.specification, rows),), data, files=paths)
+
+
+def pattern_on_screen(specification: str, out: Path) -> CommandResult:
+    """Write a page that shows the target on a screen at true scale to `out`: a file ending in .html, or a folder.
+
+    Raises InputError when the specification is malformed or the ending is another.
+    """
+    from omnilines.pages.screen import screen_page
+
+    target = parse_pattern(specification)
+    if out.suffix and out.suffix.lower() != ".html" and not out.is_dir():
+        raise InputError(f"A file ending in .html, or a folder, was expected for a screen, found '{out}'; give one of these.")
+    path = out if out.suffix.lower() == ".html" else out / f"{target.specification.replace(':', '_')}.html"
+    with claimed(path.parent, [path.name], by=f"pattern {path.name}"):
+        write_atomically(path, screen_page(target))
+    across, down = (1000.0 * length for length in target.size_m)
+    rows = (
+        ("target with its white margin", f"{across:.6g} x {down:.6g} mm"),
+        ("corners", str(len(target.points_m))),
+        ("written", str(path)),
+        ("next", "open it in a browser; it says how large the target is there"),
+    )
+    data = {"pattern": target.specification, "size_mm": [across, down], "corners": len(target.points_m)}
+    return CommandResult((Summary(target.specification, rows),), data, files=(path,))
