@@ -196,6 +196,11 @@ class RigThresholds(NamedTuple):
     """Share of the views that must do so."""
     tied_share: float = 0.9
     """Another pose that is agreed on as well as this, relative to the best, leaves the numbering open."""
+    apart_views: int = 4
+    """Frames from which a camera is placed with a board that no other camera sees, by the motion of the rig: three would do, the
+    fourth shows whether they agree."""
+    apart_turn_deg: float = 5.0
+    """Root mean square turn about a second axis that this takes: poses of single photos do not tell less from their noise."""
     as_good_as_alone_factor: float = 1.05
     """Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
     worse_than_alone_factor: float = 1.08

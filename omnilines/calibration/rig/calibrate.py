@@ -192,6 +192,11 @@ def _why_left_out(views: RigViews, graph: RigGraph, camera: int) -> str:
             f"its {len(common)} common frames with the others do not tell how the corners of the plain board are numbered; add "
             "frames with the board turned otherwise"
         )
+    if not bool(graph.boards[torch.as_tensor(np.unique(views.part[views.camera == camera]))].any()):
+        return (
+            f"it sees no board that another camera sees, and its {len(common)} common frames with the others do not tell where "
+            "it stands: that takes four or more in which the rig, or the boards, are turned by 5 degrees or more about two axes"
+        )
     return (
         f"its {len(common)} common frames with the others do not agree on where it stands; check that frames are of the same "
         "instant and see more of the board in both cameras"

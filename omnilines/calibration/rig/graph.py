@@ -14,6 +14,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.calibration.rig.apart import camera_and_board
 from omnilines.calibration.rig.consensus import PosedViews, mean_pose
 from omnilines.calibration.thresholds import RigThresholds
 
@@ -100,7 +101,10 @@ class RigGrowth:
             proposals += [("board", b, self._board_proposal(b)) for b in torch.nonzero(~self.board_known).flatten().tolist()]
             sound = [(kind, which, found) for kind, which, found in proposals if found is not None]
             if not sound:
-                break
+                if not self._add_apart():
+                    break
+                self._place_frames()
+                continue
             kind, which, best = max(sound, key=lambda item: item[2].support)
             if kind == "camera":
                 self._add_camera(which, best)
@@ -128,6 +132,44 @@ class RigGrowth:
         if best.turned:
             self.views = self.views.seen_in_mirrors([camera])
         self._allow(camera, best.mirrored)
+
+    def _add_apart(self) -> bool:
+        """Add the camera, with a board that it sees, that the motion places with most corners: whether there is one."""
+        found = []
+        unknown = self.frame_known[self.views.frame] & ~self.camera_known[self.views.camera] & ~self.board_known[self.views.board]
+        for camera, board in torch.unique(torch.stack([self.views.camera, self.views.board], -1)[unknown], dim=0).tolist():
+            rows = torch.nonzero(unknown & (self.views.camera == camera) & (self.views.board == board)).flatten()
+            mine = self.views.chosen(rows).as_numbered()
+            sides = [(False, mine), *([(True, mine.seen_in_mirrors([camera]))] if camera in self.sides else [])]
+            for turned, seen in sides:
+                if (place := self._apart(seen)) is not None:
+                    found.append((place[1], camera, board, place[0], turned))
+        if not found:
+            return False
+        best, camera, board, board_pose, turned = max(found, key=lambda item: item[0].support)
+        others = [item[0] for item in found if item[1:3] == (camera, board)]
+        self._add_camera(camera, self._with_side(replace(best, turned=turned), others))
+        self.board_known[board] = True
+        _put(self.target_from_board, board, board_pose)
+        return True
+
+    def _apart(self, seen: PosedViews) -> tuple[Pose, _Proposal] | None:
+        """Where a board and the camera of these views are, by the motion of the rig, from the views that agree."""
+        use = torch.ones(len(seen), dtype=torch.bool)
+        for _ in range(2):
+            rows = torch.nonzero(use).flatten()
+            poses = self.rig_from_target[seen.frame]
+            place = camera_and_board(poses[rows], seen.cam_from_board[rows], self.thresholds)
+            if place is None:
+                return None
+            camera, board = place
+            one = Pose(camera.rotation[None], camera.translation[None])
+            value, _, agrees = self._votes(seen, one, Pose.identity(len(seen)), poses @ board)
+            use = agrees[0]
+        if int(use.sum()) < max(self.thresholds.apart_views, self.thresholds.as_numbered_share * len(seen)):
+            return None
+        support = float(value[0] @ seen.corners.to(value.dtype))
+        return board, _Proposal(camera, support, int(use.sum()), len(seen), 0.0)
 
     def _allow(self, camera: int, mirrored: bool) -> None:
         """From now on only numberings of one handedness for a camera."""
