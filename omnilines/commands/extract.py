@@ -55,7 +55,7 @@ def extract(
 
 
 def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
-    """Where an image is white; raises InputError where it has not the size of the photos of all cameras."""
+    """Where an image is white; raises InputError where it has not the size of the photos of all cameras, or is white nowhere."""
     image = read_photo(path)
     for camera in cameras:
         if image.shape[1::-1] != camera.image_size:
@@ -64,4 +64,11 @@ def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h
                 f"{image.shape[1]}x{image.shape[0]} px; give one of that size."
             )
     bright = image if image.ndim == 2 else image.max(-1)
-    return bright >= (128 if image.dtype == np.uint8 else 32768)
+    most = np.iinfo(image.dtype).max
+    keep = bright > most // 2
+    if not keep.any():
+        raise InputError(
+            f"The mask {path} was expected to be white (above {most // 2} of {most}) where to look, found nothing brighter than "
+            f"{bright.max()}; draw white what counts."
+        )
+    return keep
