@@ -5,6 +5,7 @@ First OpenCV's classic detector, the quickest where a board is seen whole; then 
 (saddle.py), and a grid counts when its corners are saddles of alternating sign, its squares are unfolded and it bends smoothly.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import cv2
@@ -158,7 +159,8 @@ def photo_flaw(grey: Grey, name: str, options: SearchOptions) -> str | None:
     """One sentence: why a photo cannot show a target; None where it is good."""
     if is_too_small(grey, options):
         size = f"{grey.shape[1]}x{grey.shape[0]} px"
-        return f"The photo of {size} is too small or too narrow to show a {name}: give one of {LEAST_SIDE_PX} px or more."
+        least_px = math.ceil(LEAST_SIDE_PX * max(1.0, max(grey.shape) / options.side_px))
+        return f"The photo of {size} is too small to show a {name}: give one whose shorter side is {least_px} px or more."
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
     if high < 0.12:
