@@ -171,8 +171,8 @@ def _cut_short(videos: Sequence[Video], last_s: float, stretch_s: float) -> Iter
     shortest = min(videos, key=lambda video: video.duration_s)
     if LEAST_DECODED * shortest.duration_s > last_s + stretch_s:
         yield (
-            f"The video {shortest.path.name} states {shortest.duration_s:.1f} s, and cannot be decoded after {last_s:.1f} s: it is "
-            "damaged or cut short; copy it again."
+            f"The video {shortest.path.name} states {shortest.duration_s:.1f} s, and cannot be decoded after {last_s:.1f} s: it "
+            "is damaged or cut short; copy it again."
         )
 
 
