@@ -163,7 +163,7 @@ def over_inputs() -> Iterator[Case]:
         "validate-scene": ("validate", "--scene", "room", "--out", "IN"),
         "scene": ("render", "scene", "--views", "2", "--size", "64x48", "--out", "IN/photos"),
         "work": command("reconstruct", "IN/mine"),
-        "work-poses": (*command("reconstruct", "IN/ours"), "--poses", "IN/ours/work/poses.csv"),
+        "work-poses": tuple(part.replace("IN/poses", "IN/ours/work/poses") for part in command("reconstruct", "IN/ours")),
         "half-moved": ("adjust", "--calibration", "IN/half/calibration.yaml", *scene[2:], "--out", "OUT"),
     }
 
