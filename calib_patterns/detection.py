@@ -5,6 +5,7 @@ First OpenCV's classic detector, the quickest where a board is seen whole; then 
 (saddle.py), and a grid counts when its corners are saddles of alternating sign, its squares are unfolded and it bends smoothly.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import cv2
@@ -19,7 +20,7 @@ from calib_patterns.partial import visible_part
 from calib_patterns.saddle import SaddleFit, fit_corners, fit_saddles, median, misfit
 
 LEAST_SIDE_PX = 20
-"""No target is seen in a smaller photo, and OpenCV's detectors fail on some of them."""
+"""No target is seen in a photo that is smaller where it is searched, and OpenCV's detectors fail on some of them."""
 _THINNED = 32
 _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 """Median absolute second difference of white noise of unit standard deviation."""
@@ -148,11 +149,18 @@ def why_not(grey: Grey, name: str, options: SearchOptions, needs: str = VISIBLE_
     return photo_flaw(grey, name, options) or f"No {name} was found: {needs}."
 
 
+def is_too_small(image: np.ndarray, options: SearchOptions) -> bool:
+    """Whether a photo, (h, w) or (h, w, 3), shows no target as it is searched: a narrow one is reduced by its longer side."""
+    short, long = sorted(image.shape[:2])
+    return short * min(1.0, options.side_px / long) < LEAST_SIDE_PX
+
+
 def photo_flaw(grey: Grey, name: str, options: SearchOptions) -> str | None:
     """One sentence: why a photo cannot show a target; None where it is good."""
-    if min(grey.shape) < LEAST_SIDE_PX:
+    if is_too_small(grey, options):
         size = f"{grey.shape[1]}x{grey.shape[0]} px"
-        return f"The photo of {size} is too small to show a {name}: give one of {LEAST_SIDE_PX} px or more."
+        least_px = math.ceil(LEAST_SIDE_PX * max(1.0, max(grey.shape) / options.side_px))
+        return f"The photo of {size} is too small to show a {name}: give one whose shorter side is {least_px} px or more."
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
     if high < 0.12:
@@ -186,7 +194,7 @@ def detect_checkerboard(
     """The visible corners of an nx x ny board as `Checkerboard.detect` states, or none and why."""
     grey = grey_of(image)
     name = f"checkerboard of {nx}x{ny} inner corners"
-    if min(grey.shape) < LEAST_SIDE_PX:
+    if is_too_small(grey, options.search):
         return Detection.empty(), why_not(grey, name, options.search)
     found, misfit = _whole_board(grey, nx, ny, options, mirrored=mirrored)
     flaw = None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_patterns._pattern import Pattern
-from calib_patterns.detection import LEAST_SIDE_PX, grey_of, stretched
+from calib_patterns.detection import grey_of, is_too_small, stretched
 from calib_patterns.inverted import Inverted, negative
 from calib_patterns.options import DetectionOptions
 from calib_patterns.tag_board import TagBoard
@@ -50,7 +50,7 @@ class TagsOfPhotos:
 
     def add(self, photo: np.ndarray) -> None:
         """One more photo, as `Pattern.detect` takes it."""
-        if min(photo.shape[:2]) >= LEAST_SIDE_PX:
+        if not is_too_small(photo, self.options.search):
             grey = stretched(grey_of(photo))
             self._photos.append(np.ascontiguousarray(grey[:, ::-1]) if self.mirrored else grey)
 

@@ -16,7 +16,7 @@ from scipy.stats import binom
 from calib_patterns._pattern import check_image
 from calib_patterns.aprilgrid import BORDER_BITS, FAMILIES
 from calib_patterns.charuco import TAGS_OF_DICTIONARY
-from calib_patterns.detection import grey_of, searched, stretched
+from calib_patterns.detection import grey_of, is_too_small, searched, stretched
 from calib_patterns.options import DetectionOptions
 from calib_patterns.partial import BLOCK_CORNERS, grown
 from calib_patterns.saddle_points import lattices, saddle_points
@@ -53,6 +53,8 @@ def seen_board(image: np.ndarray, options: DetectionOptions = DetectionOptions()
     """The target that a photo shows, (h, w) grey or (h, w, 3) BGR of 8 or 16 bits; None where it shows none."""
     check_image(image)
     grey = grey_of(image)
+    if is_too_small(grey, options.search):
+        return None
     return _tagged(stretched(grey), options) or _checkerboard(grey, options)
 
 

@@ -12,7 +12,7 @@ from calib_patterns._cells import CellGrid
 from calib_patterns._pattern import Detection, Pattern, Project, check_image
 from calib_patterns.board_match import matched
 from calib_patterns.corner_growth import MIN_CORNERS, grow_corners, inside_photo
-from calib_patterns.detection import LEAST_SIDE_PX, grey_of, searched, stretched, why_not
+from calib_patterns.detection import grey_of, is_too_small, searched, stretched, why_not
 from calib_patterns.local_map import KnownCorners, local_map
 from calib_patterns.options import DetectionOptions
 from calib_patterns.saddle_points import Lattice, lattices, saddle_points
@@ -74,7 +74,7 @@ class TagBoard(Pattern):
         where tags have few bits."""
         check_image(image)
         grey = grey_of(image)
-        if min(grey.shape) < LEAST_SIDE_PX:
+        if is_too_small(grey, options.search):
             return Detection.empty(), self._why_not(grey, options, tags_found=False)
         if mirrored:
             grey = np.ascontiguousarray(grey[:, ::-1])

@@ -1,4 +1,4 @@
-"""The pixels of one photo file, as everything that looks at photos sees them."""
+"""The pixels of one photo file, as everything that looks at photos sees them; pictures as JPEG."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt
+from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
@@ -17,6 +17,9 @@ from omnilines.photo_size import size_of_photo
 
 MOST_PIXELS = 1 << 29
 """Of a photo: a panorama of 32766 x 16383, the widest that `rectify` takes. Larger ones in a few bytes are made to harm."""
+
+LONGEST_JPEG_PX = 65_500
+"""A side of what libjpeg writes."""
 
 
 def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
@@ -58,6 +61,15 @@ def _require_room(file: Path, size: tuple[int, int] | None) -> None:
             f"Memory for the image {file} of {size[0]} x {size[1]} px was expected, found {available / 1e9:.1f} GB; give a "
             "smaller one, or more memory."
         )
+
+
+def jpeg_of(picture: UInt8[np.ndarray, "h w *channels"], quality: int) -> bytes:
+    """A picture to look at, reduced where it is longer than a JPEG can be."""
+    scale = LONGEST_JPEG_PX / max(picture.shape[:2])
+    if scale < 1:
+        size = [max(1, round(scale * side)) for side in picture.shape[1::-1]]
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 _stderr_is_taken = threading.Lock()

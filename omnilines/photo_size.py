@@ -5,7 +5,10 @@ import struct
 
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
+_FILLING = re.compile(rb"\xff*")
 _WIDTH_TAG, _HEIGHT_TAG = 256, 257
+MOST_SEGMENTS = 100_000
+"""Of a JPEG before its frame."""
 
 
 def size_of_photo(data: bytes) -> tuple[int, int] | None:
@@ -25,24 +28,24 @@ def size_of_photo(data: bytes) -> tuple[int, int] | None:
             return _webp(data)
         found = _PNM.match(data)
         return (int(found[1]), int(found[2])) if found else None
-    except struct.error:
+    except (struct.error, OverflowError):  # cut short, or a place beyond all files
         return None
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
     """That of the frame, behind other segments."""
     place = 2
-    while True:
-        mark, kind, length = struct.unpack_from(">BBH", data, place)
-        if mark != 0xFF:
+    for _ in range(MOST_SEGMENTS):
+        filled = _FILLING.match(data, place)
+        if filled is None or filled.end() == place:
             return None
-        if kind == 0xFF:  # filling
-            place += 1
-        elif kind in _JPEG_FRAMES:
+        place = filled.end() - 1
+        _, kind, length = struct.unpack_from(">BBH", data, place)
+        if kind in _JPEG_FRAMES:
             height, width = struct.unpack_from(">HH", data, place + 5)
             return width, height
-        else:
-            place += 2 + length
+        place += 2 + length
+    return None
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:

@@ -213,6 +213,16 @@ def test_what_waits_in_a_strange_folder_is_not_moved_out_of_it(tmp_path: Path) -
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
+@pytest.mark.parametrize("name", ["calibration.yaml", MANIFEST])
+def test_what_waits_and_is_no_file_is_not_moved(name: str, tmp_path: Path) -> None:
+    (tmp_path / MOVING).mkdir()
+    (tmp_path / MOVING / "a.csv").write_text("new")
+    os.mkfifo(tmp_path / MOVING / name)
+    with pytest.raises(InputError, match=f"{name}, which is none"):
+        settle(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [MOVING]
+
+
 def test_what_is_kept_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
     work = tmp_path / "work"
     check_work_folder(work)

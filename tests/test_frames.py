@@ -5,6 +5,7 @@ import doctest
 import inspect
 import itertools
 import math
+import re
 from pathlib import Path
 
 import cv2
@@ -201,6 +202,16 @@ def test_what_is_no_video_is_refused(kind: str, video: Path, tmp_path: Path) -> 
     file.write_bytes(contents[kind])
     with pytest.raises(InputError, match=r"film\.mp4"):
         ol.frames(file)
+
+
+def test_a_video_that_is_cut_short_is_named(tmp_path: Path) -> None:
+    file = _plain_video(tmp_path / "film.avi", 10.0, 3.0)
+    assert ol.frames(file).notes == ()
+    content = file.read_bytes()
+    frames = [match.start() for match in re.finditer(b"00dc", content)]
+    file.write_bytes(content[: frames[5]])
+    (note,) = ol.frames(file).notes
+    assert "film.avi states 3.0 s" in note and "cut short" in note
 
 
 def test_videos_and_photos_together_are_refused(video: Path, tmp_path: Path) -> None:

@@ -145,6 +145,7 @@ def test_too_little_is_refused_in_a_sentence(frames: list[np.ndarray], tmp_path:
     write_video(video, frames[:1], 5.0)
     with pytest.raises(InputError, match="found 1 that show the board"):
         guide(str(video), SPECIFICATION, tmp_path / "out", announce=lambda _: None)
+    assert not (tmp_path / "out").exists()
     (tmp_path / "no.mp4").write_bytes(b"nothing")
     with pytest.raises(InputError, match="cannot be decoded"):
         guide(str(tmp_path / "no.mp4"), SPECIFICATION, tmp_path / "none", announce=lambda _: None)

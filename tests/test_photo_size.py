@@ -67,6 +67,17 @@ def test_what_is_no_photo_has_no_size() -> None:
     assert size_of_photo(b"not a photo") is None
 
 
+@pytest.mark.parametrize("big", [b"II+\0\x08\0\0\0", b"MM\0+\0\x08\0\0"])
+def test_a_directory_beyond_all_files_has_no_size(big: bytes) -> None:
+    assert size_of_photo(big + b"\xff" * 8 + bytes(100)) is None
+
+
+def test_filling_before_the_frame_is_passed_over_at_once() -> None:
+    good = ENCODED[".jpg"]
+    assert size_of_photo(good[:2] + b"\xff" * 3_000_000 + good[2:]) == (53, 37)
+    assert size_of_photo(good[:2] + b"\xff\xe0\0\2" * 300_000) is None
+
+
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     path = tmp_path / "bomb.png"
     path.write_bytes(png(30_000, 30_000, 1, 0))

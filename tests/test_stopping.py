@@ -83,6 +83,27 @@ def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status)
     assert not left_behind(tmp_path) and not (tmp_path / "scene" / "lines.csv").exists()
 
 
+IN_A_CALLBACK = """
+class Held:
+    def __del__(self):
+        os.write(2, b"begun\\n")
+        time.sleep(20)
+def dropped(*given, **named):
+    held = Held()
+    del held
+    time.sleep(20)
+lines.match_arcs = dropped
+"""
+
+
+def test_a_signal_that_a_callback_loses_ends_the_command(room, tmp_path):
+    process = started(room, tmp_path / "scene", "lines", IN_A_CALLBACK)
+    assert process.stderr.readline() == b"begun\n"
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 130 and said.count(b"\n") == 1 and said.startswith(b"omnilines: stopped")
+
+
 def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
     ours, theirs = pty.openpty()
     process = started(room, tmp_path / "scene", "lines", IN_C_CODE, stderr=theirs)

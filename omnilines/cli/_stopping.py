@@ -2,8 +2,9 @@
 and the number of the signal.
 
 Python raises an exception for a signal between two steps of its own, in the main thread: what is being written is cleaned up, and
-the cursor comes back. But a compiled step may last for minutes, and threads of a pool are waited for. So a second thread, which
-is woken as the signal comes, ends the process when the first has not within GRACE_S.
+the cursor comes back. But a compiled step may last for minutes, threads of a pool are waited for, and what is raised while an
+object is taken down or a compiled module calls back is lost. So a second thread, which is woken as the signal comes, ends the
+process when the first has not within GRACE_S.
 """
 
 import contextlib
@@ -51,6 +52,8 @@ def stoppable() -> Iterator[None]:
     # What is ignored stays so: nohup, and commands that a script starts in the background.
     heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, _raise) for number in heard}
+    told = sys.unraisablehook
+    sys.unraisablehook = lambda lost: None if isinstance(lost.exc_value, Stopped) else told(lost)
     woken = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reader,), daemon=True).start()
     try:
@@ -59,6 +62,7 @@ def stoppable() -> Iterator[None]:
         _end(stopped.number)
     finally:
         signal.set_wakeup_fd(woken)
+        sys.unraisablehook = told
         for number, handler in before.items():
             signal.signal(number, handler)
         writer.close()

@@ -1,5 +1,6 @@
 """omnilines extract: photos + calibration -> segments.csv and pictures of the arcs."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from jaxtyping import Bool
 from camera_models import CameraModel, InputError, load
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
-from omnilines.files import find_photos, read_photo
+from omnilines.files import PhotoRef, find_photos, read_photo
 from omnilines.files.folders import check_results
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
@@ -37,7 +38,7 @@ def extract(
     cameras, refs = load(calibration), find_photos(photos)
     require_distinct_stems(refs)
     camera_of = cameras_of_photos(refs, cameras)
-    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    keep = None if mask is None else read_mask(mask, refs, [cameras[name] for name in set(camera_of.values())])
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
     check_results(out, [TABLE, *pictures], read)
@@ -54,9 +55,12 @@ def extract(
     )
 
 
-def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
-    """Where an image is white; raises InputError where it has not the size of the photos of all cameras."""
+def read_mask(path: Path, photos: Sequence[PhotoRef], cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h w"]:
+    """Where an image is white; raises InputError where it is one of the photos, has not the size that the cameras have, or is
+    white nowhere."""
     image = read_photo(path)
+    if os.path.realpath(path) in {os.path.realpath(photo.path) for photo in photos}:
+        raise InputError(f"The mask {path} was expected apart from the photos, found it among them; keep it in another folder.")
     for camera in cameras:
         if image.shape[1::-1] != camera.image_size:
             raise InputError(
@@ -64,4 +68,11 @@ def read_mask(path: Path, cameras: Sequence[CameraModel]) -> Bool[np.ndarray, "h
                 f"{image.shape[1]}x{image.shape[0]} px; give one of that size."
             )
     bright = image if image.ndim == 2 else image.max(-1)
-    return bright >= (128 if image.dtype == np.uint8 else 32768)
+    most = np.iinfo(image.dtype).max
+    keep = bright > most // 2
+    if not keep.any():
+        raise InputError(
+            f"The mask {path} was expected to be white (above {most // 2} of {most}) where to look, found nothing brighter than "
+            f"{bright.max()}; draw white what counts."
+        )
+    return keep

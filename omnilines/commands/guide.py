@@ -1,6 +1,7 @@
 """omnilines guide: a camera, a video or a growing folder -> frames, calibration.yaml, report.html, with a page that says how to
 hold the board next."""
 
+import contextlib
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from calib_patterns import DetectionOptions
 from calib_patterns import pattern as parse_pattern
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult
+from omnilines.files.sets import withdrawn_where_refused
 from omnilines.guide.follow import follow
 from omnilines.guide.options import GuideOptions
 from omnilines.guide.server import served
@@ -40,7 +42,8 @@ def guide(
     # A source that gives nothing is refused before anything is made.
     first = next(coming)
     session = Session(pattern, out, options, calibration, detection, inputs=inputs)
-    with served(session, port) as address:
+    # A video is the same the next time; a camera and a folder give more, and the frames that were kept count then.
+    with withdrawn_where_refused(out) if given.ends else contextlib.nullcontext(), served(session, port) as address:
         announce(address)
         follow(session, itertools.chain([first], coming), waits=not given.live, progress=progress)
         progress("calibrating from all frames", 0, 0)

@@ -76,7 +76,7 @@ def reconstruct_photos(
     """
     refs, cameras = find_photos(photos), load(calibration)
     camera_of = cameras_of_photos(refs, cameras)
-    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    keep = None if mask is None else read_mask(mask, refs, [cameras[name] for name in set(camera_of.values())])
     given = _given(segments, mask, refs, camera_of)
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)

@@ -77,9 +77,11 @@ def _tiffs(head: bytes) -> Iterator[bytes]:
         yield head
     elif head[:2] == b"\xff\xd8":
         at = 2
-        while head[at : at + 1] == b"\xff" and head[at + 1] not in (0xD9, 0xDA):
-            (length,) = struct.unpack_from(">H", head, at + 2)
-            if head[at + 1] == 0xE1 and head[at + 4 : at + 10] == b"Exif\0\0":
+        while head[at : at + 1] == b"\xff":
+            _, kind, length = struct.unpack_from(">BBH", head, at)
+            if kind in (0xD9, 0xDA):
+                return
+            if kind == 0xE1 and head[at + 4 : at + 10] == b"Exif\0\0":
                 yield head[at + 10 : at + 2 + length]
             at += 2 + length
     elif head[:8] == b"\x89PNG\r\n\x1a\n":

@@ -117,12 +117,16 @@ def _settle(folder: Path) -> None:
     moving = folder / MOVING
     if moving.is_symlink() or not moving.is_dir():
         return
+    paths = [path for path in sorted(moving.rglob("*")) if path.is_symlink() or not path.is_dir()]
+    for path in paths:
+        if path.is_symlink() or not path.is_file():
+            raise InputError(f"Results in {moving} were expected to be files, found {path.name}, which is none; remove {moving}.")
     if (moving / MANIFEST).exists():
         for name in written(folder).keys() - written(moving).keys():
             _remove(folder, name, written(folder)[name].sha256)
         _move(moving, folder, MANIFEST)
-    for path in sorted(moving.rglob("*")):
-        if not path.is_dir():
+    for path in paths:
+        if path.name != MANIFEST or path.parent != moving:
             _move(moving, folder, path.relative_to(moving).as_posix())
     shutil.rmtree(moving)
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt, UInt8
 from omnilines.guide.session import Known, Session
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.uncertainty_map import UncertaintyMap
+from omnilines.photo_file import jpeg_of
 
 WIDEST_PX = 960
 """Of a picture on the page."""
@@ -28,19 +29,19 @@ def live_picture(session: Session) -> bytes:
     """JPEG of the last frame; grey before the first."""
     frame, known = session.last, session.known
     if frame is None:
-        return _jpeg(np.full((270, 480, 3), UNSEEN, dtype=np.uint8))
+        return jpeg_of(np.full((270, 480, 3), UNSEEN, dtype=np.uint8), QUALITY)
     picture, scale = _shown(frame.pixels)
     if known is not None:
         _draw_board(picture, known, scale)
     _dots(picture, frame.found.pixels, scale, FOUND, _CIRCLE)
-    return _jpeg(picture)
+    return jpeg_of(picture, QUALITY)
 
 
 def map_picture(session: Session) -> bytes:
     """JPEG of the projection uncertainty over the image, the corners that are kept, and the next pose."""
     known, kept = session.known, list(session.kept)
     if not kept:
-        return _jpeg(np.full((270, 480, 3), UNSEEN, dtype=np.uint8))
+        return jpeg_of(np.full((270, 480, 3), UNSEEN, dtype=np.uint8), QUALITY)
     height, width = kept[0].pixels.shape[:2]
     scale = min(1.0, WIDEST_PX / width)
     size = (round(scale * width), round(scale * height))
@@ -58,7 +59,7 @@ def map_picture(session: Session) -> bytes:
         _dots(picture, frame.found.pixels, scale, EARLIER, 2)
     if known is not None:
         _draw_board(picture, known, scale)
-    return _jpeg(picture)
+    return jpeg_of(picture, QUALITY)
 
 
 def _shown(pixels: UInt[np.ndarray, "h w *channels"]) -> tuple[UInt8[np.ndarray, "a b 3"], float]:
@@ -92,7 +93,3 @@ def _dots(
 def _fixed(pixels: Float[np.ndarray, "n 2"], scale: float) -> np.ndarray:
     """Pixels of the photo in the picture, as OpenCV draws parts of a pixel."""
     return np.rint(((pixels + 0.5) * scale - 0.5) * 2**_SUBPIXEL_BITS).astype(np.int32)
-
-
-def _jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()

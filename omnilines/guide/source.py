@@ -49,6 +49,11 @@ class Source:
         return re.fullmatch("[0-9]{1,4}", self.given) is not None
 
     @property
+    def ends(self) -> bool:
+        """Whether it is a video, the frames of which are the same each time."""
+        return not self.live and not Path(self.given).is_dir()
+
+    @property
     def path(self) -> Path | None:
         """Of a video or a folder."""
         return None if self.live else Path(self.given)

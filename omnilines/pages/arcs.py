@@ -13,12 +13,15 @@ from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
 from omnilines.files import Photo, photos_at_once
 from omnilines.geometry.sphere import angle_between, arc_normal
+from omnilines.photo_file import jpeg_of
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Summary
 
 COLOURS = ((80, 255, 80), (255, 190, 60), (80, 200, 255), (255, 110, 220), (90, 120, 255), (230, 230, 90))
 """BGR, one after another."""
+QUALITY = 92
+"""Of a JPEG."""
 DRAWN_EVERY_PX = 4.0
 LONG_DEG = 10.0
 """Share of arcs longer than this is told."""
@@ -71,7 +74,7 @@ def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) ->
         """The picture of one photo."""
         path = folder / picture_name(found.photo)
         picture = draw_arcs(found.photo.read(), arcs.cameras[found.camera], found)
-        write_atomically(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+        write_atomically(path, jpeg_of(picture, QUALITY))
         return path
 
     at_once = photos_at_once([found.photo for found in arcs.used], BYTES_PER_PIXEL)

@@ -27,6 +27,8 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 GUIDE = "scaramuzza"
 """The model by which views are compared: it fits lenses of every width."""
 TABLE = "frames.csv"
+LEAST_DECODED = 0.9
+"""Of the length that a video states."""
 LOOKED_FIRST = 16
 """Frames of each video, evenly spread over it, that show how a board of tags is printed."""
 
@@ -157,10 +159,21 @@ def frames(
     looked = search.looked(progress)
     if not looked:
         raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
+    notes += tuple(_cut_short(sources, looked[-1].time_s[0], search.stretch_s))
     if target is None:
-        return ChosenFrames(lenses, _of_scene(lenses, looked, options))
+        return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes)
     chosen = _of_target(lenses, looked, target, options)
     return replace(chosen, notes=notes + chosen.notes)
+
+
+def _cut_short(videos: Sequence[Video], last_s: float, stretch_s: float) -> Iterator[str]:
+    """A note where the last frame that was looked at is long before the end that the videos state."""
+    shortest = min(videos, key=lambda video: video.duration_s)
+    if LEAST_DECODED * shortest.duration_s > last_s + stretch_s:
+        yield (
+            f"The video {shortest.path.name} states {shortest.duration_s:.1f} s, and cannot be decoded after {last_s:.1f} s: it "
+            "is damaged or cut short; copy it again."
+        )
 
 
 def _spread(videos: Sequence[Video]) -> list[PhotoArray]:
@@ -193,11 +206,15 @@ class _Search:
     detection: DetectionOptions
     options: FrameOptions
 
+    @property
+    def stretch_s(self) -> float:
+        """Of which one instant is looked at closely."""
+        longest_s = max(lens.video.duration_s for lens in self.lenses)
+        return max(1.0 / self.options.looked_per_s, longest_s / self.options.most_looked)
+
     def looked(self, progress: ProgressCallback) -> list[_Looked]:
         """The stillest instants, a few at a time in memory, their targets found on all cores."""
-        longest_s = max(lens.video.duration_s for lens in self.lenses)
-        stretch_s = max(1.0 / self.options.looked_per_s, longest_s / self.options.most_looked)
-        still = stillest(self._instants(progress), stretch_s, self.options)
+        still = stillest(self._instants(progress), self.stretch_s, self.options)
         found: list[_Looked] = []
         while batch := list(itertools.islice(still, 2 * (os.cpu_count() or 1))):
             found += on_all_cores(self._closely, batch, "looking at frames", silent)

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from markupsafe import Markup
 
 from camera_models.errors import InputError
-from omnilines.photo_file import read_photo
+from omnilines.photo_file import jpeg_of, read_photo
 from omnilines.records import Polyline
 from omnilines.report.page import Section, fragment
 
@@ -100,8 +100,7 @@ def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyl
         scaled = pixels
         if shown < width:
             scaled = cv2.resize(pixels, (shown, max(1, round(height * shown / width))), interpolation=cv2.INTER_AREA)
-        jpeg = cv2.imencode(".jpg", scaled, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        uri = "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
+        uri = "data:image/jpeg;base64," + base64.b64encode(jpeg_of(scaled, quality)).decode("ascii")
         scale = "" if shown == width else f", shown {shown} px wide"
         caption = f"{width} × {height} px{scale}; {points:,} observed points, {len(model):,} curves"
         photo = _Photo(name, (width, height), uri, caption, model, observed)

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 from hostile.case import Case
 from hostile.corpus_formats import convert, exchange, spoilt
 from hostile.corpus_tables import COMMANDS, Change, Rows, changed, column
@@ -64,6 +66,8 @@ def cases() -> Iterator[Case]:
     yield Case("ocamcalib:underscores", convert("ocamcalib"), ocam, "calib_results.txt")
     yield from of_models()
     yield from of_kept()
+    yield from of_masks()
+    yield from of_photos()
 
 
 RECONSTRUCT = ("reconstruct", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT", "--poses")
@@ -102,6 +106,72 @@ def of_models() -> Iterator[Case]:
     }
     for what, row in rows.items():
         yield Case(f"colmap:{what}", (*RECONSTRUCT, "IN/model"), model(row), "COLMAP model")
+
+
+def of_masks() -> Iterator[Case]:
+    """Masks that say nothing, or are no masks."""
+    commands = {
+        "extract": ("extract", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT", "--mask"),
+        "reconstruct": (*RECONSTRUCT, "IN/poses.csv", "--mask"),
+    }
+    masks: dict[str, tuple[str, np.ndarray | None, str]] = {
+        "black": ("m.png", np.zeros((482, 646), np.uint8), "m.png.*white"),
+        "of-ones": ("m.png", np.ones((482, 646), np.uint8), "m.png.*white"),
+        "eight-bits-in-sixteen": ("m.png", np.full((482, 646), 255, np.uint16), "m.png.*white"),
+        "of-another-size": ("m.png", np.full((646, 482), 255, np.uint8), "m.png.*646x482"),
+        "a-photo": ("photos/1.png", None, "1.png.*among"),
+        "among-photos": ("photos/mask.png", np.full((482, 646), 255, np.uint8), "mask.png.*among"),
+    }
+    for name, command in commands.items():
+        for what, (place, pixels, says) in masks.items():
+
+            def prepare(folder: Path, place: str = place, pixels: np.ndarray | None = pixels) -> None:
+                give("photos", "omnilines", "poses.csv")(folder)
+                if pixels is not None:
+                    assert cv2.imwrite(str(folder / "IN" / place), pixels)
+
+            yield Case(f"mask:{name}:{what}", (*command, f"IN/{place}"), prepare, says)
+
+
+def of_photos() -> Iterator[Case]:
+    """Photos whose first bytes point beyond all files, and those that are as narrow as a line."""
+    heads = {
+        "tiff-beyond": b"MM\0+\0\x08\0\0" + b"\xff" * 8 + bytes(200),
+        "jpeg-of-marks": b"\xff\xd8" + b"\xff" * 2_000_000,
+        "jpeg-of-empty-segments": b"\xff\xd8" + b"\xff\xe0\0\2" * 500_000,
+        "jpeg-ends-in-a-mark": b"\xff\xd8\xff",
+    }
+    rectify = ("rectify", "IN/photos", "--calibration", "IN/calibration.yaml", "--size", "64x48", "--out", "OUT")
+    extract_line = ("extract", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT")
+    detect = ("detect", "IN/photos", *PATTERN, "--out", "OUT")
+    for what, content in heads.items():
+
+        def among(folder: Path, content: bytes = content) -> None:
+            give("photos", "omnilines")(folder)
+            (folder / "IN/photos/9.jpg").write_bytes(content)
+
+        yield Case(f"photo:rectify:{what}", rectify, among, "9.jpg")
+        yield Case(f"photo:extract:{what}", extract_line, among, "9.jpg is skipped", status=(0,))
+
+    def narrow(width: int, height: int) -> Callable[[Path], None]:
+        def prepare(folder: Path) -> None:
+            (folder / "IN/photos").mkdir(parents=True)
+            image = np.random.default_rng(0).integers(0, 255, (height, width), dtype=np.uint8)
+            assert cv2.imwrite(str(folder / "IN/photos/a.png"), image)
+            sides = f"model: pinhole, image_size: [{width}, {height}]"
+            numbers = ", ".join(f"{name}: 0" for name in ("skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+            camera = f"{{{sides}, parameters: {{fx: 9000, fy: 9000, cx: {width / 2}, cy: {height / 2}, {numbers}}}}}"
+            text = f"format: omnilines-calibration\nversion: 1\ncameras:\n  cam0: {camera}\n"
+            (folder / "IN/calibration.yaml").write_text(text)
+
+        return prepare
+
+    for what, size in {"wide": (70000, 40), "tall": (24, 70000)}.items():
+        yield Case(f"narrow:detect:{what}", detect, narrow(*size), "too small to show")
+        tags = (*detect[:2], "--pattern", "aprilgrid:6x6:35mm:0.3:36h11", *detect[4:])
+        yield Case(f"narrow:tags:{what}", tags, narrow(*size), "too small to show")
+        # Its picture is reduced to what a JPEG can be.
+        yield Case(f"narrow:extract:{what}", extract_line, narrow(*size), "Arcs", status=(0,))
 
 
 def of_kept() -> Iterator[Case]:
