@@ -1,18 +1,20 @@
 """Tracks that poses and cameras hardly explain: refused, with what is wrong with them where the tracks themselves tell it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from camera_models import InputError
+from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.pixel_readings import other_pixels
+from omnilines.geometry.sphere import arc_normal
 from omnilines.pipelines.options import JudgeOptions
-from omnilines.posing.readings import other_readings
+from omnilines.posing.readings import Reading, other_readings, rarer_readings
 from omnilines.triangulation.by_chance import StandOut, misfit, standing_out
 from omnilines.triangulation.observations import PlaneObservations
 
@@ -62,31 +64,54 @@ class _Sampled:
         return int((square <= self.options.fitting * best.median()).sum())
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """How far half of the tracks lie from any line, as they were judged."""
+
+    px: float
+    limit_px: float
+    """From which on the lines are not those of the photos."""
+    rough_px: float
+    """From which on it is spoken of."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence where tracks fit worse than segments are found."""
+        if self.px <= self.rough_px:
+            return ()
+        return (
+            f"Half of the tracks lie {self.px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
+            "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+        )
+
+
 def judge_tracks(
     arcs: MatchedArcs,
     given: Pose,
+    cameras: Sequence[CameraModel],
     *,
     refined: tuple[MatchedArcs, Pose] | None = None,
     options: JudgeOptions = JudgeOptions(),
     seed: int = 0,
-) -> tuple[str, ...]:
-    """Refuse tracks that fit no better than random ones do, and those that another reading of the poses explains far better.
+) -> Misfit | None:
+    """Refuse tracks that fit no better than random ones do, and those that another reading of the tables explains far better.
 
-    `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Tracks of two segments, and fewer
-    than three of them, tell nothing. Returns what is to be said of the others.
+    `given` are the poses as they were given, `cameras` those that `arcs.observed` numbers, `refined` the arcs and poses after an
+    adjustment. Tracks of two segments, and fewer than three of them, tell nothing: None.
 
-    Raises InputError that says which reading of the poses, or which camera, explains the tracks, or that nothing does.
+    Raises InputError that says which reading of poses or segments, or which camera, explains the tracks, or that nothing does.
     """
     chosen = _sample(arcs, options, seed)
     if chosen(arcs).tracks < LEAST_TRACKS:
-        return ()
+        return None
     sampled, poses = chosen(arcs), given
     square = sampled.misfit(poses)
     enough = options.fitting_px**2
     if float(square.median()) <= enough:
-        return ()
+        return _misfit(sampled, square, cameras)
     # An adjustment may mend poses that were read wrongly, but in a world of its own.
-    _refuse_reading(sampled, given, square)
+    _refuse_reading(sampled, given, square, list(other_readings(given)), options.sure)
+    _refuse_pixels(sampled, given, square, cameras)
     if refined is not None:
         final, end = chosen(refined[0]), refined[1]
         better = final.misfit(end)
@@ -94,26 +119,27 @@ def judge_tracks(
         if float(better.median()) < float(square.median()):
             sampled, poses, square = final, end, better
     if float(square.median()) <= enough:
-        return ()
+        return _misfit(sampled, square, cameras)
     held = sampled.stand_out(poses)
     _refuse_camera(sampled, poses, square)
+    rarer = list(rarer_readings(given))
+    _refuse_reading(chosen(arcs), given, chosen(arcs).misfit(given), rarer, options.sure / len(rarer))
     if held.tracks >= LEAST_TO_REFUSE and held.chance > options.max_chance:
         raise InputError(
             f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
             f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
             "calibration of the same photos were expected; correct what is of others."
         )
-    return _rough(math.sqrt(float(square.median())), options)
+    return _misfit(sampled, square, cameras)
 
 
-def _rough(misfit_px: float, options: JudgeOptions) -> tuple[str, ...]:
-    """A sentence where tracks fit worse than segments are found."""
-    if misfit_px <= options.rough_px:
-        return ()
-    return (
-        f"Half of the tracks lie {misfit_px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
-        "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
-    )
+def _misfit(sampled: _Sampled, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> Misfit:
+    """Beside what segments are off by, which they may state, and the size of the images."""
+    options = sampled.options
+    stated = float(sampled.arcs.covariance_px2.diagonal(dim1=-2, dim2=-1).median().sqrt()) if sampled.arcs.sigma_known else 1.0
+    rough = options.rough_px * max(stated, 1.0)
+    limit = max(rough, options.rough_share * max(max(camera.image_size) for camera in cameras))
+    return Misfit(math.sqrt(float(square.median())), limit, rough)
 
 
 def _sample(arcs: MatchedArcs, options: JudgeOptions, seed: int) -> Callable[[MatchedArcs], _Sampled]:
@@ -144,21 +170,62 @@ def _rank_of_equals(labels: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
     return rank
 
 
-def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"]) -> None:
+def _refuse_reading(
+    sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], readings: Sequence[Reading], sure: float
+) -> None:
     """Raises InputError where another reading of the poses explains far more than these misfits do."""
-    readings = [(reading, sampled.misfit(reading.poses)) for reading in other_readings(given)]
-    least = min(float(other.median()) for _, other in readings)
+    found = [sampled.misfit(reading.poses) for reading in readings]
     # Where all cameras look alike, two readings may be one: the usual mistakes come first.
-    reading, other = next(one for one in readings if float(one[1].median()) <= sampled.options.gain * least)
-    if _far_better(sampled, reading.poses, other, square):
-        explained, as_given = (sampled.explained(own, other) for own in (other, square))
+    best = _first_of_best(found, sampled.options)
+    if _far_better(sampled, readings[best].poses, found[best], square, sure):
+        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
         raise InputError(
-            f"The poses look {reading.looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
-            f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}."
+            f"The poses look {readings[best].looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so "
+            f"{explained}. X_cam = R X_world + t and qw,qx,qy,qz were expected; {readings[best].remedy}."
         )
 
 
-def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"]) -> bool:
+def _refuse_pixels(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> None:
+    """Raises InputError where another reading of the segments explains far more than these misfits do."""
+    observed = sampled.arcs.observed
+    if observed is None:
+        return
+    size = torch.tensor([camera.image_size for camera in cameras], dtype=torch.float64)[observed.camera]
+    margin = sampled.options.beyond_share * size.amax(-1)[:, None, None]
+    readings = [
+        reading
+        for reading in other_pixels(observed.pixels, size)
+        if bool(((reading.pixels >= -margin) & (reading.pixels <= size[:, None] + margin)).all())
+    ]
+    read = [
+        replace(sampled, arcs=replace(sampled.arcs, observed=replace(observed, pixels=reading.pixels)).seen_by(cameras))
+        for reading in readings
+    ]
+    # Where no line has a length in an image, or none is seen there, that is not what was meant.
+    clear = [bool((arc_normal(*one.arcs.bearings.unbind(1)).norm(dim=-1) > 0.5).all()) for one in read]
+    readings, read = ([one for one, seen in zip(ones, clear, strict=True) if seen] for ones in (readings, read))
+    if not read:
+        return
+    found = [one.misfit(given) for one in read]
+    best = _first_of_best(found, sampled.options)
+    if _far_better(read[best], given, found[best], square, sampled.options.sure):
+        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
+        raise InputError(
+            f"The segments look {readings[best].looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so "
+            f"{explained}. u_px to the right and v_px down from the first pixel were expected; {readings[best].remedy}."
+        )
+
+
+def _first_of_best(found: Sequence[Float[Tensor, " k"]], options: JudgeOptions) -> int:
+    """The first of the readings with these misfits that is about as good as the best."""
+    median = [float(one.median()) for one in found]
+    known = [value for value in median if math.isfinite(value)]
+    return next((k for k, value in enumerate(median) if value <= options.gain * min(known, default=0.0)), 0)
+
+
+def _far_better(
+    sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"], sure: float
+) -> bool:
     """Whether the misfits `other` under these poses are far better than others, and not by chance."""
     options = sampled.options
     if not bool(torch.isfinite(other.median())):
@@ -166,7 +233,7 @@ def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], squa
     if sampled.explained(other, other) < options.gain * sampled.explained(square, other):
         return False
     found = sampled.stand_out(poses)
-    return 2 * found.standing_out >= found.tracks and found.chance <= options.sure
+    return 2 * found.standing_out >= found.tracks and found.chance <= sure
 
 
 def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> None:
@@ -180,7 +247,7 @@ def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) 
         if float(found.median()) < float(best[2].median()):
             best = scale, other, found
     scale, other, found = best
-    if _far_better(other, poses, found, square):
+    if _far_better(other, poses, found, square, sampled.options.sure):
         explained, as_given = (sampled.explained(own, found) for own in (found, square))
         raise InputError(
             f"The calibration looks like that of another camera: it explains {as_given} of {sampled.tracks} tracks, one that "

@@ -13,10 +13,11 @@ from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
 from omnilines.files.sets import claimed, claimed_page
+from omnilines.pipelines.judged_tracks import Misfit
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
-from omnilines.records import Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
+from omnilines.records import Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
 
 SCENE = "scene"
@@ -61,6 +62,8 @@ class Scene:
     details: tuple[Detail, ...] = ()
     """And of photos that could not be used."""
     from_photos: FromPhotos | None = None
+    misfit: Misfit | None = None
+    """How well tracks that were given fit; None where they do not tell, and of lines that were matched in photos."""
     options: SceneOptions = SceneOptions()
 
     @property
@@ -94,6 +97,14 @@ class Scene:
         from omnilines.pages.scene import scene_summary
 
         return (*(one.text for one in self.details), *self.told, *scene_summary(self).notes)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Whether the lines are those of the tracks: false where half of them lie far from any line."""
+        if self.misfit is None:
+            return ()
+        px, limit_px = self.misfit.px, self.misfit.limit_px
+        return (Check("distance of half of the tracks from their lines", px, limit_px, "px", px <= limit_px),)
 
     @property
     def provenance(self) -> dict[str, Any]:
