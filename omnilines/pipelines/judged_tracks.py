@@ -110,8 +110,7 @@ def judge_tracks(
     if float(square.median()) <= enough:
         return _misfit(sampled, square, cameras)
     # An adjustment may mend poses that were read wrongly, but in a world of its own.
-    _refuse_reading(sampled, given, square, list(other_readings(given)), options.sure)
-    _refuse_pixels(sampled, given, square, cameras)
+    _refuse_reading(sampled, given, square, cameras)
     if refined is not None:
         final, end = chosen(refined[0]), refined[1]
         better = final.misfit(end)
@@ -122,8 +121,6 @@ def judge_tracks(
         return _misfit(sampled, square, cameras)
     held = sampled.stand_out(poses)
     _refuse_camera(sampled, poses, square)
-    rarer = list(rarer_readings(given))
-    _refuse_reading(chosen(arcs), given, chosen(arcs).misfit(given), rarer, options.sure / len(rarer))
     if held.tracks >= LEAST_TO_REFUSE and held.chance > options.max_chance:
         raise InputError(
             f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
@@ -170,57 +167,57 @@ def _rank_of_equals(labels: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
     return rank
 
 
-def _refuse_reading(
-    sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], readings: Sequence[Reading], sure: float
-) -> None:
-    """Raises InputError where another reading of the poses explains far more than these misfits do."""
-    found = [sampled.misfit(reading.poses) for reading in readings]
-    # Where all cameras look alike, two readings may be one: the usual mistakes come first.
-    best = _first_of_best(found, sampled.options)
-    if _far_better(sampled, readings[best].poses, found[best], square, sure):
-        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
-        raise InputError(
-            f"The poses look {readings[best].looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so "
-            f"{explained}. X_cam = R X_world + t and qw,qx,qy,qz were expected; {readings[best].remedy}."
-        )
+@dataclass(frozen=True)
+class _Read:
+    """The tables, read in another way."""
+
+    says: str
+    """What they seem to be."""
+    remedy: str
+    """What was expected, and what to do."""
+    sampled: _Sampled
+    poses: Pose
+    sure: float
+    """Probability up to which that is no chance: the more readings are tried, the smaller."""
 
 
-def _refuse_pixels(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> None:
-    """Raises InputError where another reading of the segments explains far more than these misfits do."""
-    observed = sampled.arcs.observed
-    if observed is None:
-        return
-    size = torch.tensor([camera.image_size for camera in cameras], dtype=torch.float64)[observed.camera]
-    margin = sampled.options.beyond_share * size.amax(-1)[:, None, None]
-    readings = [
-        reading
-        for reading in other_pixels(observed.pixels, size)
-        if bool(((reading.pixels >= -margin) & (reading.pixels <= size[:, None] + margin)).all())
-    ]
-    read = [
-        replace(sampled, arcs=replace(sampled.arcs, observed=replace(observed, pixels=reading.pixels)).seen_by(cameras))
-        for reading in readings
-    ]
-    # Where no line has a length in an image, or none is seen there, that is not what was meant.
-    clear = [bool((arc_normal(*one.arcs.bearings.unbind(1)).norm(dim=-1) > 0.5).all()) for one in read]
-    readings, read = ([one for one, seen in zip(ones, clear, strict=True) if seen] for ones in (readings, read))
-    if not read:
-        return
-    found = [one.misfit(given) for one in read]
-    best = _first_of_best(found, sampled.options)
-    if _far_better(read[best], given, found[best], square, sampled.options.sure):
-        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
-        raise InputError(
-            f"The segments look {readings[best].looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so "
-            f"{explained}. u_px to the right and v_px down from the first pixel were expected; {readings[best].remedy}."
-        )
-
-
-def _first_of_best(found: Sequence[Float[Tensor, " k"]], options: JudgeOptions) -> int:
-    """The first of the readings with these misfits that is about as good as the best."""
+def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> None:
+    """Raises InputError where another reading of poses or segments explains far more than these misfits do."""
+    sure, rarer = sampled.options.sure, list(rarer_readings(given))
+    read = [_of_poses(sampled, one, sure) for one in other_readings(given)]
+    read += _of_pixels(sampled, given, cameras)
+    read += [_of_poses(sampled, one, sure / len(rarer)) for one in rarer]
+    found = [one.sampled.misfit(one.poses) for one in read]
     median = [float(one.median()) for one in found]
-    known = [value for value in median if math.isfinite(value)]
-    return next((k for k, value in enumerate(median) if value <= options.gain * min(known, default=0.0)), 0)
+    # Where all cameras look alike, two readings may be one: the usual mistakes come first.
+    best = next(k for k, value in enumerate(median) if value <= sampled.options.gain * min(median))
+    if _far_better(read[best].sampled, read[best].poses, found[best], square, read[best].sure):
+        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
+        raise InputError(
+            f"{read[best].says}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
+            f"{read[best].remedy}."
+        )
+
+
+def _of_poses(sampled: _Sampled, reading: Reading, sure: float) -> _Read:
+    remedy = f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}"
+    return _Read(f"The poses look {reading.looks}", remedy, sampled, reading.poses, sure)
+
+
+def _of_pixels(sampled: _Sampled, given: Pose, cameras: Sequence[CameraModel]) -> list[_Read]:
+    """Those of the other readings of the segments in which all of them lie in their images and have a length."""
+    observed, options = sampled.arcs.observed, sampled.options
+    if observed is None:
+        return []
+    size = torch.tensor([camera.image_size for camera in cameras], dtype=torch.float64)[observed.camera]
+    margin, read = options.beyond_share * size.amax(-1)[:, None, None], []
+    for one in other_pixels(observed.pixels, size):
+        if bool(((one.pixels >= -margin) & (one.pixels <= size[:, None] + margin)).all()):
+            arcs = replace(sampled.arcs, observed=replace(observed, pixels=one.pixels)).seen_by(cameras)
+            if bool((arc_normal(*arcs.bearings.unbind(1)).norm(dim=-1) > 0.5).all()):
+                remedy = f"u_px to the right and v_px down from the first pixel were expected; {one.remedy}"
+                read.append(_Read(f"The segments look {one.looks}", remedy, replace(sampled, arcs=arcs), given, options.sure))
+    return read
 
 
 def _far_better(
