@@ -9,6 +9,7 @@ from camera_models import InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from omnilines.adjustment.state import Rig
+from omnilines.geometry.rig_readings import refuse_rig_reading
 from omnilines.records import ImagePoses
 
 
@@ -19,7 +20,7 @@ def rig_of_photos(
     `cam_from_world` of every photo where the poses name no frames or the calibration has no rig.
 
     Raises InputError where a rig is `needed` and not known, a photo names no camera, or its pose is turned
-    against the rig by more than `most_turned_deg`.
+    against the rig by more than `most_turned_deg`, or the poses say that the rig is written in another way.
     """
     if not rig or poses.frames is None:
         if needed:
@@ -39,6 +40,11 @@ def rig_of_photos(
     from_photo = cam_from_rig[camera].inverse() @ poses.cam_from_world
     first = torch.tensor([poses.frames.index(name) for name in order])
     rig_from_world = from_photo[first]
+    later = torch.tensor([k for k in range(len(names)) if k != int(first[frame[k]])], dtype=torch.long)
+    if len(later):
+        before = first[frame[later]]
+        by_rig = cam_from_rig[camera[later]] @ cam_from_rig[camera[before]].inverse()
+        refuse_rig_reading(poses.cam_from_world[later] @ poses.cam_from_world[before].inverse(), by_rig)
     apart = (from_photo @ rig_from_world[frame].inverse()).log()[:, :3].norm(dim=-1)
     if float(apart.max()) > math.radians(most_turned_deg):
         worst = int(apart.argmax())

@@ -108,13 +108,13 @@ def judge_tracks(
     square = sampled.misfit(poses)
     enough = options.fitting_px**2
     if float(square.median()) <= enough:
-        return _misfit(sampled, square, cameras)
+        return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
     # An adjustment may mend poses that were read wrongly, but in a world of its own.
     _refuse_reading(sampled, given, square, cameras)
     if refined is not None:
         final, end = chosen(refined[0]), refined[1]
         better = final.misfit(end)
-        # One that went astray says nothing of what was given.
+        # One that went astray says nothing of what was given, but it is what comes out.
         if float(better.median()) < float(square.median()):
             sampled, poses, square = final, end, better
     if float(square.median()) <= enough:
@@ -127,7 +127,11 @@ def judge_tracks(
             f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
             "calibration of the same photos were expected; correct what is of others."
         )
-    return _misfit(sampled, square, cameras)
+    return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
+
+
+def _misfit_of(sampled: _Sampled, poses: Pose, cameras: Sequence[CameraModel]) -> Misfit:
+    return _misfit(sampled, sampled.misfit(poses), cameras)
 
 
 def _misfit(sampled: _Sampled, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> Misfit:
