@@ -66,9 +66,7 @@ def _check_numbers(name: str, model: CameraModel) -> None:
             f"{LARGEST_FOCAL_PX:g} px, found {values['a0']:g}; correct it."
         )
     affine = [values.get(key, 0.0) for key in ("c", "d", "e")]
-    if "a0" in values and not (
-        abs(affine[0] - affine[1] * affine[2]) > LEAST_AFFINE and max(map(abs, affine)) <= LARGEST_AFFINE
-    ):
+    if "a0" in values and not (abs(affine[0] - affine[1] * affine[2]) > LEAST_AFFINE and max(map(abs, affine)) <= LARGEST_AFFINE):
         raise InputError(
             f"The affine matrix [1 e; d c] of camera {name} was expected to be near the identity, found c = {values['c']:g}, "
             f"d = {values['d']:g}, e = {values['e']:g}; correct it."

@@ -20,7 +20,7 @@ FAR_APART_M = 20.0
 
 def camera_doubts(calibration: Calibration) -> tuple[str, ...]:
     """One sentence for each camera, and one for a rig, whose numbers are likely of another image, or swapped."""
-    said = tuple(f"Camera {name}: {doubt}." for name, model in calibration.items() for doubt in _doubts(model))
+    said = tuple(f"Camera {name}: {doubt}." for name, model in calibration.items() for doubt in model_doubts(model))
     for name, item in calibration.rig.items():
         apart = float(item.cam_from_rig.centre.norm())
         if apart > FAR_APART_M:
@@ -29,7 +29,8 @@ def camera_doubts(calibration: Calibration) -> tuple[str, ...]:
     return said
 
 
-def _doubts(model: CameraModel) -> tuple[str, ...]:
+def model_doubts(model: CameraModel) -> tuple[str, ...]:
+    """The same of one camera, each a sentence without its beginning and its end."""
     values = model.named_parameters()
     said = []
     if "cx" in values:

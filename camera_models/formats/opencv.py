@@ -152,7 +152,9 @@ def _second_from_first(data: Mapping[str, Any]) -> Pose | None:
         return None
     if translation is None or rotation is None:
         found = "T without R" if rotation is None else "R without T"
-        raise InputError(f"Where the second camera stands was expected as R and T, found {found}; add the other or leave both out.")
+        raise InputError(
+            f"Where the second camera stands was expected as R and T, found {found}; add the other or leave both out."
+        )
     t = numbers_of(translation, "T", 3)
     if np.size(rotation) == 3:
         return pose_of_vectors(numbers_of(rotation, "rvec"), t)

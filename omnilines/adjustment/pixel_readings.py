@@ -46,8 +46,6 @@ def other_pixels(given: Float[Tensor, "n 2 2"], size: Float[Tensor, "n 2"]) -> I
         yield PixelReading(looks, "give the calibration of photos of that size", (given + 0.5) / scale - 0.5)
 
 
-def _mirrored(
-    pixels: Float[Tensor, "n 2 2"], last: Float[Tensor, "n 1 2"], along: Float[Tensor, " 2"]
-) -> Float[Tensor, "n 2 2"]:
+def _mirrored(pixels: Float[Tensor, "n 2 2"], last: Float[Tensor, "n 1 2"], along: Float[Tensor, " 2"]) -> Float[Tensor, "n 2 2"]:
     """Counted from the other side, along one axis."""
     return pixels + along * (last - 2 * pixels)

@@ -224,9 +224,7 @@ def _of_pixels(sampled: _Sampled, given: Pose, cameras: Sequence[CameraModel]) -
     return read
 
 
-def _far_better(
-    sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"], sure: float
-) -> bool:
+def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"], sure: float) -> bool:
     """Whether the misfits `other` under these poses are far better than others, and not by chance."""
     options = sampled.options
     if not bool(torch.isfinite(other.median())):

@@ -84,4 +84,3 @@ def _kinds(poses: Pose) -> Iterator[tuple[str, str, Pose]]:
         "transpose them (negate qx, qy and qz)",
         Pose(poses.rotation.mT, poses.translation),
     )
-
