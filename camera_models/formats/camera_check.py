@@ -57,8 +57,8 @@ def _check_numbers(name: str, model: CameraModel) -> None:
         least = LEAST_FOCAL * max(width, height)
         if key in values and not least <= values[key] <= LARGEST_FOCAL_PX:
             raise InputError(
-                f"The focal length {key} of camera {name} was expected in pixels, {least:g} to {LARGEST_FOCAL_PX:g} for an image of "
-                f"{width} x {height}, found {values[key]:g}; correct it."
+                f"The focal length {key} of camera {name} was expected in pixels, {least:g} to {LARGEST_FOCAL_PX:g} for an image "
+                f"of {width} x {height}, found {values[key]:g}; correct it."
             )
     if "a0" in values and not 0.0 < abs(values["a0"]) <= LARGEST_FOCAL_PX:
         raise InputError(

@@ -21,8 +21,8 @@ def rig_of_photos(
     """The rig with the frame and camera of every photo, and `rig_from_world` of every frame, from its first photo; None and
     `cam_from_world` of every photo where the poses name no frames or none of two photos, or the calibration has no rig.
 
-    Raises InputError where a rig is `needed` and not known, or not from its frames, a photo names no camera, or its pose is turned
-    against the rig by more than `most_turned_deg`, or the poses say that the rig is written in another way.
+    Raises InputError where a rig is `needed` and not known, or not from its frames, a photo names no camera, or its pose is
+    turned against the rig by more than `most_turned_deg`, or the poses say that the rig is written in another way.
     """
     if not rig or poses.frames is None:
         if needed:
@@ -71,6 +71,6 @@ def _require_linked(frame: Int[Tensor, " n"], camera: Int[Tensor, " n"], cameras
     alone = next((name for k, name in enumerate(cameras) if k not in linked), None)
     if alone is not None:
         raise InputError(
-            f"To refine a rig frames were expected that camera {alone} shares with {cameras[0]}, or with those that do, found none; "
-            "check the columns frame and camera of poses.csv, or leave `rig` out of `refine`."
+            f"To refine a rig frames were expected that camera {alone} shares with {cameras[0]}, or with those that do, found "
+            "none; check the columns frame and camera of poses.csv, or leave `rig` out of `refine`."
         )

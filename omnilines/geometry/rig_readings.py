@@ -1,6 +1,5 @@
 """What a calibration may hold in place of `cam_from_rig`: told by the poses of photos of one instant."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -32,8 +31,8 @@ def refuse_rig_reading(by_poses: Pose, by_rig: Pose) -> None:
     precise = len(found) >= LEAST_PAIRS and float((found - middle).abs().median()) < SCATTER * middle
     if precise and at_odds > AT_ODDS * max(middle, baseline):
         raise InputError(
-            f"Poses and rig of the same cameras were expected, found cameras of one instant {middle:.3g} m apart by their poses and "
-            f"{baseline:.3g} m by the rig, or on other sides of each other; give both in metres, and the rig of these cameras."
+            f"Poses and rig of the same cameras were expected, found cameras of one instant {middle:.3g} m apart by their "
+            f"poses and {baseline:.3g} m by the rig, or on other sides of each other; give both in metres, and the rig of these cameras."
         )
 
 

@@ -80,8 +80,8 @@ class Misfit:
         if self.px <= self.rough_px:
             return ()
         return (
-            f"Half of the tracks lie {self.px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
-            "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+            f"Half of the tracks lie {self.px:.2g} px or more from any line, far more than segments are off by: poses, "
+            "calibration or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
         )
 
 

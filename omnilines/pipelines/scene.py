@@ -62,9 +62,9 @@ class Scene:
     details: tuple[Detail, ...] = ()
     """And of photos that could not be used."""
     from_photos: FromPhotos | None = None
+    options: SceneOptions = SceneOptions()
     misfit: Misfit | None = None
     """How well tracks that were given fit; None where they do not tell, and of lines that were matched in photos."""
-    options: SceneOptions = SceneOptions()
 
     @property
     def lines(self) -> Lines:
