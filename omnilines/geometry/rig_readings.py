@@ -32,7 +32,7 @@ def refuse_rig_reading(by_poses: Pose, by_rig: Pose) -> None:
     if precise and at_odds > AT_ODDS * max(middle, baseline):
         raise InputError(
             f"Poses and rig of the same cameras were expected, found cameras of one instant {middle:.3g} m apart by their "
-            f"poses and {baseline:.3g} m by the rig, or on other sides of each other; give both in metres, and the rig of these cameras."
+            f"poses and {baseline:.3g} m by the rig, or on other sides of each other; give both in metres."
         )
 
 
