@@ -112,7 +112,8 @@ def reconstruct_photos(
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
     with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
-    stamp.write(result)
+    if result.holds:
+        stamp.write(result)
     return result
 
 

@@ -1,5 +1,6 @@
 """Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,13 +17,13 @@ from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.inside import require_inside
-from omnilines.pipelines.judged_tracks import Misfit, judge_tracks
+from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses, LengthUnit, Segments
+from omnilines.records import Check, ImagePoses, LengthUnit, Segments
 from omnilines.triangulation import check_triangulation
 from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
@@ -96,12 +97,27 @@ def adjust(
         judge_tracks(arcs, table.cam_from_world, list(cameras.values()), options=options.judge, seed=options.seed)
         raise
     misfit = _judged(scene, table.cam_from_world, cameras, options)
-    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes))
+    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += size_notes(scene.lines, scene.poses, options.judge)
     made_from = {"options": options} if inputs is None else inputs
-    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, told, misfit=misfit, options=options)
+    return Scene(
+        scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
+    )
+
+
+def _checks(scene: AdjustedScene, misfit: Misfit | None) -> tuple[Check, ...]:
+    """Whether the lines are those of the tracks: not where half of them, or all together, lie far from their lines."""
+    if misfit is None:
+        return ()
+    limit_px, figures = (
+        misfit.limit_px,
+        {"half of the tracks from any line": misfit.px, "all ends from their lines (RMS)": scene.rms_px()},
+    )
+    return tuple(
+        Check(f"distance of {what}", px, limit_px, "px", px <= limit_px) for what, px in figures.items() if math.isfinite(px)
+    )
 
 
 def _judged(scene: AdjustedScene, given: Pose, cameras: Calibration, options: SceneOptions) -> Misfit | None:

@@ -13,7 +13,6 @@ from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
 from omnilines.files.sets import claimed, claimed_page
-from omnilines.pipelines.judged_tracks import Misfit
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
@@ -63,8 +62,8 @@ class Scene:
     """And of photos that could not be used."""
     from_photos: FromPhotos | None = None
     options: SceneOptions = SceneOptions()
-    misfit: Misfit | None = None
-    """How well tracks that were given fit; None where they do not tell, and of lines that were matched in photos."""
+    checks: tuple[Check, ...] = ()
+    """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
 
     @property
     def lines(self) -> Lines:
@@ -97,14 +96,6 @@ class Scene:
         from omnilines.pages.scene import scene_summary
 
         return (*(one.text for one in self.details), *self.told, *scene_summary(self).notes)
-
-    @property
-    def checks(self) -> tuple[Check, ...]:
-        """Whether the lines are those of the tracks: false where half of them lie far from any line."""
-        if self.misfit is None:
-            return ()
-        px, limit_px = self.misfit.px, self.misfit.limit_px
-        return (Check("distance of half of the tracks from their lines", px, limit_px, "px", px <= limit_px),)
 
     @property
     def provenance(self) -> dict[str, Any]:

@@ -155,7 +155,8 @@ def of_other_conventions() -> Iterator[Case]:
     quaternion = cells(pose, lambda q: [*q[1:], q[0]])
     yield Case("convention:xyzw", COMMANDS["segments"][2], changed("poses", quaternion), "x, y, z, w")
     again = changed(
-        "poses", lambda rows: [rows[0], *([row[0], *other[1:]] for row, other in zip(rows[1:], rows[2:] + rows[1:2]))]
+        "poses",
+        lambda rows: [rows[0], *([row[0], *other[1:]] for row, other in zip(rows[1:], rows[2:] + rows[1:2], strict=True))],
     )
     rough = "DOES NOT HOLD|at random"
     yield Case("convention:poses-of-other-photos", COMMANDS["poses"][2], again, rough, status=(1, 2))
