@@ -28,8 +28,6 @@ LEAST_TO_REFUSE = 5
 """Tracks that stand out by chance as often as not where poses are rough: fewer do not tell that nothing fits."""
 MOST_SEGMENTS = 8
 """Of a track, that are looked at."""
-FAR_PHOTO = 3.0
-"""Times as far from their lines as those of other photos, from which on the segments of a photo are spoken of."""
 MOST_NAMED = 3
 OTHERS = 10_000
 """Segments of other tracks, that random tracks are made of beside these."""
@@ -155,7 +153,7 @@ def far_photos(scene: AdjustedScene, options: JudgeOptions) -> tuple[str, ...]:
     photos = np.unique(images[known])
     middle = np.array([np.median(far_px[known & (images == photo)]) for photo in photos])
     usual = float(np.median(middle)) if len(middle) else 0.0
-    far = np.flatnonzero(middle > np.maximum(options.rough_px, FAR_PHOTO * usual))
+    far = np.flatnonzero(middle > np.maximum(options.rough_px, options.far_photo * usual))
     if not len(far):
         return ()
     named = ", ".join(f"{scene.poses.images[photos[k]]} ({middle[k]:.2g} px)" for k in far[np.argsort(-middle[far])][:MOST_NAMED])
