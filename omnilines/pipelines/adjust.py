@@ -1,6 +1,5 @@
 """Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -108,16 +107,16 @@ def adjust(
 
 
 def _checks(scene: AdjustedScene, misfit: Misfit | None) -> tuple[Check, ...]:
-    """Whether the lines are those of the tracks: not where half of them, or all together, lie far from their lines."""
+    """Whether the lines are those of the tracks: not where half of the tracks, or of the segments, lie far from their lines."""
     if misfit is None:
         return ()
-    limit_px, figures = (
-        misfit.limit_px,
-        {"half of the tracks from any line": misfit.px, "all ends from their lines (RMS)": scene.rms_px()},
-    )
-    return tuple(
-        Check(f"distance of {what}", px, limit_px, "px", px <= limit_px) for what, px in figures.items() if math.isfinite(px)
-    )
+    far_px = np.abs(scene.residual_px).max(-1)
+    known = far_px[np.isfinite(far_px)]
+    figures = {"half of the tracks from any line": misfit.px}
+    if len(known):
+        figures["half of the segments from their lines"] = float(np.median(known))
+    limit_px = misfit.limit_px
+    return tuple(Check(f"distance of {what}", px, limit_px, "px", px <= limit_px) for what, px in figures.items())
 
 
 def _judged(scene: AdjustedScene, given: Pose, cameras: Calibration, options: SceneOptions) -> Misfit | None:
