@@ -9,8 +9,8 @@ from camera_models.formats.calibration_data import Calibration
 LARGEST_SIDE_PX = 100_000
 LARGEST_PARAMETER = 1e30
 LARGEST_FOCAL_PX = 1e8
-LEAST_FOCAL = 1e-3
-"""Of the longer side of the image: a pinhole camera of 179.9 degrees."""
+LEAST_FOCAL = 1e-4
+"""Of the longer side of the image: a pinhole camera of 179.98 degrees."""
 FARTHEST_CENTRE = 20.0
 """Image sides by which the centre may lie outside: crops of larger images have it there."""
 LEAST_AFFINE, LARGEST_AFFINE = 1e-3, 10.0
