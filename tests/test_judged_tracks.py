@@ -34,7 +34,8 @@ def scene(lines: int, photos: int, *, seed: int, noise_px: float = 0.3, far: flo
 
 def judged(segments: Segments, poses: ImagePoses, lens: OpenCVFisheye = LENS, options: JudgeOptions = ALWAYS) -> tuple[str, ...]:
     arcs = arcs_from_segments(segments, poses, {"cam0": lens}).arcs
-    return judge_tracks(arcs, poses.cam_from_world, options=options)
+    misfit = judge_tracks(arcs, poses.cam_from_world, [lens], options=options)
+    return () if misfit is None else misfit.notes
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -90,3 +91,38 @@ def test_tracks_that_were_shuffled_are_refused(seed: int) -> None:
     mixed = np.concatenate([rng.permutation(20) for _ in range(6)])
     with pytest.raises(InputError, match="no better than segments put together at random"):
         judged(replace(segments, track=mixed), poses)
+
+
+def test_poses_of_other_axes_and_hands_are_named() -> None:
+    segments, poses = scene(12, 5, seed=0)
+    true = poses.cam_from_world
+    robot = torch.tensor([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]], dtype=torch.float64)
+    unreal = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, -1, 0]], dtype=torch.float64)
+    mirror = torch.diag(torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64))
+    written = {
+        "cameras whose right, down and forward are -y, -z, x": Pose(robot @ true.rotation, true.translation @ robot.T),
+        "left-handed and of cameras whose right, down and forward are y, -z, x": Pose(
+            unreal @ true.rotation @ mirror, true.translation @ unreal.T
+        ),
+    }
+    for says, poses_of_table in written.items():
+        with pytest.raises(InputError, match=f"The poses look to be .*{says}: .* read so 12"):
+            judged(segments, replace(poses, cam_from_world=poses_of_table))
+
+
+def test_segments_that_are_written_otherwise_are_named() -> None:
+    segments, poses = scene(12, 5, seed=0)
+    ends, (width, height) = segments.endpoints_px, LENS.image_size
+    last = np.array([width - 1.0, height - 1.0])
+    written = {
+        "v from the bottom": np.stack([ends[..., 0], last[1] - ends[..., 1]], -1),
+        "mirrored": np.stack([last[0] - ends[..., 0], ends[..., 1]], -1),
+        "turned by 180": last - ends,
+        "order u1, u2, v1, v2": ends.transpose(0, 2, 1),
+        "width and height": np.stack([ends[:, 0], ends[:, 1] - ends[:, 0]], 1),
+        "shares of the image": (ends + 0.5) / (last + 1.0),
+        "of 323x241 px, not of 646x482": (ends + 0.5) / 2 - 0.5,
+    }
+    for says, table in written.items():
+        with pytest.raises(InputError, match=f"The segments look .*{says}.* read so 1[12]"):
+            judged(replace(segments, endpoints_px=table), poses)

@@ -167,7 +167,7 @@ ERRORS: list[tuple[Reader, str, str]] = [
         "line 3, column svv1: expected a variance above 0, found '0'",
     ),
     (read_poses, POSES.replace("b.jpg", "a.jpg"), "line 3, column image: expected each image once, found 'a.jpg'"),
-    (read_poses, POSES.replace("0,2,0,0", "0,0,0,0"), "line 3, column qw: expected a unit quaternion, not one of length zero"),
+    (read_poses, POSES.replace("0,2,0,0", "0,0,0,0"), "line 3, column qw: expected a quaternion qw,qx,qy,qz of about length 1"),
     (read_poses, POSES.replace("4,5,6", "4,5,nan"), "line 3, column tz: expected a finite number, found 'nan'"),
     (read_poses, POSES.replace("b.jpg,cam0", "b.jpg,"), "line 3, column camera: expected a name, found an empty cell"),
     (read_poses, POSES.replace(",camera", "").replace(",cam0", ""), "line 1: the column camera is missing"),

@@ -9,10 +9,12 @@ from camera_models.formats.calibration_data import Calibration
 LARGEST_SIDE_PX = 100_000
 LARGEST_PARAMETER = 1e30
 LARGEST_FOCAL_PX = 1e8
+LEAST_FOCAL = 1e-4
+"""Of the longer side of the image: a pinhole camera of 179.98 degrees."""
 FARTHEST_CENTRE = 20.0
 """Image sides by which the centre may lie outside: crops of larger images have it there."""
-LEAST_AFFINE = 1e-3
-"""Determinant of the affine matrix of a chip."""
+LEAST_AFFINE, LARGEST_AFFINE = 1e-3, 10.0
+"""Determinant and entries of the affine matrix of a chip."""
 FARTHEST_M = 1e9
 _ACROSS = 21
 _LEAST_SEEN = 0.01
@@ -52,19 +54,21 @@ def _check_numbers(name: str, model: CameraModel) -> None:
                 "calibrate it again."
             )
     for key in ("fx", "fy"):
-        if key in values and not 0.0 < values[key] <= LARGEST_FOCAL_PX:
+        least = LEAST_FOCAL * max(width, height)
+        if key in values and not least <= values[key] <= LARGEST_FOCAL_PX:
             raise InputError(
-                f"The focal length {key} of camera {name} was expected above 0 and up to {LARGEST_FOCAL_PX:g} px, found "
-                f"{values[key]:g}; correct it."
+                f"The focal length {key} of camera {name} was expected in pixels, {least:g} to {LARGEST_FOCAL_PX:g} for an image "
+                f"of {width} x {height}, found {values[key]:g}; correct it."
             )
     if "a0" in values and not 0.0 < abs(values["a0"]) <= LARGEST_FOCAL_PX:
         raise InputError(
             f"The parameter a0 of camera {name} was expected to be a focal length (below 0 for a mirror) of up to "
             f"{LARGEST_FOCAL_PX:g} px, found {values['a0']:g}; correct it."
         )
-    if "a0" in values and not abs(values["c"] - values["d"] * values["e"]) > LEAST_AFFINE:
+    affine = [values.get(key, 0.0) for key in ("c", "d", "e")]
+    if "a0" in values and not (abs(affine[0] - affine[1] * affine[2]) > LEAST_AFFINE and max(map(abs, affine)) <= LARGEST_AFFINE):
         raise InputError(
-            f"The affine matrix [1 e; d c] of camera {name} was expected to be invertible, found c = {values['c']:g}, "
+            f"The affine matrix [1 e; d c] of camera {name} was expected to be near the identity, found c = {values['c']:g}, "
             f"d = {values['d']:g}, e = {values['e']:g}; correct it."
         )
     for key, side in (("cx", width), ("cy", height)):

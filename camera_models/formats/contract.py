@@ -174,7 +174,7 @@ class CalibrationFormat(ABC):
     def _check_several(self, target: Path, calibration: Calibration) -> None:
         several = len(calibration) > 1
         if several and not self.TOGETHER:
-            expected, found = "one camera for one file", f"{len(calibration)} ({', '.join(calibration)})"
+            expected, found = "one camera for one file", f"{len(calibration)} ({listed(calibration)})"
         elif several and self.NEEDS_RIG and not calibration.rig:
             expected, found = "to know where the cameras stand", "no rig"
         else:

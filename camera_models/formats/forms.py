@@ -75,6 +75,11 @@ class Form:
         return model_class(self.model).from_mapping({**self.fixed, **named}, image_size)
 
 
+MOST_LISTED = 12
+
+
 def listed(names: Iterable[Any]) -> str:
-    """Names with commas."""
-    return ", ".join(str(name) for name in names)
+    """Names with commas; of many the first, and how many more there are."""
+    given = [str(name) for name in names]
+    more = f" and {len(given) - MOST_LISTED} more" if len(given) > MOST_LISTED else ""
+    return ", ".join(given[:MOST_LISTED]) + more

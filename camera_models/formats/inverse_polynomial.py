@@ -32,7 +32,7 @@ def fit_inverse(poly: list[float], radius_px: float) -> list[float]:
 def compare(poly: list[float], inverse: list[float], radius_px: float) -> float:
     """Largest difference (px) of the two up to a radius in the image."""
     rho, theta = _samples(poly, radius_px)
-    return float(np.abs(polyval(theta, np.array(inverse)) - rho).max())
+    return float(np.abs(polyval(theta, np.array(inverse or [0.0])) - rho).max())
 
 
 def _samples(poly: list[float], radius_px: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

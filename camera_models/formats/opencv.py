@@ -27,6 +27,7 @@ from camera_models.formats.opencv_cameras import (
     OMNIDIR,
     PINHOLE,
     camera_of,
+    kind_of,
     matrix_of,
     numbers_of,
     size_of,
@@ -125,7 +126,7 @@ def _camera(data: Mapping[str, Any], suffix: str, image_size: tuple[int, int] | 
     if xi is not None:
         kind = OMNIDIR
     elif fisheye is not None:
-        kind = FISHEYE if fisheye else PINHOLE
+        kind = kind_of(fisheye, f"fisheye_model of {where}")
     elif len(distortion) == 4:
         raise InputError(
             f"Four distortion coefficients were expected with a key that tells whether they are of a fisheye, found none for "
@@ -147,8 +148,13 @@ def _with_extrinsics(path: Path, data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _second_from_first(data: Mapping[str, Any]) -> Pose | None:
     translation, rotation = data.get("T", data.get("tvec")), data.get("R", data.get("rvec"))
-    if translation is None or rotation is None:
+    if translation is None and rotation is None:
         return None
+    if translation is None or rotation is None:
+        found = "T without R" if rotation is None else "R without T"
+        raise InputError(
+            f"Where the second camera stands was expected as R and T, found {found}; add the other or leave both out."
+        )
     t = numbers_of(translation, "T", 3)
     if np.size(rotation) == 3:
         return pose_of_vectors(numbers_of(rotation, "rvec"), t)

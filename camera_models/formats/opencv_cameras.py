@@ -24,7 +24,7 @@ FORMS = (
 
 def numbers_of(value: Any, where: str, count: int | None = None) -> list[float]:
     """The numbers of a matrix, row by row; raises InputError where it is none or has another number of them."""
-    if not isinstance(value, np.ndarray) or (count is not None and value.size != count):
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf" or (count is not None and value.size != count):
         expected = "a matrix" if count is None else f"a matrix of {count} numbers"
         shape = "none" if value is None else f"one of {value.size}" if isinstance(value, np.ndarray) else repr(value)
         raise InputError(f"{where} must be {expected}, found {shape}; correct it.")
@@ -46,6 +46,13 @@ def check_matrix(matrix: list[float], where: str) -> None:
             f"The camera matrix of {where} must be fx s cx; 0 fy cy; 0 0 1, found {listed(f'{item:g}' for item in matrix)}; "
             "correct it."
         )
+
+
+def kind_of(mark: Any, where: str) -> str:
+    """Of fisheye_model, or one of models: 0 or 1."""
+    if not isinstance(mark, int | float) or mark not in (0, 1):
+        raise InputError(f"{where} must be 0 (Brown-Conrady) or 1 (cv2.fisheye), found {mark!r}; correct it.")
+    return FISHEYE if mark else PINHOLE
 
 
 def camera_of(

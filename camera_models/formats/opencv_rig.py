@@ -16,7 +16,17 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import Content
 from camera_models.formats.forms import Form
-from camera_models.formats.opencv_cameras import FISHEYE, OMNIDIR, PINHOLE, camera_of, matrix_of, numbers_of, size_of, unread
+from camera_models.formats.opencv_cameras import (
+    FISHEYE,
+    OMNIDIR,
+    PINHOLE,
+    camera_of,
+    kind_of,
+    matrix_of,
+    numbers_of,
+    size_of,
+    unread,
+)
 from camera_models.formats.rig_poses import pose_of_vectors, rig_of, rotation_of_matrix
 from camera_models.pose import Pose
 
@@ -29,7 +39,7 @@ def read_rig(data: Mapping[str, Any], image_size: tuple[int, int] | None) -> Con
     """The cameras and the rig; raises InputError where the lengths do not agree."""
     matrices = numbers_of(data["Ks"], "Ks")
     count = len(matrices) // 9
-    kinds = [FISHEYE if kind else PINHOLE for kind in numbers_of(data.get("models"), "models", count)]
+    kinds = [kind_of(mark, "Each of models") for mark in numbers_of(data.get("models"), "models", count)]
     names = _names(data.get("cam_ids"), count)
     sizes = (
         [None] * count

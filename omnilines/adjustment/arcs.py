@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
+from camera_models.formats.forms import listed
 from camera_models.pose import Pose
 from omnilines.costs._cost import NODES, ArcNodes
 from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
@@ -152,7 +153,7 @@ def cameras_of_images(segments: Segments, poses: ImagePoses, cameras: Mapping[st
         if name not in cameras:
             found = f"camera '{name}'" if name else "no camera"
             raise InputError(
-                f"Photo {image} needs one of the cameras {', '.join(cameras)} of the calibration, found {found}; "
+                f"Photo {image} needs one of the cameras {listed(cameras)} of the calibration, found {found}; "
                 "fill the camera column of poses.csv."
             )
         names.append(name)

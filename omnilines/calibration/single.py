@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
+from camera_models.formats.camera_doubts import model_doubts
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.diagnose import (
     angles_off_axis,
@@ -276,7 +277,7 @@ def _result(
     rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
     if rough:
         refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
-    notes = rough + notes
+    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model)) + notes
     refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
     refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
     residual = np.full((len(corners), 2), np.nan)

@@ -6,7 +6,10 @@ from typing import Any
 from omnilines.commands.result import CommandResult
 from omnilines.pipelines import convert as pipeline
 from omnilines.pipelines.convert import FIGURES, ConversionResult
-from omnilines.records import Summary
+from omnilines.records import Check, Summary
+
+MOST_OFF = 0.01
+"""Of the longer side of the image, by which a fitted camera may be off from the one that was read (RMS)."""
 
 
 def convert(source: Path, out: Path, **options: Any) -> CommandResult:
@@ -29,7 +32,16 @@ def convert(source: Path, out: Path, **options: Any) -> CommandResult:
         rows.append(("rig", f"poses of {len(result.calibration.rig)} cameras"))
     rows += [("written", str(path)) for path in files]
     summary = Summary(f"{result.reader.TITLE} -> {result.writer.TITLE}", tuple(rows))
-    return CommandResult((summary,), data, files=files, warnings=result.notes)
+    return CommandResult((summary,), data, _checks(result), files, warnings=result.notes)
+
+
+def _checks(result: ConversionResult) -> tuple[Check, ...]:
+    """Whether each fitted camera is still the one that was read."""
+    checks = []
+    for name, error in result.errors.items():
+        limit = MOST_OFF * max(result.original[name].image_size)
+        checks.append(Check(f"RMS error of {name}", error.rms_px, limit, "px", error.rms_px <= limit))
+    return tuple(checks)
 
 
 def _camera_data(result: ConversionResult, name: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib_patterns import DetectionOptions
 from camera_models import CameraModel, InputError, load
+from camera_models.formats.forms import listed
 from omnilines.commands.result import CommandResult
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -57,7 +58,7 @@ def _one_camera(calibration: Path) -> CameraModel:
     cameras = load(calibration)
     if len(cameras) != 1:
         raise InputError(
-            f"{calibration}: the calibration of one camera was expected, found {len(cameras)} cameras ({', '.join(cameras)}); "
+            f"{calibration}: the calibration of one camera was expected, found {len(cameras)} cameras ({listed(cameras)}); "
             "write the one that took the photos to a file of its own."
         )
     return next(iter(cameras.values()))

@@ -17,6 +17,7 @@ from omnilines.files.videos import find_videos
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.frames import TABLE, ChosenFrames
 from omnilines.pipelines.frames import frames as pipeline
+from omnilines.pipelines.recognise import OTHERWISE
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Summary
 
@@ -75,7 +76,10 @@ def with_frames(
         result = command([folder])
     taken, looked = made.data["taken"], made.data["looked_at"]
     note = f"{taken} of {looked} frames that were looked at closely were taken; {folder / TABLE} says why."
-    return replace(result, warnings=(note, *made.warnings, *result.warnings))
+    # What the command says of the board from all photos, frames said from a few of them.
+    again = any(OTHERWISE in said for said in result.warnings)
+    of_frames = (said for said in made.warnings if not (again and said.startswith(OTHERWISE)))
+    return replace(result, warnings=(note, *of_frames, *result.warnings))
 
 
 def _cut(paths: Sequence[Path], folder: Path, split: Split, progress: ProgressCallback) -> None:

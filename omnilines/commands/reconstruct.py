@@ -112,7 +112,8 @@ def reconstruct_photos(
     scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
     with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
-    stamp.write(result)
+    if result.holds:
+        stamp.write(result)
     return result
 
 
@@ -208,5 +209,12 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
     notes = (*scene.told, *remarks, *summary.notes)
     given = None if scene.from_photos is None else scene.from_photos.given
     return CommandResult(
-        (summary,), scene_data(scene), files=tuple(files), report=files[-1], warnings=notes, details=scene.details, photos=given
+        (summary,),
+        scene_data(scene),
+        scene.checks,
+        tuple(files),
+        files[-1],
+        warnings=notes,
+        details=scene.details,
+        photos=given,
     )

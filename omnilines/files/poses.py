@@ -12,13 +12,15 @@ from omnilines.records import LARGEST_M, ImagePoses
 
 COLUMNS = ("image", "camera", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 OPTIONAL = ("frame",)
+LONGEST = 10.0
+"""Of a quaternion, and the inverse of the shortest: tools round them, and some do not normalise."""
 
 
 def read_poses(path: str | Path) -> ImagePoses:
     """Poses in the order of the file: X_cam = R(q) X_world + t, t in metres, q = (w, x, y, z), normalised when read.
 
     `camera` may be empty in every row; the optional column `frame` names the instants of a rig. Raises InputError naming file,
-    line and column where a value is missing or not a finite number, a quaternion has length zero, or a photo stands twice.
+    line and column where a value is missing or not a finite number, a quaternion is far from length 1, or a photo stands twice.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
     image, images = table.images()
@@ -29,7 +31,8 @@ def read_poses(path: str | Path) -> ImagePoses:
     cameras = table.name_of_each("camera", image, images, "image") if table.has("camera") else None
     frames = table.name_of_each("frame", image, images, "image") if table.has("frame") else None
     quaternions = table.within(LARGEST_M, "qw", "qx", "qy", "qz")
-    table.require(np.linalg.norm(quaternions, axis=1) > 1e-12, "qw", "a unit quaternion, not one of length zero")
+    length = np.linalg.norm(quaternions, axis=1)
+    table.require((length > 1 / LONGEST) & (length < LONGEST), "qw", "a quaternion qw,qx,qy,qz of about length 1")
     rotation = rotation_from_file(torch.from_numpy(quaternions))
     return ImagePoses(images, Pose(rotation, torch.from_numpy(table.within(LARGEST_M, "tx", "ty", "tz"))), cameras, None, frames)
 

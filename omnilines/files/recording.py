@@ -19,6 +19,7 @@ from jaxtyping import Float
 from camera_models import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
+from camera_models.formats.forms import listed
 from omnilines.files.ply import CAMERA_COLOUR, STATUS_COLOURS
 from omnilines.records import ImagePoses, Lines
 
@@ -55,7 +56,7 @@ def write_recording(
     names = poses.cameras or (next(iter(cameras)),) * len(poses)
     for image, name in zip(poses.images, names, strict=True):
         if name not in cameras:
-            raise InputError(f"The camera of {image} was expected to be one of {', '.join(cameras)}, found '{name}'; correct it.")
+            raise InputError(f"The camera of {image} was expected to be one of {listed(cameras)}, found '{name}'; correct it.")
     rr = rerun_module()
     stream = rr.RecordingStream("omnilines", recording_id="scene", send_properties=False)
     kept = stream.memory_recording()

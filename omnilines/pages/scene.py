@@ -167,6 +167,7 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
         distances = {"triangulated": before[np.isfinite(before)], "adjusted": adjusted}
         return [
             report.summary_section(summary),
+            *([report.checks_section(scene.checks)] if scene.checks else []),
             report.histogram_section(title, distances, label),
             report.scene_section(lines=scene.lines, cameras=scene.poses),
         ]

@@ -16,13 +16,13 @@ from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.inside import require_inside
-from omnilines.pipelines.judged_tracks import judge_tracks
+from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses, LengthUnit, Segments
+from omnilines.records import Check, ImagePoses, LengthUnit, Segments
 from omnilines.triangulation import check_triangulation
 from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
@@ -92,23 +92,39 @@ def adjust(
         )
     except GeometryError:
         # The tracks may tell why.
-        judge_tracks(
-            arcs_from_segments(segments, table, cameras).arcs, table.cam_from_world, options=options.judge, seed=options.seed
-        )
+        arcs = arcs_from_segments(segments, table, cameras).arcs
+        judge_tracks(arcs, table.cam_from_world, list(cameras.values()), options=options.judge, seed=options.seed)
         raise
-    told = (*scene.table.left_out, *_judged(scene, table.cam_from_world, options))
+    misfit = _judged(scene, table.cam_from_world, cameras, options)
+    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += size_notes(scene.lines, scene.poses, options.judge)
     made_from = {"options": options} if inputs is None else inputs
-    return Scene(scene, segments, refined_calibration(scene, cameras), made_from, told, options=options)
+    return Scene(
+        scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
+    )
 
 
-def _judged(scene: AdjustedScene, given: Pose, options: SceneOptions) -> tuple[str, ...]:
-    """What is to be said of the tracks. Raises InputError where nothing explains them."""
+def _checks(scene: AdjustedScene, misfit: Misfit | None) -> tuple[Check, ...]:
+    """Whether the lines are those of the tracks: not where half of the tracks, or of the segments, lie far from their lines."""
+    if misfit is None:
+        return ()
+    far_px = np.abs(scene.residual_px).max(-1)
+    known = far_px[np.isfinite(far_px)]
+    figures = {"half of the tracks from any line": misfit.px}
+    if len(known):
+        figures["half of the segments from their lines"] = float(np.median(known))
+    limit_px = misfit.limit_px
+    return tuple(Check(f"distance of {what}", px, limit_px, "px", px <= limit_px) for what, px in figures.items())
+
+
+def _judged(scene: AdjustedScene, given: Pose, cameras: Calibration, options: SceneOptions) -> Misfit | None:
+    """How well tracks fit. Raises InputError where nothing explains them."""
     arcs = scene.table.arcs
     final = arcs.seen_by(scene.cameras) if scene.cameras else arcs
-    return judge_tracks(arcs, given, refined=(final, scene.poses.cam_from_world), options=options.judge, seed=options.seed)
+    end = final, scene.poses.cam_from_world
+    return judge_tracks(arcs, given, list(cameras.values()), refined=end, options=options.judge, seed=options.seed)
 
 
 def triangulate(
@@ -134,7 +150,7 @@ def triangulate(
     cameras, table = calibration_of(camera), _table_of(poses, segments)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras)
     arcs = arcs_from_segments(segments, table, cameras).arcs
-    judge_tracks(arcs, table.cam_from_world)
+    judge_tracks(arcs, table.cam_from_world, list(cameras.values()))
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     seen_from = table.cam_from_world[arcs.image]
     planes = PlaneObservations.from_arcs(

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.formats.disk import read_bytes
+from camera_models.formats.forms import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_at_once, photos_of, write_segments
 from omnilines.files.fingerprint import revision
@@ -177,7 +178,7 @@ def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str
         folders = [part for part in reversed(parent.parts) if part in cameras]
         if not folders:
             raise InputError(
-                f"The photo {photo.name} was expected in a folder named like one of the cameras {', '.join(cameras)}, found "
+                f"The photo {photo.name} was expected in a folder named like one of the cameras {listed(cameras)}, found "
                 f"{parent}; move it, or give the calibration of its camera alone."
             )
         found[photo.name] = folders[0]

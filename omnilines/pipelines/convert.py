@@ -9,6 +9,7 @@ from pathlib import Path
 
 from camera_models import Calibration, Conversion, InputError
 from camera_models.formats import format_for_writing, format_named, format_of_file
+from camera_models.formats.camera_doubts import camera_doubts
 from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
@@ -133,7 +134,7 @@ def _read(
     if image_size is not None and _holds_size(reader, source):
         raise InputError(f"`image_size` was expected where the file does not hold it, found it in {source}; leave it out.")
     content = reader.read(source, image_size)
-    return reader, content.calibration, tuple(content.notes)
+    return reader, content.calibration, (*content.notes, *camera_doubts(content.calibration))
 
 
 def _holds_size(reader: CalibrationFormat, source: Path) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
+from camera_models.formats.forms import listed
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of, write_corners
@@ -104,7 +105,7 @@ def require_all_named(option: str, given: Mapping[str, Any], cameras: Collection
     """Raises InputError where a value by camera is of none of these, or that for all others, under "", is of no other."""
     unknown = [name for name in given if name and name not in cameras]
     if unknown:
-        raise InputError(f"{option}: cameras among {', '.join(cameras)} were expected, found '{unknown[0]}'; correct the name.")
+        raise InputError(f"{option}: cameras among {listed(cameras)} were expected, found '{unknown[0]}'; correct the name.")
     if "" in given and not set(cameras) - set(given):
         raise InputError(f"{option}: a value for other cameras was given, found all of them named; leave it out.")
 

@@ -1,18 +1,22 @@
 """Tracks that poses and cameras hardly explain: refused, with what is wrong with them where the tracks themselves tell it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from camera_models import InputError
+from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.pixel_readings import other_pixels
+from omnilines.adjustment.scene import AdjustedScene
+from omnilines.geometry.sphere import arc_normal
 from omnilines.pipelines.options import JudgeOptions
-from omnilines.posing.readings import other_readings
+from omnilines.posing.readings import Reading, other_readings, rarer_readings
 from omnilines.triangulation.by_chance import StandOut, misfit, standing_out
 from omnilines.triangulation.observations import PlaneObservations
 
@@ -24,6 +28,7 @@ LEAST_TO_REFUSE = 5
 """Tracks that stand out by chance as often as not where poses are rough: fewer do not tell that nothing fits."""
 MOST_SEGMENTS = 8
 """Of a track, that are looked at."""
+MOST_NAMED = 3
 OTHERS = 10_000
 """Segments of other tracks, that random tracks are made of beside these."""
 ANGLES = tuple(1.1**k for k in range(-20, 21) if k)
@@ -62,39 +67,61 @@ class _Sampled:
         return int((square <= self.options.fitting * best.median()).sum())
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """How far half of the tracks lie from any line, as they were judged."""
+
+    px: float
+    limit_px: float
+    """From which on the lines are not those of the photos."""
+    rough_px: float
+    """From which on it is spoken of."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence where tracks fit worse than segments are found."""
+        if self.px <= self.rough_px:
+            return ()
+        return (
+            f"Half of the tracks lie {self.px:.2g} px or more from any line, far more than segments are off by: poses, "
+            "calibration or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+        )
+
+
 def judge_tracks(
     arcs: MatchedArcs,
     given: Pose,
+    cameras: Sequence[CameraModel],
     *,
     refined: tuple[MatchedArcs, Pose] | None = None,
     options: JudgeOptions = JudgeOptions(),
     seed: int = 0,
-) -> tuple[str, ...]:
-    """Refuse tracks that fit no better than random ones do, and those that another reading of the poses explains far better.
+) -> Misfit | None:
+    """Refuse tracks that fit no better than random ones do, and those that another reading of the tables explains far better.
 
-    `given` are the poses as they were given, `refined` the arcs and poses after an adjustment. Tracks of two segments, and fewer
-    than three of them, tell nothing. Returns what is to be said of the others.
+    `given` are the poses as they were given, `cameras` those that `arcs.observed` numbers, `refined` the arcs and poses after an
+    adjustment. Tracks of two segments, and fewer than three of them, tell nothing: None.
 
-    Raises InputError that says which reading of the poses, or which camera, explains the tracks, or that nothing does.
+    Raises InputError that says which reading of poses or segments, or which camera, explains the tracks, or that nothing does.
     """
     chosen = _sample(arcs, options, seed)
     if chosen(arcs).tracks < LEAST_TRACKS:
-        return ()
+        return None
     sampled, poses = chosen(arcs), given
     square = sampled.misfit(poses)
     enough = options.fitting_px**2
     if float(square.median()) <= enough:
-        return ()
+        return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
     # An adjustment may mend poses that were read wrongly, but in a world of its own.
-    _refuse_reading(sampled, given, square)
+    _refuse_reading(sampled, given, square, cameras)
     if refined is not None:
         final, end = chosen(refined[0]), refined[1]
         better = final.misfit(end)
-        # One that went astray says nothing of what was given.
+        # One that went astray says nothing of what was given, but it is what comes out.
         if float(better.median()) < float(square.median()):
             sampled, poses, square = final, end, better
     if float(square.median()) <= enough:
-        return ()
+        return _misfit(sampled, square, cameras)
     held = sampled.stand_out(poses)
     _refuse_camera(sampled, poses, square)
     if held.tracks >= LEAST_TO_REFUSE and held.chance > options.max_chance:
@@ -103,16 +130,37 @@ def judge_tracks(
             f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
             "calibration of the same photos were expected; correct what is of others."
         )
-    return _rough(math.sqrt(float(square.median())), options)
+    return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
 
 
-def _rough(misfit_px: float, options: JudgeOptions) -> tuple[str, ...]:
-    """A sentence where tracks fit worse than segments are found."""
-    if misfit_px <= options.rough_px:
+def _misfit_of(sampled: _Sampled, poses: Pose, cameras: Sequence[CameraModel]) -> Misfit:
+    return _misfit(sampled, sampled.misfit(poses), cameras)
+
+
+def _misfit(sampled: _Sampled, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> Misfit:
+    """Beside what segments are off by, which they may state, and the size of the images."""
+    options = sampled.options
+    stated = float(sampled.arcs.covariance_px2.diagonal(dim1=-2, dim2=-1).median().sqrt()) if sampled.arcs.sigma_known else 1.0
+    rough = options.rough_px * max(stated, 1.0)
+    limit = max(rough, options.rough_share * max(max(camera.image_size) for camera in cameras))
+    return Misfit(math.sqrt(float(square.median())), limit, rough)
+
+
+def far_photos(scene: AdjustedScene, options: JudgeOptions) -> tuple[str, ...]:
+    """A sentence where the segments of few photos lie far from their lines, and those of the others do not."""
+    far_px, images = np.abs(scene.residual_px).max(-1), scene.table.arcs.image.numpy()
+    known = np.isfinite(far_px)
+    photos = np.unique(images[known])
+    middle = np.array([np.median(far_px[known & (images == photo)]) for photo in photos])
+    usual = float(np.median(middle)) if len(middle) else 0.0
+    far = np.flatnonzero(middle > np.maximum(options.rough_px, options.far_photo * usual))
+    if not len(far):
         return ()
+    named = ", ".join(f"{scene.poses.images[photos[k]]} ({middle[k]:.2g} px)" for k in far[np.argsort(-middle[far])][:MOST_NAMED])
+    more = f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else ""
     return (
-        f"Half of the tracks lie {misfit_px:.2g} px or more from any line, far more than segments are off by: poses, calibration "
-        "or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
+        f"Half of the segments of {named}{more} lie so far from their lines, of other photos {usual:.2g} px: check the poses of "
+        "these photos, or refine poses.",
     )
 
 
@@ -144,21 +192,60 @@ def _rank_of_equals(labels: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
     return rank
 
 
-def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"]) -> None:
-    """Raises InputError where another reading of the poses explains far more than these misfits do."""
-    readings = [(reading, sampled.misfit(reading.poses)) for reading in other_readings(given)]
-    least = min(float(other.median()) for _, other in readings)
+@dataclass(frozen=True)
+class _Read:
+    """The tables, read in another way."""
+
+    says: str
+    """What they seem to be."""
+    remedy: str
+    """What was expected, and what to do."""
+    sampled: _Sampled
+    poses: Pose
+    sure: float
+    """Probability up to which that is no chance: the more readings are tried, the smaller."""
+
+
+def _refuse_reading(sampled: _Sampled, given: Pose, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> None:
+    """Raises InputError where another reading of poses or segments explains far more than these misfits do."""
+    sure, rarer = sampled.options.sure, list(rarer_readings(given))
+    read = [_of_poses(sampled, one, sure) for one in other_readings(given)]
+    read += _of_pixels(sampled, given, cameras)
+    read += [_of_poses(sampled, one, sure / len(rarer)) for one in rarer]
+    found = [one.sampled.misfit(one.poses) for one in read]
+    median = [float(one.median()) for one in found]
     # Where all cameras look alike, two readings may be one: the usual mistakes come first.
-    reading, other = next(one for one in readings if float(one[1].median()) <= sampled.options.gain * least)
-    if _far_better(sampled, reading.poses, other, square):
-        explained, as_given = (sampled.explained(own, other) for own in (other, square))
+    best = next(k for k, value in enumerate(median) if value <= sampled.options.gain * min(median))
+    if _far_better(read[best].sampled, read[best].poses, found[best], square, read[best].sure):
+        explained, as_given = (sampled.explained(own, found[best]) for own in (found[best], square))
         raise InputError(
-            f"The poses look {reading.looks}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
-            f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}."
+            f"{read[best].says}: as given they explain {as_given} of {sampled.tracks} tracks, read so {explained}. "
+            f"{read[best].remedy}."
         )
 
 
-def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"]) -> bool:
+def _of_poses(sampled: _Sampled, reading: Reading, sure: float) -> _Read:
+    remedy = f"X_cam = R X_world + t and qw,qx,qy,qz were expected; {reading.remedy}"
+    return _Read(f"The poses look {reading.looks}", remedy, sampled, reading.poses, sure)
+
+
+def _of_pixels(sampled: _Sampled, given: Pose, cameras: Sequence[CameraModel]) -> list[_Read]:
+    """Those of the other readings of the segments in which all of them lie in their images and have a length."""
+    observed, options = sampled.arcs.observed, sampled.options
+    if observed is None:
+        return []
+    size = torch.tensor([camera.image_size for camera in cameras], dtype=torch.float64)[observed.camera]
+    margin, read = options.beyond_share * size.amax(-1)[:, None, None], []
+    for one in other_pixels(observed.pixels, size):
+        if bool(((one.pixels >= -margin) & (one.pixels <= size[:, None] + margin)).all()):
+            arcs = replace(sampled.arcs, observed=replace(observed, pixels=one.pixels)).seen_by(cameras)
+            if bool((arc_normal(*arcs.bearings.unbind(1)).norm(dim=-1) > 0.5).all()):
+                remedy = f"u_px to the right and v_px down from the first pixel were expected; {one.remedy}"
+                read.append(_Read(f"The segments look {one.looks}", remedy, replace(sampled, arcs=arcs), given, options.sure))
+    return read
+
+
+def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], square: Float[Tensor, " k"], sure: float) -> bool:
     """Whether the misfits `other` under these poses are far better than others, and not by chance."""
     options = sampled.options
     if not bool(torch.isfinite(other.median())):
@@ -166,7 +253,7 @@ def _far_better(sampled: _Sampled, poses: Pose, other: Float[Tensor, " k"], squa
     if sampled.explained(other, other) < options.gain * sampled.explained(square, other):
         return False
     found = sampled.stand_out(poses)
-    return 2 * found.standing_out >= found.tracks and found.chance <= options.sure
+    return 2 * found.standing_out >= found.tracks and found.chance <= sure
 
 
 def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) -> None:
@@ -180,7 +267,7 @@ def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) 
         if float(found.median()) < float(best[2].median()):
             best = scale, other, found
     scale, other, found = best
-    if _far_better(other, poses, found, square):
+    if _far_better(other, poses, found, square, sampled.options.sure):
         explained, as_given = (sampled.explained(own, found) for own in (found, square))
         raise InputError(
             f"The calibration looks like that of another camera: it explains {as_given} of {sampled.tracks} tracks, one that "

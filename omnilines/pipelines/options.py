@@ -72,7 +72,11 @@ class JudgeOptions(NamedTuple):
     fitting_px: float = 1.0
     """Misfit of half of the tracks up to which nothing is asked: no choice of segments at random has it."""
     rough_px: float = 3.0
-    """Misfit of half of the tracks from which on it is spoken of."""
+    """Misfit of half of the tracks from which on it is spoken of, times their stated noise where that is more than 1 px."""
+    rough_share: float = 0.005
+    """The same as a share of the longer side of an image, from which on lines do not hold (exit status 1)."""
+    far_photo: float = 3.0
+    """Times as far from their lines as those of the median photo, from which on the segments of a photo are spoken of."""
     max_chance: float = 0.02
     """They are refused where as much would be explained by chance with a larger probability."""
     sure: float = 1e-4

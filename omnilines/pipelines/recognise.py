@@ -8,6 +8,8 @@ from camera_models import InputError
 from omnilines.files import Photo
 from omnilines.progress import ProgressCallback
 
+OTHERWISE = "The board is "
+"""How the sentence begins that says that a target is not printed as it was given."""
 FIRST = 2
 """Photos looked at first: where both show the board as it was given, that is enough."""
 MOST_TIMES = 4
@@ -48,7 +50,7 @@ def as_printed(
     if found is None or found.pattern == pattern:
         return pattern, None
     return found.pattern, (
-        f"The board is {found.pattern.specification}, not {pattern.specification}: {found.tags} tags in {found.photos} of "
+        f"{OTHERWISE}{found.pattern.specification}, not {pattern.specification}: {found.tags} tags in {found.photos} of "
         f"{len(seen)} photos lie so. It is taken for that in all photos."
     )
 

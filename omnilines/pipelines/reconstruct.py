@@ -28,7 +28,7 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Detail, ImagePoses, Segments
+from omnilines.records import Check, Detail, ImagePoses, Segments
 from omnilines.structure.families import line_families
 from omnilines.triangulation import check_triangulation
 
@@ -150,7 +150,26 @@ def _scene(
         folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, frame.families, frame.up
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
-    return Scene(found.scene, found.segments, refined_calibration(found.scene, cameras), inputs, told, unused, of_photos, options)
+    return Scene(
+        found.scene,
+        found.segments,
+        refined_calibration(found.scene, cameras),
+        inputs,
+        told,
+        unused,
+        of_photos,
+        options,
+        _checks(found),
+    )
+
+
+def _checks(found: KeptLines) -> tuple[Check, ...]:
+    """None where lines stand out."""
+    if found.matched.beyond_chance:
+        return ()
+    return (
+        Check("arcs in lines that agree by chance alone", float(sum(photo.in_lines for photo in found.photos)), 0.0, "", False),
+    )
 
 
 def _by_chance(found: KeptLines) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from jaxtyping import UInt
 
 from camera_models import Calibration, CameraModel, InputError, load, save
 from camera_models.blending import BlendedGrid, axis_from_rig, blended, blended_grid
+from camera_models.formats.forms import listed
 from camera_models.pose import Pose
 from camera_models.resampling import SamplingGrid, sampling_grid
 from camera_models.views import View, axis_from_camera, views
@@ -222,7 +223,7 @@ def _cameras_of_photos(photos: Sequence[Photo], cameras: Calibration, table: Ima
         if known[photo.name] not in cameras:
             raise InputError(
                 f"A camera of the calibration was expected for '{photo.name}', found '{known[photo.name]}'; name one of "
-                f"{', '.join(cameras)}."
+                f"{listed(cameras)}."
             )
     if len(cameras) > 1 and table.cameras is None:
         raise InputError("The camera of every photo was expected in poses.csv, found none; fill in the column camera.")

@@ -16,7 +16,7 @@ from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
-from omnilines.records import Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
+from omnilines.records import Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
 
 SCENE = "scene"
@@ -62,6 +62,8 @@ class Scene:
     """And of photos that could not be used."""
     from_photos: FromPhotos | None = None
     options: SceneOptions = SceneOptions()
+    checks: tuple[Check, ...] = ()
+    """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
 
     @property
     def lines(self) -> Lines:

@@ -7,6 +7,7 @@ import torch
 
 from camera_models import Calibration, InputError
 from camera_models.pose import Pose
+from omnilines.geometry.rig_readings import refuse_rig_reading
 from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses, image_poses
 from omnilines.records import ImagePoses
@@ -47,7 +48,7 @@ def complete_from_rig(
 
     Poses that are known stay as they are. Where several are known of an instant, the rig stands at the mean of what they say.
     Photos of instants without a known pose are left out. Raises InputError for a calibration without a rig, two photos of one
-    camera and instant, and known poses that contradict the rig.
+    camera and instant, and known poses that contradict the rig, or say that it is written in another way.
     """
     _require_rig(calibration)
     _require_one_photo_each(photos, camera_of, frame_of)
@@ -55,6 +56,13 @@ def complete_from_rig(
     in_frame: dict[str, list[str]] = {}
     for name in known:
         in_frame.setdefault(frame_of[name], []).append(name)
+    pairs = [(first, name) for first, *others in in_frame.values() for name in others]
+    if pairs:
+        mounted = {name: calibration.rig[camera_of[name]].cam_from_rig for name in known}
+        by_poses, by_rig = (
+            Pose.stack([where[name] @ where[first].inverse() for first, name in pairs]) for where in (known, mounted)
+        )
+        refuse_rig_reading(by_poses, by_rig)
     most_rad = options.rig_contradicts_rad
     rig_from_world = {frame: _rig_at(calibration, names, known, camera_of, most_rad) for frame, names in in_frame.items()}
     kept, found = [], []

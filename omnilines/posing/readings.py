@@ -1,14 +1,19 @@
 """What a table of poses may hold in place of `cam_from_world`: its numbers read as other tools write them."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from camera_models.pose import Pose, rotation_from_quaternion
 
-AXES = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
+AXES = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 """Of a camera that looks along -z with y up (OpenGL, Blender), in ours."""
+MIRROR = torch.diag(torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64))
+"""Of a left-handed world, to a right-handed one."""
 
 
 @dataclass(frozen=True)
@@ -24,21 +29,48 @@ class Reading:
 
 
 def other_readings(given: Pose) -> Iterator[Reading]:
-    """The other ways to read n poses, the usual mistakes first."""
+    """The other ways to read n poses that are usual, the commonest mistakes first."""
+    yield from _all_kinds(given, None)
+    yield from _all_kinds(given, _Axes("to be of cameras with y up and z back (OpenGL, Blender)", AXES))
+
+
+def rarer_readings(given: Pose) -> Iterator[Reading]:
+    """With any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed ones (Unity, Unreal)."""
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            axes = torch.zeros(3, 3, dtype=torch.float64)
+            axes[torch.arange(3), torch.tensor(order)] = torch.tensor(signs, dtype=torch.float64)
+            if not (torch.equal(axes, AXES) or torch.equal(axes, torch.eye(3, dtype=torch.float64))):
+                named = ", ".join(f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True))
+                hand = "" if torch.linalg.det(axes) > 0 else "left-handed and "
+                yield from _all_kinds(given, _Axes(f"to be {hand}of cameras whose right, down and forward are {named}", axes))
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """Of other cameras."""
+
+    looks: str
+    ours: Float[Tensor, "3 3"]
+    """x of our camera from x of theirs; where it mirrors, the world is mirrored too."""
+
+    def read(self, poses: Pose) -> Pose:
+        left_handed = float(torch.linalg.det(self.ours)) < 0
+        turned = self.ours @ poses.rotation @ (MIRROR if left_handed else torch.eye(3, dtype=torch.float64))
+        return Pose(turned, poses.translation @ self.ours.T)
+
+
+def _all_kinds(given: Pose, axes: _Axes | None) -> Iterator[Reading]:
+    """All ways to write a pose, of cameras with such axes; but for the one that is expected."""
     w, x, y, z = given.quaternion.unbind(-1)
     reordered = Pose(rotation_from_quaternion(torch.stack([z, w, x, y], -1)), given.translation)
-    for axes, turned in (("", False), ("to be of cameras with y up and z back (OpenGL, Blender)", True)):
-        for order, written in (("", given), ("to have quaternions in the order x, y, z, w", reordered)):
-            for kind, remedy, poses in _kinds(written):
-                looks = " and ".join(part for part in (kind, order, axes) if part)
-                if not looks:
-                    continue
-                todo = (
-                    [remedy] * bool(kind)
-                    + ["write qw,qx,qy,qz"] * bool(order)
-                    + ["turn the cameras about x by 180 degrees"] * turned
-                )
-                yield Reading(looks, " and ".join(todo), _turned(poses) if turned else poses)
+    for order, written in (("", given), ("to have quaternions in the order x, y, z, w", reordered)):
+        for kind, remedy, poses in _kinds(written):
+            looks = [part for part in (kind, order, "" if axes is None else axes.looks) if part]
+            if looks:
+                todo = [remedy] * bool(kind) + ["write qw,qx,qy,qz"] * bool(order)
+                todo += ["give them for cameras with x right, y down and z forward"] * (axes is not None)
+                yield Reading(" and ".join(looks), " and ".join(todo), poses if axes is None else axes.read(poses))
 
 
 def _kinds(poses: Pose) -> Iterator[tuple[str, str, Pose]]:
@@ -52,7 +84,3 @@ def _kinds(poses: Pose) -> Iterator[tuple[str, str, Pose]]:
         "transpose them (negate qx, qy and qz)",
         Pose(poses.rotation.mT, poses.translation),
     )
-
-
-def _turned(poses: Pose) -> Pose:
-    return Pose(AXES[:, None] * poses.rotation, AXES * poses.translation)

@@ -177,6 +177,12 @@ NATIVE: dict[str, tuple[str, Change]] = {
     "mrcal-code": ("mrcal", lambda c: b"__import__('os').system('touch HIT')\n"),
     "mrcal-power": ("mrcal", lambda c: b"{'lensmodel': 9**9**9**9}\n"),
     "ocam-slope": ("ocamcalib", lambda c: c.replace(b" 0.0 ", b" 3.0 ", 1)),
+    "ocam-affine-wild": ("ocamcalib", lambda c: c.replace(b"1.0 0.0 0.0", b"1e9 0.0 0.0")),
+    "focal-of-nothing": ("omnilines", exchange(b"fx: 170.25", b"fx: 1.0e-9")),
+    "opencv-marker-of-two": ("opencv-yml", exchange(b"fisheye_model: 1", b"fisheye_model: 2")),
+    "opencv-models-of-nine": ("opencv-rig", exchange(b"[ 1, 0, 1 ]", b"[ 9, 0, 1 ]")),
+    "opencv-half-a-pose": ("opencv-pair", lambda c: c[: c.index(b"T: !!")]),
+    "opencv-text-for-xi": ("opencv-yml", lambda c: c + b'xi: "a"\n'),
     "ocam-affine-singular": ("ocamcalib", lambda c: c.replace(b"1.0 0.0 0.0", b"0.0 0.0 0.0")),
 }  # fmt: skip
 

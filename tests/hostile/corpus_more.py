@@ -68,6 +68,7 @@ def cases() -> Iterator[Case]:
     yield from of_kept()
     yield from of_masks()
     yield from of_photos()
+    yield from of_other_conventions()
 
 
 RECONSTRUCT = ("reconstruct", "IN/photos", "--calibration", "IN/calibration.yaml", "--out", "OUT", "--poses")
@@ -191,3 +192,50 @@ def of_kept() -> Iterator[Case]:
 
         case = (*RECONSTRUCT, "IN/poses.csv")
         yield Case(f"kept:{what}", case, prepare, "lines|No line", status=(0, 2), changes=("OUT/work/arcs/*",))
+
+
+def of_other_conventions() -> Iterator[Case]:
+    """Tables that another tool wrote, in its own way; and files that hold a camera of another image."""
+
+    def cells(names: tuple[str, ...], change: Callable[[list[float]], list[float]]) -> Change:
+        def changed_cells(rows: Rows) -> Rows:
+            at = [rows[0].index(name) for name in names]
+            found = [rows[0]]
+            for row in rows[1:]:
+                new = dict(zip(at, change([float(row[k]) for k in at]), strict=True))
+                found.append([str(new.get(k, cell)) for k, cell in enumerate(row)])
+            return found
+
+        return changed_cells
+
+    width, height = 646, 482
+    ends, pose = ("u1_px", "v1_px", "u2_px", "v2_px"), ("qw", "qx", "qy", "qz")
+    segments: dict[str, tuple[Callable[[list[float]], list[float]], str]] = {
+        "v-up": (lambda e: [e[0], height - 1 - e[1], e[2], height - 1 - e[3]], "count v from the bottom|left-handed"),
+        "turned": (
+            lambda e: [width - 1 - e[0], height - 1 - e[1], width - 1 - e[2], height - 1 - e[3]],
+            "turned by 180|-x, -y, z",
+        ),
+        "by-axis": (lambda e: [e[0], e[2], e[1], e[3]], "u1, u2, v1, v2|inside the image"),
+        "shares": (lambda e: [e[0] / width, e[1] / height, e[2] / width, e[3] / height], "shares of the image"),
+        "half-size": (lambda e: [cell / 2 for cell in e], "323x241 px"),
+    }
+    for what, (change, says) in segments.items():
+        yield Case(f"convention:{what}", COMMANDS["segments"][2], changed("segments", cells(ends, change)), says)
+    quaternion = cells(pose, lambda q: [*q[1:], q[0]])
+    yield Case("convention:xyzw", COMMANDS["segments"][2], changed("poses", quaternion), "x, y, z, w")
+    again = changed(
+        "poses",
+        lambda rows: [rows[0], *([row[0], *other[1:]] for row, other in zip(rows[1:], rows[2:] + rows[1:2], strict=True))],
+    )
+    rough = "DOES NOT HOLD|at random"
+    yield Case("convention:poses-of-other-photos", COMMANDS["poses"][2], again, rough, status=(1, 2))
+    yield Case("convention:no-inverse", convert("ocamcalib"), spoilt("ocamcalib", _no_inverse), "inverse polynomial", status=(0,))
+    sizes = spoilt("omnilines", exchange(b"[646, 482]", b"[482, 646]"))
+    yield Case("convention:sides-swapped", convert("omnilines"), sizes, "swapped", status=(0,))
+
+
+def _no_inverse(content: bytes) -> bytes:
+    rows = content.split(b"\n")
+    at = next(k for k, row in enumerate(rows) if k > 4 and row.split(b" ")[0].isdigit())
+    return b"\n".join([*rows[:at], b"0", *rows[at + 1 :]])

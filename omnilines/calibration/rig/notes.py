@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import torch
 
+from camera_models.formats.camera_doubts import model_doubts
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
 from omnilines.calibration.rig.excess import excess_note
@@ -43,6 +44,7 @@ def rig_notes(
         pixels = outcome.fit.points.pixels[own]
         rms_px, stated_px = member.rms_px_per_point / math.sqrt(2), outcome.data.sigma_px[k]
         notes += [f"Camera {member.name}: {note}" for note in misfit_notes(rms_px, member.model.image_size, stated_px, doubt)]
+        notes += [f"Camera {member.name}: {note}." for note in model_doubts(member.model)]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
     notes += _excess_notes(outcome)
     notes += _noise_notes(outcome, members)
