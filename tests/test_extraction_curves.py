@@ -5,11 +5,12 @@ import math
 import cv2
 import numpy as np
 import pytest
+import torch
 from scipy.special import ndtr
 
 from camera_models import MODELS, CameraModel, Cylindrical, Equirectangular, OpenCVFisheye, Scaramuzza, model_class
 from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, arcs_of_ends
-from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.bearings import FARTHEST_PX, bearings_at, changes_at, pixels_at
 from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
 from omnilines.extraction.kernels.pair import near_pairs
@@ -127,6 +128,30 @@ def test_bearings_of_many_places_are_those_of_the_model(model: CameraModel) -> N
     assert rows.sum() > 10_000
     off = np.linalg.norm(bearings - expected, axis=-1)
     assert (off[rows] <= 1e-3 * pace[rows] + 1e-14).all()
+
+
+@pytest.mark.parametrize("model", EXAMPLES)
+def test_pixels_of_many_rays_and_their_changes_are_those_of_the_model(model: CameraModel) -> None:
+    rays = np.random.default_rng(4).standard_normal((30_000, 3))
+    pixels, valid = pixels_at(model, 3.0 * rays)
+    expected, seen = model.project(rays)
+    np.testing.assert_array_equal(valid, seen & (np.abs(expected) <= FARTHEST_PX).all(-1))
+    inside = seen & (expected > -0.5).all(-1) & (expected < np.array(model.image_size) - 0.5).all(-1)
+    assert inside.sum() > 200
+    np.testing.assert_allclose(pixels[inside], expected[inside], rtol=0.0, atol=4e-4)
+    # Circles through the rays, met where they begin.
+    ray = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
+    normal = np.cross(ray, np.roll(ray, 1, -1))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    frame = np.stack([normal, ray, np.cross(normal, ray)], -1)
+    found = changes_at(model, frame, np.arange(len(ray)), np.zeros(len(ray)))
+    by_ray = model.project_with_jacobians(torch.as_tensor(ray))[2].numpy()
+    pace = np.linalg.norm(by_ray, axis=(1, 2))
+    rows = found[3] & (pace < 20.0 * np.median(pace))
+    assert rows.mean() > 0.9
+    for change, way in ((found[1], frame[..., 2]), (found[2], normal)):
+        off = np.linalg.norm(change - np.einsum("nij,nj->ni", by_ray, way), axis=-1)
+        assert (off[rows] <= 1e-4 * pace[rows]).all()
 
 
 def test_the_examples_have_domains_that_end_inside_the_image() -> None:
