@@ -15,7 +15,8 @@ from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
 from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.kernels.profile import mean_profiles, piece_means, profiles
-from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
+from omnilines.extraction.kernels.step_edge import ROUNDS, fit_steps
 from omnilines.extraction.kernels.tables import PairLimits, Picture, Ranked, Samples, Stepped, Window
 
 EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]

@@ -182,17 +182,19 @@ def _joined(arcs: Arcs, length_px: Float[np.ndarray, " n"], joins: _Pairs, dropp
     root = order[place][label]
     difference, covariance = _seen_from(arcs, root, np.arange(count))
     information = inverse_2x2(covariance)
+    rows = np.argsort(root, kind="stable")
+    begins = np.flatnonzero(np.diff(root[rows], prepend=-1))
     total, pull = np.zeros((count, 2, 2)), np.zeros((count, 2))
-    np.add.at(total, root, information)
-    np.add.at(pull, root, (information @ difference[..., None])[..., 0])
+    total[root[rows[begins]]] = np.add.reduceat(information[rows], begins)
+    pull[root[rows[begins]]] = np.add.reduceat((information @ difference[..., None])[..., 0][rows], begins)
     roots = np.flatnonzero((root == np.arange(count)) & ~dropped)
     shared = inverse_2x2(total[roots])
     change = (shared @ pull[roots][..., None])[..., 0]
     ends = np.stack([arcs.bearings(np.arange(count), angle) for angle in (arcs.low, arcs.high)], 1)
     low, high = np.full(count, np.inf), np.full(count, -np.inf)
     angles = np.arctan2((ends * arcs.second[root][:, None]).sum(-1), (ends * arcs.first[root][:, None]).sum(-1))
-    np.minimum.at(low, root, angles.min(-1))
-    np.maximum.at(high, root, angles.max(-1))
+    low[root[rows[begins]]] = np.minimum.reduceat(angles.min(-1)[rows], begins)
+    high[root[rows[begins]]] = np.maximum.reduceat(angles.max(-1)[rows], begins)
     normal = arcs.normal[roots] + change[:, :1] * arcs.first[roots] + change[:, 1:] * arcs.second[roots]
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     first = arcs.first[roots] - (arcs.first[roots] * normal).sum(-1, keepdims=True) * normal

@@ -93,7 +93,9 @@ def chart_table(pixel: np.ndarray) -> np.ndarray:
     for i in range(2, rows - 2):
         for j in range(columns):
             for c in range(2):
-                table[i, j, 2 + c] = (8.0 * (pixel[i + 1, j, c] - pixel[i - 1, j, c]) - pixel[i + 2, j, c] + pixel[i - 2, j, c]) / 12.0
+                table[i, j, 2 + c] = (
+                    8.0 * (pixel[i + 1, j, c] - pixel[i - 1, j, c]) - pixel[i + 2, j, c] + pixel[i - 2, j, c]
+                ) / 12.0
     for i in range(rows):
         for j in range(2, columns - 2):
             for c in range(4):

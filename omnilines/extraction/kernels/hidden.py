@@ -11,7 +11,7 @@ from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
-from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.kernels.tables import Stepped, Window
 
 
