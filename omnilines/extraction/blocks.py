@@ -89,6 +89,8 @@ _Table = TypeVar("_Table", Blocks, Path)
 
 
 def _kept(table: _Table, arcs: Int[np.ndarray, " k"]) -> _Table:
+    if len(arcs) == table.arcs and (np.diff(arcs) > 0).all():
+        return table
     number = np.full(table.arcs, -1)
     number[arcs] = np.arange(len(arcs))
     rows = np.flatnonzero(number[table.owner] >= 0)

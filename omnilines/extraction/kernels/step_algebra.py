@@ -93,30 +93,42 @@ def blurred_steps(blur: float, between: float) -> Table:
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
+def row_of(first_px: float, between: float, place: float, table: Table) -> tuple[int, float]:
+    """Where a step at a place is read from the table at offsets from `first_px` on: the first value, and the share of the way to
+    the next row."""
+    # In this order a place that is no number has a row as well.
+    x = (first_px - min(max(-_FARTHEST_PX, place), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
+    i = int(x)
+    y = (x - i) * _PARTS
+    return int(y) * table.columns + i, y - int(y)
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def step_at(table: Table, at: int, share: float, between: float) -> tuple[float, float]:
+    """A step of 1 about 0 and its derivative by the offset: between rows of the table by Hermite's cubic (good to 1e-8) and by a
+    line (good to 2e-4)."""
+    half, bell, below, rest = table.half, table.bell, at + table.columns, 1.0 - share
+    low, high = bell[at], bell[below]
+    after = share * share * (3.0 - 2.0 * share)
+    step = half[at] + after * (half[below] - half[at]) + share * rest * between / _PARTS * (rest * low - share * high)
+    return step, rest * low + share * high
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
 def _blurred_step(window: Window, place: np.ndarray, steps: Table, j: int, fit: Fit) -> None:
-    """Weighted steps of 1 about 0 and their derivatives by their places: between rows of the table by Hermite's cubic (good to
-    1e-8) and by a line (good to 2e-4)."""
+    """Weighted steps of 1 about 0 and their derivatives by their places."""
     lanes = len(fit.row)
     offsets, weight = window.offsets_px, window.weight
-    half, bell, columns = steps
     design, slope, row, share = fit.design, fit.slope, fit.row, fit.share
     between = offsets[1] - offsets[0]
     for n in range(lanes):
-        # In this order a place that is no number has a row as well.
-        x = (offsets[0] - min(max(-_FARTHEST_PX, place[j, n]), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
-        i = int(x)
-        y = (x - i) * _PARTS
-        row[n] = int(y) * columns + i
-        share[n] = y - int(y)
-    rise = between / _PARTS
+        row[n], share[n] = row_of(offsets[0], between, place[j, n], steps)
     for k in range(len(weight)):
         for n in range(lanes):
-            s, at = share[n], row[n] + k
-            t, below = 1.0 - s, at + columns
-            low, high = bell[at], bell[below]
-            step = half[at] + s * s * (3.0 - 2.0 * s) * (half[below] - half[at]) + s * t * rise * (t * low - s * high)
-            design[1 + j, k, n] = weight[k] * step
-            slope[j, k, n] = -weight[k] * (t * low + s * high)
+            half, bell = step_at(steps, row[n] + k, share[n], between)
+            design[1 + j, k, n], slope[j, k, n] = weight[k] * half, -weight[k] * bell
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
