@@ -194,6 +194,31 @@ def test_steps_are_found_where_they_are() -> None:
         np.testing.assert_allclose(variance[n], bound, rtol=0.02)
 
 
+@pytest.mark.parametrize("rounds", [1, 2, ROUNDS])
+def test_profiles_fitted_at_once_are_those_fitted_alone(rounds: int) -> None:
+    """Noise alone and steps in it, from one to MOST_STEPS, more of some than there are lanes: they need all rounds, few or half
+    steps back."""
+    rng = np.random.default_rng(5)
+    offsets = np.arange(-12, 13) * 0.5
+    count = rng.permutation(np.repeat(np.arange(1, MOST_STEPS + 1), [90, 150, 20, 17, 5, 1]))
+    place = np.zeros((len(count), MOST_STEPS))
+    place[:, 1:] = rng.uniform(-5.0, 5.0, (len(count), MOST_STEPS - 1))
+    profile = rng.normal(0.0, 4.0, (len(count), 3, 25)).astype(np.float32)
+    profile += 30.0 * ndtr((offsets - rng.uniform(-1.0, 1.0, (len(count), 1, 1))) / 0.7) * (rng.random((len(count), 1, 1)) < 0.7)
+    sigma = rng.uniform(0.5, 4.0, len(count))
+    window = Window(0, offsets, np.exp(-0.25 * (offsets / 2.0) ** 2))
+    stiff = np.array([1.0, 0.3])
+
+    def fitted(rows: slice) -> tuple[np.ndarray, ...]:
+        return fit_steps(
+            Stepped(profile[rows], place[rows], count[rows]), sigma[rows], window, stiff=stiff, blur=0.7, rounds=rounds
+        )
+
+    alone = [fitted(slice(n, n + 1)) for n in range(len(count))]
+    for found, expected in zip(fitted(slice(None)), zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_noise_is_the_median_of_the_mask(dtype: type) -> None:
     """OpenCV's filter and NumPy's median of one band; and the noise that was added to a slope."""

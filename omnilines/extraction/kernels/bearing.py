@@ -85,7 +85,7 @@ def read_bearings(
 @njit(cache=True, nogil=True)
 @no_type_check
 def chart_table(pixel: np.ndarray) -> np.ndarray:
-    """Of pixels (h, w, 2) of nodes, their derivatives per step down, across and both, by differences of five nodes: (h, w, 8),
+    """Of pixels (h, w, 2) of nodes their derivatives per step down, across and both, by differences of five nodes: (h, w, 8),
     the pixel first. Two nodes at each border have none."""
     rows, columns = pixel.shape[:2]
     table = np.zeros((rows, columns, 8))
@@ -178,8 +178,8 @@ def read_pixels(charts: Charts, rays: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def read_changes(
     charts: Charts, frame: np.ndarray, owner: np.ndarray, angle: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels (m, 2) at angles on the circles `owner` of frames (n, 3, 3) with the columns normal, first, second, their changes per
-    radian along the circle and towards its normal, and whether their chart is good there; they are 0 where not."""
+    """Pixels (m, 2) at angles on the circles `owner` of frames (n, 3, 3) with the columns normal, first, second, their changes
+    per radian along the circle and towards its normal, and whether their chart is good there; they are 0 where not."""
     count = len(owner)
     pixel, along, side = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2))
     known = np.zeros(count, dtype=np.bool_)

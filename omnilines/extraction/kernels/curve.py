@@ -18,8 +18,8 @@ from omnilines.extraction.kernels.tables import Curves
 @njit(cache=True, nogil=True)
 @no_type_check
 def rays_beside(frame: np.ndarray, owner: np.ndarray, angle: np.ndarray, step: float) -> np.ndarray:
-    """Bearings (5, m, 3): at angles on the circles `owner`, half a step behind and ahead, and half a step away from the normal and
-    towards it, for frames (n, 3, 3) with the columns normal, first, second."""
+    """Bearings (5, m, 3): at angles on the circles `owner`, half a step behind and ahead, and half a step away from the
+    normal and towards it, for frames (n, 3, 3) with the columns normal, first, second."""
     rays = np.empty((5, len(owner), 3))
     for m in range(len(owner)):
         for row, moved in ((0, 0.0), (1, -0.5 * step), (2, 0.5 * step)):
