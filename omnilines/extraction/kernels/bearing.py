@@ -127,7 +127,7 @@ def _cell(charts: Charts, x: float, y: float, z: float, size: float) -> tuple[in
 @njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
 def _hermite(t: float, weight: np.ndarray) -> None:
-    """Weights of the values at 0 and 1 and of the derivatives there (rows) for the value at t and for its derivative (columns)."""
+    """Weights of the values at 0 and 1 and of the derivatives there, for the value at t (row 0) and its derivative (row 1)."""
     s = 1.0 - t
     weight[0, 1] = t * t * (3.0 - 2.0 * t)
     weight[0, 0] = 1.0 - weight[0, 1]
