@@ -5,16 +5,18 @@ import math
 import cv2
 import numpy as np
 import pytest
+import torch
 from scipy.special import ndtr
 
 from camera_models import MODELS, CameraModel, Cylindrical, Equirectangular, OpenCVFisheye, Scaramuzza, model_class
 from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, arcs_of_ends
-from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.bearings import FARTHEST_PX, bearings_at, changes_at, pixels_at
 from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
 from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.kernels.profile import mean_profiles, piece_means, profiles
-from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
+from omnilines.extraction.kernels.step_edge import ROUNDS, fit_steps
 from omnilines.extraction.kernels.tables import PairLimits, Picture, Ranked, Samples, Stepped, Window
 
 EXAMPLES = [pytest.param(model, id=f"{name}-{k}") for name, _ in MODELS for k, model in enumerate(model_class(name).examples())]
@@ -129,6 +131,30 @@ def test_bearings_of_many_places_are_those_of_the_model(model: CameraModel) -> N
     assert (off[rows] <= 1e-3 * pace[rows] + 1e-14).all()
 
 
+@pytest.mark.parametrize("model", EXAMPLES)
+def test_pixels_of_many_rays_and_their_changes_are_those_of_the_model(model: CameraModel) -> None:
+    rays = np.random.default_rng(4).standard_normal((30_000, 3))
+    pixels, valid = pixels_at(model, 3.0 * rays)
+    expected, seen = model.project(rays)
+    np.testing.assert_array_equal(valid, seen & (np.abs(expected) <= FARTHEST_PX).all(-1))
+    inside = seen & (expected > -0.5).all(-1) & (expected < np.array(model.image_size) - 0.5).all(-1)
+    assert inside.sum() > 200
+    np.testing.assert_allclose(pixels[inside], expected[inside], rtol=0.0, atol=4e-4)
+    # Circles through the rays, met where they begin.
+    ray = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
+    normal = np.cross(ray, np.roll(ray, 1, -1))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    frame = np.stack([normal, ray, np.cross(normal, ray)], -1)
+    found = changes_at(model, frame, np.arange(len(ray)), np.zeros(len(ray)))
+    by_ray = model.project_with_jacobians(torch.as_tensor(ray))[2].numpy()
+    pace = np.linalg.norm(by_ray, axis=(1, 2))
+    rows = found[3] & (pace < 20.0 * np.median(pace))
+    assert rows.mean() > 0.9
+    for change, way in ((found[1], frame[..., 2]), (found[2], normal)):
+        off = np.linalg.norm(change - np.einsum("nij,nj->ni", by_ray, way), axis=-1)
+        assert (off[rows] <= 1e-4 * pace[rows]).all()
+
+
 def test_the_examples_have_domains_that_end_inside_the_image() -> None:
     """So that the test before meets grids with nodes that have no bearing."""
     inside = [model for model in (*OpenCVFisheye.examples(), *Scaramuzza.examples()) if model.max_angle < math.pi]
@@ -166,6 +192,31 @@ def test_steps_are_found_where_they_are() -> None:
         slope = bell[n] - design @ np.linalg.lstsq(design, bell[n], rcond=None)[0]
         bound = sigma[n] ** 2 / ((slope**2).sum() * (height[n, 0] ** 2).sum())
         np.testing.assert_allclose(variance[n], bound, rtol=0.02)
+
+
+@pytest.mark.parametrize("rounds", [1, 2, ROUNDS])
+def test_profiles_fitted_at_once_are_those_fitted_alone(rounds: int) -> None:
+    """Noise alone and steps in it, from one to MOST_STEPS, more of some than there are lanes: they need all rounds, few or half
+    steps back."""
+    rng = np.random.default_rng(5)
+    offsets = np.arange(-12, 13) * 0.5
+    count = rng.permutation(np.repeat(np.arange(1, MOST_STEPS + 1), [90, 150, 20, 17, 5, 1]))
+    place = np.zeros((len(count), MOST_STEPS))
+    place[:, 1:] = rng.uniform(-5.0, 5.0, (len(count), MOST_STEPS - 1))
+    profile = rng.normal(0.0, 4.0, (len(count), 3, 25)).astype(np.float32)
+    profile += 30.0 * ndtr((offsets - rng.uniform(-1.0, 1.0, (len(count), 1, 1))) / 0.7) * (rng.random((len(count), 1, 1)) < 0.7)
+    sigma = rng.uniform(0.5, 4.0, len(count))
+    window = Window(0, offsets, np.exp(-0.25 * (offsets / 2.0) ** 2))
+    stiff = np.array([1.0, 0.3])
+
+    def fitted(rows: slice) -> tuple[np.ndarray, ...]:
+        return fit_steps(
+            Stepped(profile[rows], place[rows], count[rows]), sigma[rows], window, stiff=stiff, blur=0.7, rounds=rounds
+        )
+
+    alone = [fitted(slice(n, n + 1)) for n in range(len(count))]
+    for found, expected in zip(fitted(slice(None)), zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

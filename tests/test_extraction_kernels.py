@@ -20,7 +20,7 @@ from omnilines.extraction.kernels.crossing import crossings
 from omnilines.extraction.kernels.edgel import add_products, ridge_points, strengths
 from omnilines.extraction.kernels.hidden import one_more_step
 from omnilines.extraction.kernels.rim import LEAST_LIGHT, WINDOW, Rays, first_light
-from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.kernels.tables import Crossed, Edgels, SeenChains, Stepped, Window
 from omnilines.extraction.options import ExtractionOptions
 

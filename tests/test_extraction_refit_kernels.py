@@ -22,6 +22,7 @@ from omnilines.extraction.kernels.circle import (
     WEIGHT,
     X,
     Y,
+    fill_ways,
     fit_circle,
     own_places,
     scatter_of,
@@ -222,8 +223,9 @@ def test_the_circle_is_that_of_iterated_least_squares() -> None:
     for _ in range(100):
         places = some_places(rng)
         count = len(places.shift)
-        room, chosen = np.empty((6, count)), np.empty(count, dtype=np.int64)
-        used = own_places(places, 0, count, OPTIONS.refit.max_shift_px, room, chosen)
+        room, ways, chosen = np.empty((6, count)), np.empty((2, count)), np.empty(count, dtype=np.int64)
+        fill_ways(places.angle, places.rate, ways)
+        used = own_places(places, ways, 0, count, OPTIONS.refit.max_shift_px, room, chosen)
         a, b, scale, *matrix = fit_circle(room, used, 0.0, 0.0, EVERY, ROUNDS)
         plain = plain_circle(places, ROUNDS)
         np.testing.assert_array_equal(chosen[:used], plain["chosen"])

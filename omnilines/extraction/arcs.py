@@ -6,13 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
-from omnilines.extraction.bearings import pixels_at
-from omnilines.extraction.kernels.curve import rays_beside
+from omnilines.extraction.bearings import changes_at, pixels_at
 
 COARSE = 16
 """Intervals of an arc from which its length in pixels is known."""
-STEP_RAD = 1e-4
-"""Of the differences that give directions in the photo."""
 _NODES, _SHARES = (0.5 * (values + offset) for values, offset in zip(np.polynomial.legendre.leggauss(5), (1.0, 0.0), strict=True))
 """Of Gauss's quadrature over the unit interval."""
 LONGEST_RAD = 2.6
@@ -102,30 +99,18 @@ def spans(model: CameraModel, arcs: Arcs) -> tuple[Float[np.ndarray, " n"], Floa
     """Lengths of arcs in the photo, by Gauss's quadrature of how fast the pixel moves, and the fewest pixels across an arc for a
     radian at its nodes; 0 where the camera does not see them all."""
     angle = arcs.low[:, None] + (arcs.high - arcs.low)[:, None] * _NODES
-    _, along, side, valid = changes(model, arcs, np.repeat(np.arange(len(arcs)), len(_NODES)), angle.ravel())
+    _, along, side, valid = changes_at(model, arcs.frame, np.repeat(np.arange(len(arcs)), len(_NODES)), angle.ravel())
     pace = np.linalg.norm(along, axis=-1).reshape(angle.shape)
     across = np.abs(along[:, 0] * side[:, 1] - along[:, 1] * side[:, 0]).reshape(angle.shape)
     rate = np.where(valid.reshape(angle.shape), across / np.maximum(pace, 1e-12), 0.0).min(-1)
     return pace @ _SHARES * (arcs.high - arcs.low), rate
 
 
-def changes(
-    model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
-    """Pixels at angles on circles, their changes per radian along the circle and towards its normal, and valid."""
-    found, seen = pixels_at(model, rays_beside(arcs.frame, owner, angle, STEP_RAD))
-    valid = seen[0] & seen[1] & seen[2]
-    step = np.stack([found[1] - found[0], found[2] - found[0]])
-    if model.PERIODIC:
-        step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
-    return found[0], step[0] / STEP_RAD, step[1] / STEP_RAD, valid
-
-
 def across_px(
     model: CameraModel, arcs: Arcs, owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
     """Pixels at angles on circles, the unit vector across the curve, pixels along it per radian of the circle, and valid."""
-    pixel, along, side, valid = changes(model, arcs, owner, angle)
+    pixel, along, side, valid = changes_at(model, arcs.frame, owner, angle)
     across = np.stack([-along[:, 1], along[:, 0]], -1)
     length = np.linalg.norm(across, axis=-1)
     across /= np.maximum(length, 1e-12)[:, None]

@@ -1,21 +1,36 @@
-"""Bearings of many places in a photo.
+"""Bearings of many places in a photo, and pixels of many rays.
 
-They change smoothly from pixel to pixel: the camera model is asked for nodes STEP_PX apart, and bicubics through them give the
-rest. Where fourth differences of the nodes say that the bicubics are not good enough, the model is asked for every place.
+Both change smoothly: the camera model is asked for nodes about STEP_PX apart, once for all photos of a camera, and bicubics
+through them give the rest. Where fourth differences of the nodes say that the bicubics are not good enough, the model
+is asked for every place or ray.
 """
 
+import functools
+
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from camera_models import CameraModel
-from omnilines.extraction.kernels.bearing import read_bearings, smooth_cells
+from omnilines.extraction.kernels.bearing import chart_table, read_bearings, read_changes, read_pixels, smooth_cells
+from omnilines.extraction.kernels.curve import rays_beside
+from omnilines.extraction.kernels.tables import Charts
 
-STEP_PX = 16.0
+STEP_PX = 8.0
 MOST_ERROR_PX = 3e-4
 """Of places that are interpolated."""
-_BEYOND = 3
-"""Nodes around the image."""
+MOST_CHART_ERROR_PX = 2e-4
+"""Of rays that are interpolated, three times over: derivatives are differences of nodes. Those of a pixel are then good to a
+share of 3e-5."""
+STEP_RAD = 1e-4
+"""Of the differences that give directions in the photo where the model is asked."""
+_MOST_NODES = 4
+"""Of a chart, for each node of the image: a model may stretch a few of them over any range."""
+_BEYOND = 6
+"""Nodes around the image, and around what of a chart it shows."""
+_CAMERAS = 8
+"""Whose nodes are kept."""
 _AHEAD = (0.0, 0.0, 1.0)
 """Stands for a bearing that is none."""
 AT_A_TIME = 8_000
@@ -29,18 +44,27 @@ and a model with coefficients of any size may put one anywhere."""
 def bearings_at(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """`model.unproject` of places in or near the image, to MOST_ERROR_PX; the bearings have a length of 1 to the same share of
     a pixel's angle."""
-    width, height = model.image_size
-    if len(places) < (width / STEP_PX + 2 * _BEYOND) * (height / STEP_PX + 2 * _BEYOND):
-        return _asked(model, places)
-    origin = -_BEYOND * STEP_PX
-    u, v = (np.arange(origin, side + _BEYOND * STEP_PX, STEP_PX) for side in (width, height))
-    nodes, seen = _asked(model, np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
-    node, seen = nodes.reshape(len(v), len(u), 3), seen.reshape(len(v), len(u))
-    good = smooth_cells(node, seen, MOST_ERROR_PX / STEP_PX)
-    bearings, valid = read_bearings(node, good, origin, STEP_PX, places)
+    node, _, good = _grid(model)
+    bearings, valid = read_bearings(node, good, -_BEYOND * STEP_PX, STEP_PX, places)
     rows = np.flatnonzero(~valid)
     bearings[rows], valid[rows] = _asked(model, places[rows])
     return bearings, valid
+
+
+@functools.lru_cache(_CAMERAS)
+def _grid(model: CameraModel) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Bearings of nodes in and around the image, whether the camera sees there, and between which the bicubics are good."""
+    u, v = (np.arange(-_BEYOND * STEP_PX, side + _BEYOND * STEP_PX, STEP_PX) for side in model.image_size)
+    nodes, seen = _asked(model, np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+    node, seen = nodes.reshape(len(v), len(u), 3), seen.reshape(len(v), len(u))
+    return node, seen, smooth_cells(node, seen, MOST_ERROR_PX / STEP_PX)
+
+
+@functools.lru_cache(_CAMERAS)
+def axis_of(model: CameraModel) -> Float[np.ndarray, "3"]:
+    """The bearing of the centre pixel."""
+    with torch.no_grad():
+        return model.unproject(model.centre_px.detach().numpy())[0]
 
 
 def _asked(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
@@ -55,13 +79,72 @@ def _asked(model: CameraModel, places: Float[np.ndarray, "n 2"]) -> tuple[Float[
 
 
 def pixels_at(model: CameraModel, rays: Float[np.ndarray, "*n 3"]) -> tuple[Float[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
-    """`model.project` of many rays, finite and at most FARTHEST_PX away whatever the model."""
+    """`model.project` of many rays, to MOST_CHART_ERROR_PX in and near the image; finite and at most FARTHEST_PX away whatever
+    the model."""
     flat = rays.reshape(-1, 3)
-    pixels, valid = np.empty((len(flat), 2)), np.zeros(len(flat), dtype=bool)
-    for start in range(0, len(flat), AT_A_TIME):
+    pixels, valid = read_pixels(_charts(model), flat)
+    rows = np.flatnonzero(~valid)
+    if len(rows):
+        pixels[rows], valid[rows] = _projected(model, flat[rows])
+    return pixels.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])
+
+
+def changes_at(
+    model: CameraModel, frame: Float[np.ndarray, "n 3 3"], owner: Int[np.ndarray, " m"], angle: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"], Bool[np.ndarray, " m"]]:
+    """Pixels at angles on circles whose frames have the columns normal, first, second; their changes per radian along the circle
+    and towards its normal, and valid."""
+    pixel, along, side, valid = read_changes(_charts(model), frame, owner, angle)
+    rows = np.flatnonzero(~valid)
+    if len(rows):
+        rays = rays_beside(frame, owner[rows], angle[rows], STEP_RAD)
+        found, seen = (part.reshape(5, len(rows), *part.shape[1:]) for part in _projected(model, rays.reshape(-1, 3)))
+        step = np.stack([found[2] - found[1], found[4] - found[3]])
+        if model.PERIODIC:
+            step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
+        pixel[rows], along[rows], side[rows] = found[0], step[0] / STEP_RAD, step[1] / STEP_RAD
+        valid[rows] = seen.all(0)
+    return pixel, along, side, valid
+
+
+def _projected(model: CameraModel, rays: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    pixels, valid = np.empty((len(rays), 2)), np.zeros(len(rays), dtype=bool)
+    for start in range(0, len(rays), AT_A_TIME):
         part = slice(start, start + AT_A_TIME)
         with torch.no_grad():
-            pixels[part], valid[part] = model.project(flat[part])
+            pixels[part], valid[part] = model.project(rays[part])
     valid &= (np.abs(pixels) <= FARTHEST_PX).all(-1)
-    pixels = np.nan_to_num(pixels, copy=False, nan=FARTHEST_PX).clip(-FARTHEST_PX, FARTHEST_PX)
-    return pixels.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])
+    return np.nan_to_num(pixels, copy=False, nan=FARTHEST_PX).clip(-FARTHEST_PX, FARTHEST_PX), valid
+
+
+@functools.lru_cache(_CAMERAS)
+def _charts(model: CameraModel) -> Charts:
+    """Pixels of nodes on both half spheres, where they show the image."""
+    node, seen, _ = _grid(model)
+    middle = 0.5 * np.array(model.image_size)
+    begin, shape, origin, step = np.zeros(2, dtype=np.int64), np.zeros((2, 2), dtype=np.int64), np.zeros((2, 2)), np.ones(2)
+    nodes, good = [np.zeros((0, 8))], [np.zeros(0, dtype=bool)]
+    for side in range(2):
+        own = seen & ((node[..., 2] < 0) == (side == 1))
+        both = own[:, 1:] & own[:, :-1]
+        if not both.any():
+            continue
+        place = node[..., :2] / (1.0 + np.abs(node[..., 2:]))
+        between = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
+        low, high = place[own].min(0) - _BEYOND * between, place[own].max(0) + _BEYOND * between
+        count = (high - low) / max(between, 1e-9) + 1.0
+        if count.prod() > _MOST_NODES * own.size:
+            continue
+        shape[side], origin[side], step[side], begin[side] = count, low, between, sum(map(len, good))
+        beside = np.stack(np.meshgrid(*(low[k] + between * np.arange(shape[side, k]) for k in (0, 1)), indexing="ij"), -1)
+        ahead = (1.0 - 2.0 * side) * (1.0 - (beside**2).sum(-1, keepdims=True))
+        pixel, valid = _projected(model, np.concatenate([2.0 * beside, ahead], -1).reshape(-1, 3))
+        valid &= (np.abs(pixel - middle) <= middle + _BEYOND * STEP_PX).all(-1)
+        # Hermite's cubic is nine times as good as Lagrange's.
+        most_share = 3.0 * MOST_CHART_ERROR_PX / STEP_PX
+        cells = smooth_cells(pixel.reshape(beside.shape), valid.reshape(ahead.shape[:2]), most_share)
+        # Fourth differences vanish here and there: the cells around have to be good as well.
+        cells = cv2.erode(cells.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        nodes.append(chart_table(pixel.reshape(beside.shape)).reshape(-1, 8))
+        good.append(cells.ravel())
+    return Charts(begin, shape, origin, step, np.concatenate(nodes), np.concatenate(good))

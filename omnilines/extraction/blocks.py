@@ -12,19 +12,17 @@ from omnilines.extraction.arcs import Arcs, across_px
 from omnilines.extraction.curves import samples
 from omnilines.extraction.kernels.crossing import crossings
 from omnilines.extraction.kernels.profile import mean_profiles
-from omnilines.extraction.kernels.step_edge import MOST_STEPS, ROUNDS, fit_steps
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
+from omnilines.extraction.kernels.step_edge import ROUNDS, fit_steps
 from omnilines.extraction.kernels.tables import Crossed, Samples, Stepped, Window
 from omnilines.extraction.options import NeighbourOptions
 from omnilines.extraction.refit import Photo, joined
 
-_BETWEEN_PX = 0.5
-OFFSETS_PX = np.arange(-12, 13) * _BETWEEN_PX
+OFFSETS_PX = np.arange(-12, 13) * 0.5
 BEYOND_PX = 3
 """Edges are taken to go on beyond the ends of their arcs."""
 LEAST_WEIGHT = 0.03
 """Of the outermost value of a profile in a fit."""
-_LANES = 8
-"""The kernel sums over so many values of a profile at a time."""
 
 
 def pieces(at: Samples, wanted: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m1"]:
@@ -91,6 +89,8 @@ _Table = TypeVar("_Table", Blocks, Path)
 
 
 def _kept(table: _Table, arcs: Int[np.ndarray, " k"]) -> _Table:
+    if len(arcs) == table.arcs and (np.diff(arcs) > 0).all():
+        return table
     number = np.full(table.arcs, -1)
     number[arcs] = np.arange(len(arcs))
     rows = np.flatnonzero(number[table.owner] >= 0)
@@ -192,13 +192,10 @@ def fit_places(
     """`fit_steps` of the profiles of blocks, begun at `start`."""
     weight = window_weights(fit.taper_px)
     near = np.flatnonzero(weight >= LEAST_WEIGHT)
-    # Rounded up to whole lanes by values of no weight.
-    offsets, weight = OFFSETS_PX[near[0]] + _BETWEEN_PX * np.arange(len(near) + -len(near) % _LANES), weight[near]
-    weight = np.pad(weight, (0, len(offsets) - len(weight)))
     return fit_steps(
         Stepped(blocks.profile, start, blocks.count),
         blocks.sigma,
-        Window(int(near[0]), offsets, weight),
+        Window(int(near[0]), OFFSETS_PX[near], weight[near]),
         stiff=np.array([fit.own_sigma_px, fit.other_sigma_px]),
         blur=fit.blur_px,
         rounds=fit.rounds,

@@ -6,12 +6,11 @@ domain ends, the model is asked for every point.
 """
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 
 from camera_models import CameraModel
-from omnilines.extraction.arcs import COARSE, LONGEST_RAD, STEP_RAD, Arcs, across_px, changes, steps
-from omnilines.extraction.bearings import MOST_ERROR_PX, pixels_at
+from omnilines.extraction.arcs import COARSE, LONGEST_RAD, Arcs, across_px, steps
+from omnilines.extraction.bearings import MOST_ERROR_PX, STEP_RAD, axis_of, changes_at, pixels_at
 from omnilines.extraction.kernels.curve import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
 from omnilines.extraction.kernels.tables import Curves, Samples
 
@@ -77,15 +76,14 @@ def _curves(
     owner = np.repeat(np.arange(len(arcs)), intervals + 1)
     step = (high - low) / intervals
     angle = low[owner] + (np.arange(len(owner)) - starts[owner]) * step[owner]
-    pixel, along, side, valid = changes(model, arcs, owner, angle)
+    pixel, along, side, valid = changes_at(model, arcs.frame, owner, angle)
     table = np.concatenate([pixel, along, side], -1)
     if model.PERIODIC:
         unwrapped(table, starts, float(model.image_size[0]))
-    slope = slopes(table, starts, step, _WEIGHTS, STEP_RAD)
+    slope = slopes(table, starts, step, _WEIGHTS)
     good = smooth_intervals(table, valid, starts, most_px=MOST_ERROR_PX, most_share=MOST_ERROR_SHARE, safety=_SAFETY)
     if model.max_angle < np.pi:
-        with torch.no_grad():
-            axis = model.unproject(model.centre_px.detach().numpy())[0]
+        axis = axis_of(model)
         limit = float(np.cos(model.max_angle - 3.0 * STEP_RAD))
         leave_out_far(good, angle, starts, first=arcs.first @ axis, second=arcs.second @ axis, least=limit)
     return Curves(starts, angle, table, slope, good)

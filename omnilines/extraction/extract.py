@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
-from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.bearings import axis_of, bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.clutter import stands_out
 from omnilines.extraction.edgels import find_points, noise_level, numbered, seen_chains
@@ -101,8 +101,7 @@ def _begun(
         scene = ~follows_rim(image, circle, points.astype(np.float64), options.support.min_cosine, options.image_circle)
         cells, points = cells[scene], points[scene]
     if least_angle_rad > 0.0:
-        axis = model.unproject(model.centre_px.detach().numpy())[0]
-        scene = bearings_at(model, points[:, :2].astype(np.float64))[0] @ axis < np.cos(least_angle_rad)
+        scene = bearings_at(model, points[:, :2].astype(np.float64))[0] @ axis_of(model) < np.cos(least_angle_rad)
         cells, points = cells[scene], points[scene]
     edgels = numbered(model.image_size, model.PERIODIC, cells, points)
     photo = Photo(image.reshape(height, width, -1), model, edgels)

@@ -14,7 +14,7 @@ from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import OFFSETS_PX, Blocks, Profiled, StepFit, fit_places, window_weights
 from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.hidden import one_more_step
-from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.kernels.tables import Places, Stepped, Window
 from omnilines.extraction.neighbours import step_fit
 from omnilines.extraction.options import HiddenEdgeOptions, NeighbourOptions
@@ -104,12 +104,18 @@ def _settled(
     close = np.abs(blocks.mean(shift - place[:, 1])) < options.close_blurs * fit.blur_px
     rows = np.flatnonzero(edge)
     most_left = np.where(close, options.max_left_close, options.max_left)[rows]
-    edge[rows] = blocks.mean(rest)[rows] < most_left * _left_by_other_blurs(blocks.keep(rows), fit)
+    edge[rows] = _left_by_other_blurs(blocks.keep(rows), blocks.mean(rest)[rows] / most_left, fit)
     floor = floor_covariance(arcs, blocks.owner, blocks.rate, neighbours.floor_px)
     return moved(arcs, change, inverse * scatter[:, None, None] + floor), edge
 
 
-def _left_by_other_blurs(blocks: Blocks, fit: StepFit) -> Float[np.ndarray, " n"]:
-    """The mean square that the known steps leave of the profiles of each arc, with the blur that suits it best."""
-    others = [replace(fit, blur_px=fit.blur_px * factor, rounds=_ROUNDS) for factor in OTHER_BLURS]
-    return np.min([blocks.mean(fit_places(blocks, blocks.place, other)[3]) for other in others], axis=0)
+def _left_by_other_blurs(blocks: Blocks, least: Float[np.ndarray, " n"], fit: StepFit) -> Bool[np.ndarray, " n"]:
+    """Whether the known steps leave a mean square of more than `least` of the profiles of each arc, whatever the blur."""
+    rows = np.arange(blocks.arcs)
+    for factor in OTHER_BLURS:
+        left = blocks.mean(fit_places(blocks, blocks.place, replace(fit, blur_px=fit.blur_px * factor, rounds=_ROUNDS))[3])
+        more = np.flatnonzero(left > least[rows])
+        rows, blocks = rows[more], blocks.keep(more)
+    result = np.zeros(len(least), dtype=bool)
+    result[rows] = True
+    return result

@@ -15,7 +15,7 @@ from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, inverse_2x2,
 from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.kernels.tables import PairLimits, Ranked, Samples
 from omnilines.extraction.options import MergingOptions, SupportOptions
-from omnilines.extraction.refit import Photo, support_of
+from omnilines.extraction.refit import Photo, joined, moved, support_of
 
 MOST_GAP_RAD = 0.35
 """A gap that is longer is not looked across, whatever its pixels."""
@@ -175,26 +175,26 @@ def _joined(arcs: Arcs, length_px: Float[np.ndarray, " n"], joins: _Pairs, dropp
         nearest[side[rows[better]]] = rows[better]
     index = np.arange(len(joins.a))
     chosen = joins.keep((nearest[side_a] == index) & (nearest[side_b] == index))
-    links = csr_matrix((np.ones(len(chosen.a)), (chosen.a, chosen.b)), shape=(count, count))
+    if not len(chosen.a):
+        return arcs.keep(~dropped).centred()
+    members, number = np.unique(np.stack([chosen.a, chosen.b]), return_inverse=True)
+    a, b = number.reshape(2, -1)
+    links = csr_matrix((np.ones(len(a)), (a, b)), shape=(len(members), len(members)))
     _, label = connected_components(links, directed=False)
-    order = np.lexsort((-length_px, label))
-    _, place = np.unique(label[order], return_index=True)
-    root = order[place][label]
-    difference, covariance = _seen_from(arcs, root, np.arange(count))
+    order = np.lexsort((-length_px[members], label))
+    begins = np.flatnonzero(np.diff(label[order], prepend=-1))
+    row = members[order]
+    roots = row[begins]
+    root = roots[label[order]]
+    difference, covariance = _seen_from(arcs, root, row)
     information = inverse_2x2(covariance)
-    total, pull = np.zeros((count, 2, 2)), np.zeros((count, 2))
-    np.add.at(total, root, information)
-    np.add.at(pull, root, (information @ difference[..., None])[..., 0])
-    roots = np.flatnonzero((root == np.arange(count)) & ~dropped)
-    shared = inverse_2x2(total[roots])
-    change = (shared @ pull[roots][..., None])[..., 0]
-    ends = np.stack([arcs.bearings(np.arange(count), angle) for angle in (arcs.low, arcs.high)], 1)
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    shared = inverse_2x2(np.add.reduceat(information, begins))
+    pull = np.add.reduceat((information @ difference[..., None])[..., 0], begins)
+    longest = moved(arcs.keep(roots), (shared @ pull[..., None])[..., 0], shared)
+    ends = np.stack([arcs.bearings(row, angle[row]) for angle in (arcs.low, arcs.high)], 1)
     angles = np.arctan2((ends * arcs.second[root][:, None]).sum(-1), (ends * arcs.first[root][:, None]).sum(-1))
-    np.minimum.at(low, root, angles.min(-1))
-    np.maximum.at(high, root, angles.max(-1))
-    normal = arcs.normal[roots] + change[:, :1] * arcs.first[roots] + change[:, 1:] * arcs.second[roots]
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    first = arcs.first[roots] - (arcs.first[roots] * normal).sum(-1, keepdims=True) * normal
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return Arcs(normal, first, low[roots], high[roots], shared).centred()
+    low, high = np.minimum.reduceat(angles.min(-1), begins), np.maximum.reduceat(angles.max(-1), begins)
+    single = ~dropped
+    single[row] = False
+    result = joined([arcs.keep(single), replace(longest, low=low, high=high)])
+    return result.keep(np.argsort(np.append(np.flatnonzero(single), roots))).centred()

@@ -47,18 +47,29 @@ def _median(room: np.ndarray, row: int, count: int) -> float:
 
 @njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
-def own_places(places: Places, begin: int, end: int, max_shift_px: float, room: np.ndarray, chosen: np.ndarray) -> int:
+def fill_ways(angle: np.ndarray, rate: np.ndarray, ways: np.ndarray) -> None:
+    """How far (px across) points at angles of an arc move where its normal changes by (a, b): ways[0] a + ways[1] b, with
+    -rate (cos t, sin t) in the first columns of `ways`."""
+    for n in range(len(angle)):
+        ways[0, n], ways[1, n] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
+
+
+@njit(cache=True, nogil=True, **BORROWED)
+@no_type_check
+def own_places(
+    places: Places, ways: np.ndarray, begin: int, end: int, max_shift_px: float, room: np.ndarray, chosen: np.ndarray
+) -> int:
     """Fill the room with the places of an arc, numbers `begin` to `end`, that are usable and not of another edge, and `chosen`
     with their numbers; how many.
 
-    A point at angle t moves by -rate (a cos t + b sin t) px across. Shares rise with the contrast, up to 1.
+    `ways` are those of the arc (`fill_ways`). Shares rise with the contrast, up to 1.
     """
-    angle, rate, shift, strength, usable = places
+    shift, strength, usable = places.shift, places.strength, places.usable
     count = 0
     for n in range(begin, end):
         if usable[n] and abs(shift[n]) < max_shift_px:
             chosen[count] = n
-            room[X, count], room[Y, count] = -rate[n] * math.cos(angle[n]), -rate[n] * math.sin(angle[n])
+            room[X, count], room[Y, count] = ways[0, n - begin], ways[1, n - begin]
             room[OFF, count], room[SHARE, count] = shift[n], strength[n]
             count += 1
     middle = _median(room, SHARE, count)
@@ -141,10 +152,11 @@ def fit_circles(
     residual = np.full(len(places.shift), np.nan)
     for arc in range(arcs):
         longest = max(longest, starts[arc + 1] - starts[arc])
-    room, chosen = np.empty((6, longest)), np.empty(longest, dtype=np.int64)
+    room, ways, chosen = np.empty((6, longest)), np.empty((2, longest)), np.empty(longest, dtype=np.int64)
     for arc in range(arcs):
         begin, end = starts[arc], starts[arc + 1]
-        count = own_places(places, begin, end, max_shift_px, room, chosen)
+        fill_ways(places.angle[begin:end], places.rate[begin:end], ways)
+        count = own_places(places, ways, begin, end, max_shift_px, room, chosen)
         if count < 3:
             continue
         a, b, scale, m00, m01, m11 = fit_circle(room, count, 0.0, 0.0, EVERY, ROUNDS)

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.kernels.profile import REORDERED
-from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.kernels.tables import Crossed
 
 

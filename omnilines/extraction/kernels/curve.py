@@ -18,18 +18,17 @@ from omnilines.extraction.kernels.tables import Curves
 @njit(cache=True, nogil=True)
 @no_type_check
 def rays_beside(frame: np.ndarray, owner: np.ndarray, angle: np.ndarray, step: float) -> np.ndarray:
-    """Bearings (3, m, 3): at angles on the circles `owner`, a step ahead, and a step towards the normal, for frames (n, 3, 3)
-    with the columns normal, first, second."""
-    rays = np.empty((3, len(owner), 3))
-    turn_cosine, turn_sine = math.cos(step), math.sin(step)
+    """Bearings (5, m, 3): at angles on the circles `owner`, half a step behind and ahead, and half a step away from the
+    normal and towards it, for frames (n, 3, 3) with the columns normal, first, second."""
+    rays = np.empty((5, len(owner), 3))
     for m in range(len(owner)):
-        cosine, sine = math.cos(angle[m]), math.sin(angle[m])
-        ahead_cosine, ahead_sine = cosine * turn_cosine - sine * turn_sine, sine * turn_cosine + cosine * turn_sine
+        for row, moved in ((0, 0.0), (1, -0.5 * step), (2, 0.5 * step)):
+            cosine, sine = math.cos(angle[m] + moved), math.sin(angle[m] + moved)
+            for k in range(3):
+                rays[row, m, k] = cosine * frame[owner[m], k, 1] + sine * frame[owner[m], k, 2]
         for k in range(3):
-            normal, first, second = frame[owner[m], k, 0], frame[owner[m], k, 1], frame[owner[m], k, 2]
-            rays[0, m, k] = cosine * first + sine * second
-            rays[1, m, k] = ahead_cosine * first + ahead_sine * second
-            rays[2, m, k] = rays[0, m, k] + step * normal
+            rays[3, m, k] = rays[0, m, k] - 0.5 * step * frame[owner[m], k, 0]
+            rays[4, m, k] = rays[0, m, k] + 0.5 * step * frame[owner[m], k, 0]
     return rays
 
 
@@ -44,11 +43,11 @@ def unwrapped(table: np.ndarray, node_starts: np.ndarray, width: float) -> None:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def slopes(table: np.ndarray, node_starts: np.ndarray, interval: np.ndarray, weights: np.ndarray, step: float) -> np.ndarray:
+def slopes(table: np.ndarray, node_starts: np.ndarray, interval: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Derivatives of the table (m, 6) times the interval between nodes (n): pixel, change along and change across.
 
-    That of the pixel is the change along, a difference over `step` ahead; the others are differences of five nodes with
-    `weights` (5, 5) for the derivative at each of them.
+    That of the pixel is the change along; the others are differences of five nodes with `weights` (5, 5) for the derivative at
+    each of them.
     """
     slope = np.zeros_like(table)
     for arc in range(len(node_starts) - 1):
@@ -59,7 +58,7 @@ def slopes(table: np.ndarray, node_starts: np.ndarray, interval: np.ndarray, wei
                 for m in range(5):
                     slope[k, c] += weights[k - low, m] * table[low + m, c]
             for c in range(2):
-                slope[k, c] = table[k, 2 + c] * interval[arc] - 0.5 * step * slope[k, 2 + c]
+                slope[k, c] = table[k, 2 + c] * interval[arc]
     return slope
 
 

@@ -11,7 +11,7 @@ from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
-from omnilines.extraction.kernels.step_edge import MOST_STEPS
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS, Table, blurred_steps, row_of, step_at
 from omnilines.extraction.kernels.tables import Stepped, Window
 
 
@@ -43,16 +43,18 @@ def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _explained(window: Window, place: np.ndarray, blur: float, basis: np.ndarray) -> int:
+def _explained(window: Window, place: np.ndarray, table: Table, basis: np.ndarray) -> int:
     """Fill the first rows of `basis`, orthonormal, with what a level, steps at places and their shifts explain; how many."""
     offsets, weight = window.offsets_px, window.weight
     size, steps = len(offsets), len(place)
     for k in range(size):
         basis[0, k] = weight[k]
-        for j in range(steps):
-            a = (offsets[k] - place[j]) / blur
-            basis[1 + 2 * j, k] = weight[k] * math.erf(a * 0.7071067811865476)
-            basis[2 + 2 * j, k] = weight[k] * math.exp(-0.5 * a * a)
+    between = offsets[1] - offsets[0]
+    for j in range(steps):
+        at, share = row_of(offsets[0], between, place[j], table)
+        for k in range(size):
+            half, bell = step_at(table, at + k, share, between)
+            basis[1 + 2 * j, k], basis[2 + 2 * j, k] = weight[k] * half, weight[k] * bell
     return _orthonormal(basis, 1 + 2 * steps, size)
 
 
@@ -102,6 +104,7 @@ def one_more_step(
     for d in range(len(candidates)):
         for k in range(size):
             known[d, k] = 0.5 * weight[k] * math.erf((offsets[k] - candidates[d]) / blur * 0.7071067811865476)
+    table = blurred_steps(blur, offsets[1] - offsets[0])
     for arc in range(arcs):
         used = 0
         taken = np.zeros(len(candidates), dtype=np.int64)
@@ -109,7 +112,7 @@ def one_more_step(
             if not whole[n]:
                 continue
             used += 1
-            kept = _explained(window, place[n, : count[n]], blur, basis)
+            kept = _explained(window, place[n, : count[n]], table, basis)
             left[arc] += _rest(profile[n], weight, basis, kept, rest)
             for d in range(len(candidates)):
                 near = False

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from numba import njit
 
 from omnilines.extraction.kernels.bend import bend_of
-from omnilines.extraction.kernels.circle import EVERY, LEFT, ROUNDS, fit_circle, own_places, scatter_of
+from omnilines.extraction.kernels.circle import EVERY, LEFT, ROUNDS, fill_ways, fit_circle, own_places, scatter_of
 from omnilines.extraction.kernels.profile import (
     BLURS_PX,
     OFFSETS_PX,
@@ -88,6 +88,7 @@ class Room(NamedTuple):
 
     places: Float[np.ndarray, "6 m"]
     """As `circle.py` has it."""
+    ways: Float[np.ndarray, "2 m"]
     chosen: Int[np.ndarray, " m"]
     sums: Float[np.ndarray, "m1 6"]
 
@@ -109,7 +110,7 @@ def refit_arcs(
     longest = np.max(np.diff(at.starts))
     grey = np.empty((longest, picture.image.shape[2], len(OFFSETS_PX)), dtype=np.float32)
     imaged = np.empty(longest, dtype=np.bool_)
-    room = Room(np.empty((6, longest)), np.empty(longest, dtype=np.int64), np.empty((longest + 1, 6)))
+    room = Room(np.empty((6, longest)), np.empty((2, longest)), np.empty(longest, dtype=np.int64), np.empty((longest + 1, 6)))
     most_gap = limits.support.max_blind_px
     for arc in range(len(ends)):
         begin, end = at.starts[arc], at.starts[arc + 1]
@@ -153,7 +154,9 @@ def _refit_arc(
     blur = best_blur(step, usable, filters.windows[0])
     shift = shifts(step, strength, filters.windows[0, blur, 0])
     most_px = limits.fit.max_shift_px
-    places = own_places(Places(angle, rate, shift, strength, usable), 0, count, most_px, room.places, room.chosen)
+    ways, chosen = room.ways, room.chosen
+    fill_ways(angle, rate, ways)
+    places = own_places(Places(angle, rate, shift, strength, usable), ways, 0, count, most_px, room.places, chosen)
     if places < LEAST_SAMPLES:
         return begin, last
     a, b, scale, m00, m01, m11 = fit_circle(room.places, places, 0.0, 0.0, EVERY, ROUNDS)
@@ -162,16 +165,16 @@ def _refit_arc(
         return begin, last
     residual, off = np.full(count, np.nan), np.empty(count)
     for i in range(places):
-        residual[room.chosen[i]] = room.places[LEFT, i]
+        residual[chosen[i]] = room.places[LEFT, i]
     for n in range(count):
-        off[n] = shift[n] + rate[n] * (a * math.cos(angle[n]) + b * math.sin(angle[n]))
+        off[n] = shift[n] - a * ways[0, n] - b * ways[1, n]
     begins, ends = trim(residual, off, scale, limits.fit)
     if ends - begins + 1 < limits.min_px:
         return begin + begins, begin + ends
     figures = row[0]
     part, ratio, apart_px = bend_of(room.places, places, LEAST_PART, room.sums)
     if apart_px > limits.support.within_px:
-        figures.bend, figures.bend_ratio = angle[room.chosen[part]], ratio
+        figures.bend, figures.bend_ratio = angle[chosen[part]], ratio
     figures.used, figures.length_px, figures.support, figures.variance = used, ends - begins + 1, share, variance
     figures.contrast, figures.blur_px = math.sqrt(np.sum(strength * usable) / used), BLURS_PX[blur]
     figures.rate = np.mean(seen.rate)
@@ -179,7 +182,7 @@ def _refit_arc(
     figures.high = _angle_at(angle, high - begin if ends == count - 1 else ends + 0.5)
     figures.a, figures.b, figures.m00, figures.m01, figures.m11 = a, b, m00, m01, m11
     wide = shifts(step, strength, filters.windows[1, blur, 0])
-    places = own_places(Places(angle, rate, wide, strength, usable), 0, count, most_px, room.places, room.chosen)
+    places = own_places(Places(angle, rate, wide, strength, usable), ways, 0, count, most_px, room.places, chosen)
     if places >= LEAST_SAMPLES:
         a, b = fit_circle(room.places, places, a, b, scale, _AGAIN)[:2]
     figures.wide_a, figures.wide_b = a, b

@@ -2,277 +2,236 @@
 
 A profile y_c(x) of channel c is level_c + sum_j h_jc Phi((x - x_j) / blur), with the places x_j common to all channels. The
 heights are linear: they are solved for at every step of Gauss and Newton in the places (variable projection, Golub and Pereyra
-1973).
+1973). Many profiles of as many steps each are fitted at once, each in its lane; one that is done makes room for the next.
 
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
 
-import math
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.kernels.step_algebra import (
+    MOST_STEPS,
+    Fit,
+    Move,
+    Table,
+    backward,
+    blurred_steps,
+    factorise,
+    forward,
+    heights,
+    newton,
+)
 from omnilines.extraction.kernels.tables import Stepped, Window
 
-MOST_STEPS = 6
-"""Steps of one profile: its own and the nearest of its neighbours."""
+MOST_LANES, LEAST_LANES = 64, 16
+"""Profiles fitted at once where there are as many, and where not."""
 ROUNDS = 5
 SETTLED_PX = 0.01
 _MOST_MOVE_PX = 0.5
-_RIDGE = 1e-6
-"""Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
-_FARTHEST_PX, _WIDEST_PX = 12.0, 12.0
-"""Places of steps and offsets that the table of a blurred step reaches."""
-_PARTS = 32
-"""Rows of the table between two offsets."""
 
 
-class Table(NamedTuple):
-    """Blurred steps of 1 about 0 and their derivatives, at many distances."""
+class State(NamedTuple):
+    """How far the fit of each lane is."""
 
-    half: Float[np.ndarray, "p1 l"]
-    bell: Float[np.ndarray, "p1 l"]
-
-
-class Hold(NamedTuple):
-    """What keeps the places of steps near their starts: the variance of the noise over the squares of `stiff_px`, those of the
-    first place and of the others."""
-
-    variance: float
-    stiff_px: Float[np.ndarray, "2"]
-
-
-class Fit(NamedTuple):
-    """Room for the fit of one profile, used again for the next."""
-
-    scaled: Float[np.ndarray, "c k"]
-    """Profile times weights, y."""
-    design: Float[np.ndarray, "s1 k"]
-    """D, a row for the level and one for each step."""
-    slope: Float[np.ndarray, "s k"]
-    """Its derivative by the places of the steps."""
-    factor: Float[np.ndarray, "s1 s1"]
-    """Of N = D'D + R."""
-    ridge: Float[np.ndarray, " s1"]
-    """R."""
-    height: Float[np.ndarray, "c s1"]
-    """h."""
+    profile: Int[np.ndarray, " l"]
+    """Its number; -1 where there is none."""
+    number: Int[np.ndarray, " l"]
+    """Of the round, from 0 on."""
+    least: Float[np.ndarray, " l"]
+    left: Float[np.ndarray, " l"]
+    """Sum of squares at the places kept."""
+    cost: Float[np.ndarray, " l"]
+    refused: Bool[np.ndarray, " l"]
+    """Where the last places tried were worse than those kept."""
+    done: Bool[np.ndarray, " l"]
 
 
-class Move(NamedTuple):
-    """Room for the places of the steps of one profile and how they move."""
+class Room(NamedTuple):
+    """Room for some profiles, used again for the next ones."""
 
-    here: Float[np.ndarray, " s"]
-    kept: Float[np.ndarray, " s"]
-    hessian: Float[np.ndarray, "s s"]
-    pull: Float[np.ndarray, "1 s"]
-    column: Float[np.ndarray, "s s1"]
-    back: Float[np.ndarray, "s s1"]
+    fit: Fit
+    move: Move
+    state: State
+
+
+class Found(NamedTuple):
+    """What `fit_steps` returns."""
+
+    place: Float[np.ndarray, "m s"]
+    variance: Float[np.ndarray, " m"]
+    heights: Float[np.ndarray, "m s c"]
+    rest: Float[np.ndarray, " m"]
+
+
+class Given(NamedTuple):
+    """What it is given."""
+
+    stepped: Stepped
+    sigma: Float[np.ndarray, " m"]
+    window: Window
+    stiff: Float[np.ndarray, "2"]
+    rounds: int
+    table: Table
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _judge(steps: int, rounds: int, room: Room) -> None:
+    """Keep the places tried where they are better than those kept; else go half the way back, after the last round all of it: the
+    heights there are then asked for once more."""
+    fit, move, state = room
+    start, hold, here, kept = move.start, move.hold, move.here, move.kept
+    lanes = len(state.cost)
+    for n in range(lanes):
+        state.cost[n] = fit.squares[n]
+    for j in range(steps):
+        for n in range(lanes):
+            state.cost[n] += hold[j, n] * (here[j, n] - start[j, n]) ** 2
+    for n in range(lanes):
+        if state.number[n] == rounds:
+            state.left[n], state.done[n] = fit.squares[n], True
+            continue
+        last = state.number[n] == rounds - 1 and rounds > 1
+        state.refused[n] = state.cost[n] > state.least[n]
+        if state.refused[n]:
+            for j in range(steps):
+                here[j, n] = kept[j, n] if last else 0.5 * (here[j, n] + kept[j, n])
+        else:
+            state.least[n], state.left[n], state.done[n] = state.cost[n], fit.squares[n], last
+            for j in range(steps):
+                kept[j, n] = here[j, n]
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _take_step(steps: int, single: bool, room: Room) -> None:
+    """The step of Gauss and Newton where the places tried are kept. A lane is done after a small step, or a `single` one: its
+    heights and all else stay those of before it."""
+    _, move, state = room
+    start, hold, here, kept, hessian, newest, pull, _, _ = move
+    lanes = len(state.cost)
+    for j in range(steps):
+        for n in range(lanes):
+            newest[j, j, n] += hold[j, n] + 1e-9
+            pull[0, j, n] += hold[j, n] * (start[j, n] - here[j, n])
+    factorise(newest, steps)
+    forward(newest, steps, pull, 0)
+    backward(newest, steps, pull, 0)
+    for n in range(lanes):
+        state.number[n] += 1
+        if state.done[n] or state.refused[n]:
+            continue
+        farthest = 0.0
+        for j in range(steps):
+            farthest = max(farthest, abs(pull[0, j, n]))
+            for i in range(j + 1):
+                hessian[j, i, n] = newest[j, i, n]
+        # What is left of the steps and heights after so small a move is of second order.
+        state.done[n] = single or farthest < SETTLED_PX
+        for j in range(steps):
+            place = here[j, n] + min(max(pull[0, j, n], -_MOST_MOVE_PX), _MOST_MOVE_PX)
+            if state.done[n]:
+                kept[j, n] = place
+            else:
+                here[j, n] = place
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _begin(given: Given, m: int, n: int, room: Room) -> None:
+    """Put a profile in a lane."""
+    profile, start, count = given.stepped
+    begin, weight = given.window.begin, given.window.weight
+    fit, move, state = room
+    for c in range(profile.shape[1]):
+        for k in range(len(weight)):
+            fit.scaled[c, k, n] = profile[m, c, begin + k] * weight[k]
+    for j in range(count[m]):
+        move.start[j, n], move.here[j, n] = start[m, j], start[m, j]
+        move.hold[j, n] = (given.sigma[m] / given.stiff[min(j, 1)]) ** 2
+    state.profile[n], state.number[n] = m, 0
+    state.least[n], state.left[n], state.refused[n], state.done[n] = np.inf, 0.0, False, False
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _fit_rows(given: Given, rows: np.ndarray, room: Room, found: Found) -> None:
+    """Fill in what is found of profiles of equally many steps."""
+    count, sigma = given.stepped.steps, given.sigma
+    fit, move, state = room
+    lanes, channels, steps, following, left = len(state.cost), len(fit.scaled), count[rows[0]], 0, len(rows)
+    for n in range(lanes):
+        # Lanes without a profile repeat one, in vain.
+        _begin(given, rows[min(n, len(rows) - 1)], n, room)
+        if n >= len(rows):
+            state.profile[n] = -1
+    following = min(lanes, len(rows))
+    while left > 0:
+        heights(given.window, move.here, steps, given.table, fit)
+        _judge(steps, given.rounds, room)
+        newton(steps, fit, move)
+        _take_step(steps, given.rounds == 1, room)
+        ended = False
+        for n in range(lanes):
+            ended = ended or (state.done[n] and state.profile[n] >= 0)
+        if not ended:
+            continue
+        for j in range(steps):
+            for n in range(lanes):
+                move.pull[0, j, n] = 1.0 if j == 0 else 0.0
+        forward(move.hessian, steps, move.pull, 0)
+        backward(move.hessian, steps, move.pull, 0)
+        for n in range(lanes):
+            m = state.profile[n]
+            if m < 0 or not state.done[n]:
+                continue
+            found.rest[m], found.variance[m] = state.left[n], sigma[m] * sigma[m] * move.pull[0, 0, n]
+            for j in range(steps):
+                found.place[m, j] = move.kept[j, n]
+                for c in range(channels):
+                    found.heights[m, j, c] = fit.height[c, 1 + j, n]
+            left -= 1
+            if following < len(rows):
+                _begin(given, rows[following], n, room)
+                following += 1
+            else:
+                state.profile[n] = -1
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _blurred_steps(blur: float, between: float) -> Table:
-    """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in
-    row j and column i: a step at any place is read from two rows, at as many columns as there are offsets."""
-    columns = int(2.0 * (_FARTHEST_PX + _WIDEST_PX) / between) + 2
-    half, bell = np.empty((_PARTS + 1, columns)), np.empty((_PARTS + 1, columns))
-    for j in range(_PARTS + 1):
-        for i in range(columns):
-            x = ((j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX) / blur
-            half[j, i] = 0.5 * math.erf(x * 0.7071067811865476)
-            bell[j, i] = math.exp(-0.5 * x * x) / (blur * 2.5066282746310002)
-    return Table(half, bell)
+def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
+    """For so many lanes."""
+    size, numbers = len(weight), np.empty((6, lanes))
+    fit = Fit(
+        np.zeros((channels, size, lanes)),
+        np.empty((MOST_STEPS + 1, size, lanes)),
+        np.empty((MOST_STEPS, size, lanes)),
+        np.empty((MOST_STEPS + 1, MOST_STEPS + 1, lanes)),
+        np.empty((MOST_STEPS + 1, lanes)),
+        np.empty((channels, MOST_STEPS + 1, lanes)),
+        numbers[0],
+        numbers[1],
+        np.empty(lanes, dtype=np.int64),
+        numbers[2],
+    )
+    for k in range(size):
+        fit.design[0, k] = weight[k]
+    places, matrices = np.empty((4, MOST_STEPS, lanes)), np.ones((2, MOST_STEPS, MOST_STEPS, lanes))
+    columns, pull = np.empty((2, MOST_STEPS, MOST_STEPS + 1, lanes)), np.empty((1, MOST_STEPS, lanes))
+    move = Move(places[0], places[1], places[2], places[3], matrices[0], matrices[1], pull, columns[0], columns[1])
+    profile, number = np.empty(lanes, dtype=np.int64), np.empty(lanes, dtype=np.int64)
+    refused, done = np.empty(lanes, dtype=np.bool_), np.empty(lanes, dtype=np.bool_)
+    return Room(fit, move, State(profile, number, numbers[3], numbers[4], numbers[5], refused, done))
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _blurred_step(window: Window, place: float, steps: Table, j: int, design: np.ndarray, slope: np.ndarray) -> None:
-    """A weighted step of 1 about 0 and its derivative by its place: between rows of the table by Hermite's cubic (good to 1e-8)
-    and by a line (good to 2e-4)."""
-    offsets, weight = window.offsets_px, window.weight
-    half, bell = steps
-    between = offsets[1] - offsets[0]
-    # In this order a place that is no number has a row as well.
-    x = (offsets[0] - min(max(-_FARTHEST_PX, place), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
-    i = int(x)
-    y = (x - i) * _PARTS
-    row = int(y)
-    s = y - row
-    t = 1.0 - s
-    after, rise = s * s * (3.0 - 2.0 * s), between / _PARTS
-    left, right = s * t * t * rise, -s * s * t * rise
-    for k in range(len(weight)):
-        low, high = bell[row, i + k], bell[row + 1, i + k]
-        value = half[row, i + k] + after * (half[row + 1, i + k] - half[row, i + k]) + left * low + right * high
-        design[1 + j, k] = weight[k] * value
-        slope[j, k] = -weight[k] * (t * low + s * high)
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
-    """Of row i of a and row j of b."""
-    total = 0.0
-    for k in range(a.shape[1]):
-        total += a[i, k] * b[j, k]
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _factor(matrix: np.ndarray, size: int) -> None:
-    """Cholesky factor in the lower triangle, in place; its diagonal is inverse."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                matrix[i, i] = 1.0 / math.sqrt(max(total, 1e-12))
-            else:
-                matrix[i, j] = total * matrix[j, j]
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
-    """Solution of factor x = right, in place."""
-    for i in range(size):
-        total = right[row, i]
-        for k in range(i):
-            total -= factor[i, k] * right[row, k]
-        right[row, i] = total * factor[i, i]
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _solve(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
-    """Solution of factor factor' x = right, in place."""
-    _forward(factor, size, right, row)
-    _backward(factor, size, right, row)
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
-    """Solution of factor' x = right, in place."""
-    for i in range(size - 1, -1, -1):
-        total = right[row, i]
-        for k in range(i + 1, size):
-            total -= factor[k, i] * right[row, k]
-        right[row, i] = total * factor[i, i]
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fit) -> float:
-    """Fill the design D for steps at these places, its slope, the factor of N = D'D + R, the ridge R and the heights
-    h = N^-1 D'y; and the sum of squares that they leave of y, y'y - h'D'y - h'Rh."""
-    scaled, design, slope, factor, ridge, height = fit
-    for j in range(steps):
-        _blurred_step(window, place[j], table, j, design, slope)
-    for p in range(steps + 1):
-        for q in range(p + 1):
-            factor[p, q] = _inner(design, p, design, q)
-        ridge[p] = _RIDGE * factor[p, p]
-        factor[p, p] += ridge[p]
-    _factor(factor, steps + 1)
-    squares = 0.0
-    for c in range(len(scaled)):
-        # |L^-1 D'y|^2 is h'D'y.
-        for p in range(steps + 1):
-            height[c, p] = _inner(design, p, scaled, c)
-        _forward(factor, steps + 1, height, c)
-        for p in range(steps + 1):
-            squares -= height[c, p] * height[c, p]
-        _backward(factor, steps + 1, height, c)
-        for p in range(steps + 1):
-            squares -= height[c, p] * ridge[p] * height[c, p]
-        squares += _inner(scaled, c, scaled, c)
-    return squares
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _newton(steps: int, fit: Fit, move: Move) -> None:
-    """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and
-    w = D's, they hold s's - 2 w' N^-1 w + w' N^-1 D'D N^-1 w and s'r - w' N^-1 D'r, where D'r = R h."""
-    scaled, design, slope, factor, ridge, height = fit
-    _, _, hessian, pull, column, back = move
-    for i in range(steps):
-        for p in range(steps + 1):
-            column[i, p] = _inner(design, p, slope, i)
-            back[i, p] = column[i, p]
-        _solve(factor, steps + 1, back, i)
-        pull[0, i] = 0.0
-        for c in range(len(scaled)):
-            inner = _inner(slope, i, scaled, c)
-            for p in range(steps + 1):
-                inner -= (column[i, p] + back[i, p] * ridge[p]) * height[c, p]
-            pull[0, i] += height[c, 1 + i] * inner
-        for j in range(i + 1):
-            common = 0.0
-            for c in range(len(scaled)):
-                common += height[c, 1 + i] * height[c, 1 + j]
-            inner = _inner(slope, i, slope, j)
-            for p in range(steps + 1):
-                inner -= (column[i, p] + back[i, p] * ridge[p]) * back[j, p]
-            hessian[i, j] = inner * common
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
-@no_type_check
-def _places(window: Window, start: np.ndarray, hold: Hold, rounds: int, table: Table, fit: Fit, move: Move) -> float:
-    """Gauss and Newton from `start` (s), damped, to the places `kept`; the sum of squares that they leave. Design, heights and
-    what follows are then as `_heights` and `_newton` leave them. Of a single round the step is taken unseen."""
-    here, kept, hessian, pull, _, _ = move
-    square, stiff = hold
-    steps = len(start)
-    for j in range(steps):
-        here[j], kept[j] = start[j], start[j]
-    least, left, refused = np.inf, 0.0, False
-    for number in range(rounds):
-        squares = _heights(window, here, steps, table, fit)
-        cost = squares
-        for j in range(steps):
-            cost += square * ((here[j] - start[j]) / stiff[min(j, 1)]) ** 2
-        refused = cost > least
-        if refused:
-            for j in range(steps):
-                here[j] = 0.5 * (here[j] + kept[j])
-            continue
-        least, left = cost, squares
-        for j in range(steps):
-            kept[j] = here[j]
-        if number > 0 and number == rounds - 1:
-            break
-        _newton(steps, fit, move)
-        for j in range(steps):
-            back = square / stiff[min(j, 1)] ** 2
-            hessian[j, j] += back + 1e-9
-            pull[0, j] += back * (start[j] - here[j])
-        _factor(hessian, steps)
-        _solve(hessian, steps, pull, 0)
-        farthest = 0.0
-        for j in range(steps):
-            here[j] += min(max(pull[0, j], -_MOST_MOVE_PX), _MOST_MOVE_PX)
-            farthest = max(farthest, abs(pull[0, j]))
-        if farthest < SETTLED_PX or rounds == 1:
-            # What is left of the steps and heights after so small a move is of second order.
-            for j in range(steps):
-                kept[j] = here[j]
-            break
-    if refused:
-        left = _heights(window, kept, steps, table, fit)
-    return left
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True)
 @no_type_check
 def fit_steps(
     stepped: Stepped, sigma: np.ndarray, window: Window, stiff: np.ndarray, blur: float, rounds: int
@@ -285,40 +244,20 @@ def fit_steps(
     good to first order, and all else is that of their start.
     """
     profile, start, count = stepped
-    m, channels, size, begin = len(profile), profile.shape[1], len(window.weight), window.begin
-    known = min(size, profile.shape[2] - begin)
-    place, variance = start.copy(), np.full(m, np.inf)
-    heights, rest = np.zeros((m, MOST_STEPS, channels)), np.zeros(m)
-    fit = Fit(
-        np.zeros((channels, size)),
-        np.empty((MOST_STEPS + 1, size)),
-        np.empty((MOST_STEPS, size)),
-        np.empty((MOST_STEPS + 1, MOST_STEPS + 1)),
-        np.empty(MOST_STEPS + 1),
-        np.empty((channels, MOST_STEPS + 1)),
-    )
-    move = Move(
-        np.empty(MOST_STEPS),
-        np.empty(MOST_STEPS),
-        np.empty((MOST_STEPS, MOST_STEPS)),
-        np.empty((1, MOST_STEPS)),
-        np.empty((MOST_STEPS, MOST_STEPS + 1)),
-        np.empty((MOST_STEPS, MOST_STEPS + 1)),
-    )
-    fit.design[0] = window.weight
-    table = _blurred_steps(blur, window.offsets_px[1] - window.offsets_px[0])
-    for n in range(m):
-        steps = count[n]
-        for c in range(channels):
-            for k in range(known):
-                fit.scaled[c, k] = profile[n, c, begin + k] * window.weight[k]
-        square = sigma[n] * sigma[n]
-        rest[n] = _places(window, start[n, :steps], Hold(square, stiff), rounds, table, fit, move)
-        move.pull[0, :steps] = 0.0
-        move.pull[0, 0] = 1.0
-        _solve(move.hessian, steps, move.pull, 0)
-        variance[n] = square * move.pull[0, 0]
-        place[n, :steps] = move.kept[:steps]
-        for c in range(channels):
-            heights[n, :steps, c] = fit.height[c, 1 : steps + 1]
-    return place, variance, heights, rest
+    m, channels = len(profile), profile.shape[1]
+    found = Found(start.copy(), np.full(m, np.inf), np.zeros((m, MOST_STEPS, channels)), np.zeros(m))
+    table = blurred_steps(blur, window.offsets_px[1] - window.offsets_px[0])
+    given = Given(stepped, sigma, window, stiff, rounds, table)
+    most, least = _room(channels, window.weight, MOST_LANES), _room(channels, window.weight, LEAST_LANES)
+    order = np.argsort(count, kind="mergesort")
+    first = 0
+    while first < m:
+        after = first
+        while after < m and count[order[after]] == count[order[first]]:
+            after += 1
+        if after - first >= MOST_LANES:
+            _fit_rows(given, order[first:after], most, found)
+        else:
+            _fit_rows(given, order[first:after], least, found)
+        first = after
+    return found.place, found.variance, found.heights, found.rest

@@ -27,6 +27,22 @@ class Edgels(NamedTuple):
     """The image goes on around its seam."""
 
 
+class Charts(NamedTuple):
+    """Pixels of nodes on the half spheres of z >= 0 and z < 0, at equal steps of (x, y) / (length + |z|) of their rays (the
+    stereographic projection); one chart after the other, row after row."""
+
+    begin: Int[np.ndarray, "2"]
+    """The first node of each chart."""
+    shape: Int[np.ndarray, "2 2"]
+    """Rows (of x) and columns (of y), 0 of a chart without nodes."""
+    origin: Float[np.ndarray, "2 2"]
+    step: Float[np.ndarray, "2"]
+    node: Float[np.ndarray, "n 8"]
+    """Pixel, and its derivatives per step down, across and both."""
+    good: Bool[np.ndarray, " n"]
+    """Between a node and the next ones."""
+
+
 class SeenChains(NamedTuple):
     """Chains of edge points that the camera model sees, one after another."""
 
