@@ -34,7 +34,6 @@ class Instant:
     index: tuple[int, ...]
     """Of the frame of each video."""
     time_s: tuple[float, ...]
-    pixels: tuple[UInt8[np.ndarray, "h w 3"], ...]
     looks: tuple[Look, ...]
 
     @property
@@ -77,7 +76,7 @@ LEAST_FLOW_SIDE_PX = 32
 """Smaller images have no patches to follow."""
 
 
-def stillest(instants: Iterator[Instant], stretch_s: float, options: FrameOptions) -> Iterator[Instant]:
+def stillest(instants: Sequence[Instant], stretch_s: float, options: FrameOptions) -> Iterator[Instant]:
     """Of every stretch of so many seconds the stillest instant among the sharp ones."""
     best: Instant | None = None
     end_s = stretch_s
@@ -92,7 +91,7 @@ def stillest(instants: Iterator[Instant], stretch_s: float, options: FrameOption
         yield best
 
 
-def _slower_side(instants: Iterator[Instant]) -> Iterator[Instant]:
+def _slower_side(instants: Sequence[Instant]) -> Iterator[Instant]:
     """Instants whose motion is that to the faster of both neighbours: repeated frames do not move, but are no stiller for it."""
     before: Instant | None = None
     for instant in instants:

@@ -22,7 +22,8 @@ def rig_notes(
     left_out: Mapping[str, str],
 ) -> tuple[str, ...]:
     """What a person should know of a rig, the most important first."""
-    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
+    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
+    notes += [*outcome.clock_notes, *outcome.notes]
     views, doubt = outcome.data.views, outcome.thresholds.doubt
     notes += size_notes(torch.as_tensor(views.corners.board_m), doubt)
     if weakest is not None:

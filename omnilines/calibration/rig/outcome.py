@@ -43,12 +43,27 @@ class RigOutcome:
     thresholds: CalibrationThresholds
     shutters: Shutters | None = None
     """How far the board moves between the shutters of the cameras, where that was estimated."""
+    clock_notes: tuple[str, ...] = ()
+    """What is said of the cameras' clocks, where they were compared."""
 
     @property
     def freedom(self) -> int:
         """Observations less unknowns."""
         frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
-        return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
+        structure = self.solution.reduced.equations.structure
+        return 2 * int(self.fit.kept.sum()) - structure.kept_size - structure.dim * frames
+
+    @property
+    def offset_sigma_s(self) -> Float[np.ndarray, " m"]:
+        """Standard deviation of the offset of each member's clock; 0 where it is not estimated."""
+        runs = self.data.runs
+        found = np.zeros(len(self.data.cameras))
+        if runs is not None and runs.free.any():
+            variance = self.kept_covariance.diagonal()
+            if self.frame_spread is not None:
+                variance = variance + self.frame_spread.diagonal()
+            found[runs.free] = variance[-int(runs.free.sum()) :].sqrt().numpy()
+        return found
 
     @cached_property
     def factor(self) -> VarianceFactor:
