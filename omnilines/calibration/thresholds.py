@@ -211,8 +211,8 @@ class ClockThresholds(NamedTuple):
 
     frames_of_run: int = 5
     """Frames of a run, through which the board is followed by a polynomial of one degree less."""
-    longest_gap_s: float = 0.12
-    """Between frames of a run: hands turn back and forth up to three times in a second, and frames farther apart do not say how
+    longest_gap_s: float = 0.2
+    """Between frames of a run: hands turn back and forth more than once in a second, and frames farther apart do not say how
     the board moves between them."""
 
 

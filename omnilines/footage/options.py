@@ -24,7 +24,7 @@ class FrameOptions:
     frames_of_run: int = 5
     """Of the videos of a rig, so many consecutive frames are taken around each instant: they tell how the board moves, and with
     it how much earlier one camera began than another. 1: the instant alone."""
-    longest_run_s: float = 0.5
+    longest_run_s: float = 1.0
     """Runs that would last longer, of videos of a low rate, are not taken: they do not tell that."""
     most_runs: int = 24
     """Instants that are taken at most with their runs."""

@@ -89,7 +89,7 @@ def _place_text(member: RigMember) -> str:
 
 def _clock_text(member: RigMember) -> str:
     assert member.time_offset_s is not None and member.time_offset_sigma_s is not None
-    return f"{1e3 * member.time_offset_s:.4f} ± {figure(1e3 * member.time_offset_sigma_s, '.2g')} ms"
+    return with_sigma(1e3 * member.time_offset_s, 1e3 * member.time_offset_sigma_s) + " ms"
 
 
 def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "3 3"]:

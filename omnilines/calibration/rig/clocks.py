@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy.stats import chi2
 
 from camera_models.pose import Pose
@@ -76,12 +76,12 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
             f"{_name(outcome, k)} by {_ms(offset_s[k] - runs.beside_s[k], sigma_s[k])}" for k in _numbers(runs.free)
         )
         return _said(outcome, f"Frames of one name are of the same instant, as far as the board's motion tells: {agreed}.")
-    return replace(timed, clock_notes=(*outcome.clock_notes, _note(timed, offset_s, sigma_s, runs)))
+    return replace(timed, clock_notes=outcome.clock_notes, clock_rms_px=_with_and_without(timed, runs))
 
 
 STANDS_STILL = (
-    "The board hardly moves in the runs of consecutive frames, or few corners are seen in them: they do not tell whether the "
-    "clocks of the cameras differ."
+    "The runs of consecutive frames do not tell whether the clocks of the cameras differ: the board hardly moves in them, or some "
+    "camera hardly sees it there."
 )
 
 
@@ -116,9 +116,15 @@ def _ms(value_s: float, sigma_s: float) -> str:
     return f"{1e3 * value_s:.{digits}f} ± {1e3 * sigma_s:.{digits}f} ms"
 
 
-def _note(timed: RigOutcome, offset_s: Float[np.ndarray, " m"], sigma_s: Float[np.ndarray, " m"], runs: Runs) -> str:
-    first, before_px, after_px = _name(timed, 0), *_with_and_without(timed, runs)
-    clocks = ", ".join(f"{_name(timed, k)} by {_ms(offset_s[k], sigma_s[k])}" for k in _numbers(runs.free))
+def offsets_note(outcome: RigOutcome) -> str | None:
+    """By how much the clocks of a rig differ and what that explains, one sentence or three; None where they were not
+    estimated."""
+    runs, path = outcome.data.runs, outcome.solution.state.path
+    if runs is None or path is None or not runs.free.any():
+        return None
+    first, sigma_s = _name(outcome, 0), outcome.offset_sigma_s
+    clocks = ", ".join(f"{_name(outcome, k)} by {_ms(float(path.offset_s[k]), sigma_s[k])}" for k in _numbers(runs.free))
+    before_px, after_px = outcome.clock_rms_px
     return (
         f"The cameras' clocks differ: ahead of {first} is {clocks} (one standard deviation; what {first} sees at t, a camera "
         f"ahead by d sees at t + d). The board's motion in {runs.count} runs of {runs.degree + 1} frames tells that. With it the "

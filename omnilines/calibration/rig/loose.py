@@ -54,8 +54,10 @@ def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcom
         return outcome
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, thresholds.rig)
     notes = (*(() if cause is None else (cause,)), motion_note(found.shutters), *found.notes)
+    # Views that no run follows stay out.
+    reasons = {} if outcome.data.runs is None else outcome.reasons
     return replace(
-        outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons={}
+        outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons=reasons
     )
 
 

@@ -1,5 +1,6 @@
 """What the calibration of a rig came to, before its result is written."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,7 +45,9 @@ class RigOutcome:
     shutters: Shutters | None = None
     """How far the board moves between the shutters of the cameras, where that was estimated."""
     clock_notes: tuple[str, ...] = ()
-    """What is said of the cameras' clocks, where they were compared."""
+    """What else is said of the cameras' clocks, where they were compared."""
+    clock_rms_px: tuple[float, float] = (math.nan, math.nan)
+    """Per point, with the clocks as frames are put together and as estimated."""
 
     @property
     def freedom(self) -> int:
