@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from calib_patterns import Pattern
-from calib_patterns.rendering import render_target
+from calib_patterns.rendering import graded_background, render_target
 from camera_models import CameraModel
 from camera_models.pose import Pose
 
@@ -61,7 +61,10 @@ def frame(
     """A photo of the board at an instant, which is that of the first row's beginning."""
     span_s = shutter.exposure_s + shutter.readout_s
     if shutter.samples == 1 or path.rests(time_s, time_s + span_s):
-        return render_target(pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, seed=seed)
+        wall = graded_background(model, np.random.default_rng(0))
+        return render_target(
+            pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, background=wall, seed=seed
+        )
     times = np.linspace(0.0, span_s, shutter.samples)
     shots = np.stack([render_target(pattern, model, path.at(time_s + t), supersample=2, blur_px=0.5) for t in times])
     begins = shutter.readout_s * np.linspace(0, 1, model.image_size[1])
@@ -83,7 +86,7 @@ def write_video(
     assert writer.isOpened()
     times = [start_s + k / frames_per_s for k in range(int((path.duration_s - start_s) * frames_per_s))]
     for number, time_s in enumerate(times):
-        shot = frame(pattern, model, path, time_s, shutter, noise_grey, seed=number)
+        shot = frame(pattern, model, path, time_s, shutter, noise_grey, seed=number + round(1e6 * start_s))
         writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
     writer.release()
     return times

@@ -64,7 +64,7 @@ class _Measured:
     @property
     def speed_px(self) -> np.ndarray:
         """Of each frame, in the mean of its lenses."""
-        return np.array([[look.motion_px for look in own] for own in self.looks]).mean(0)
+        return np.array([[look.change_grey for look in own] for own in self.looks]).mean(0)
 
 
 def instants_of(

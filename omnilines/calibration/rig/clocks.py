@@ -80,7 +80,7 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
 
 
 STANDS_STILL = (
-    "The runs of consecutive frames do not tell whether the clocks of the cameras differ: the board hardly moves in them, or some "
+    "The runs of consecutive frames do not tell whether the cameras' clocks differ: the board hardly moves in them, or some "
     "camera hardly sees it there."
 )
 
