@@ -24,8 +24,9 @@ class HandMotion:
     """A board in hand: some harmonics of each coordinate, up to `highest_hz`."""
 
     seed: int
-    still: bool = False
     highest_hz: float = 1.5
+    speed: float = 1.0
+    """0: at rest."""
 
     def at(self, time_s: Float[np.ndarray, " n"]) -> Pose:
         """`rig_from_board`, of the first camera; the middle of the board goes to and fro in front of both."""
@@ -33,8 +34,7 @@ class HandMotion:
         hz, phase = rng.uniform(0.2, self.highest_hz, (4, 6)), rng.uniform(0, 2 * np.pi, (4, 6))
         # Slow swings are wide: the speed is alike.
         size = np.array([0.5, 0.5, 0.7, 0.16, 0.1, 0.12]) * 0.3 / hz * rng.uniform(0.5, 1.0, (4, 6))
-        seen = np.zeros_like(time_s) if self.still else time_s
-        values = (size * np.sin(2 * np.pi * hz * seen[:, None, None] + phase)).sum(1)
+        values = (size * np.sin(2 * np.pi * hz * self.speed * time_s[:, None, None] + phase)).sum(1)
         rotation = rotation_from_vector(torch.as_tensor(values[:, :3]))
         middle = torch.as_tensor(values[:, 3:] + np.array([0.1, 0.0, 0.65]))
         return Pose(rotation, middle - rotation @ torch.as_tensor(BOARD.mean(0)))

@@ -214,6 +214,9 @@ class ClockThresholds(NamedTuple):
     longest_gap_s: float = 0.2
     """Between frames of a run: hands turn back and forth more than once in a second, and frames farther apart do not say how
     the board moves between them."""
+    least_moving_share: float = 0.9
+    """Of what seems to be known of a clock, the share that the board's motion has to tell: with less it may be at rest, and the
+    noise of its poses seems to tell the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
+from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
@@ -24,6 +25,8 @@ from omnilines.least_squares import Outcome, Solution, solve
 NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, which clocks are compared by"
 MISFIT = "more than half of its corners do not fit the rig, whose clocks were compared (wrong frame, detection or numbering)"
 ITERATIONS = 30
+DRAWS = 4
+"""Of the motion of boards at rest: of many frames each tells nearly the same."""
 LEAST_SHARE = 0.5
 """Of the corners of a view that fit, for it to stay."""
 
@@ -59,8 +62,11 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
         timed = replace(
             outcome, data=found.data, fit=found.fit, solution=found.solution, notes=found.notes, reasons=lost, clock_notes=()
         )
-        sigma_s = timed.offset_sigma_s
-        open_ = runs.free & ~(sigma_s < 0.5 * runs.gap_s)
+        share = _moving_share(timed)
+        timed = replace(timed, moving_share=share.clamp_min(limits.least_moving_share))
+        sigma_s, moving = timed.offset_sigma_s, runs.free.copy()
+        moving[runs.free] = (share > limits.least_moving_share).numpy()
+        open_ = runs.free & ~(moving & (sigma_s < 0.5 * runs.gap_s))
         if not open_.any():
             break
         outcome = _said(outcome, "; ".join(_untold(outcome, k) for k in _numbers(open_)))
@@ -143,6 +149,26 @@ def _with_and_without(timed: RigOutcome, runs: Runs) -> tuple[float, float]:
     return before, after
 
 
+def _moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
+    """`RigOutcome.moving_share`, from how well the clocks would seem to be known of a board at rest whose motion in each run is
+    drawn from what its noise makes of it."""
+    points, state = timed.fit.points.chosen(timed.fit.kept), timed.solution.state
+    assert state.path is not None and timed.data.runs is not None
+    clocks = int(timed.data.runs.free.sum())
+    problem, generator = timed.data.problem(points), torch.Generator().manual_seed(0)
+    covariance = timed.solution.eliminated_covariance()[:, 6:, 6:] * timed.factor.value
+    used = torch.unique(points.frame[points.view])
+    factor = torch.linalg.cholesky(0.5 * (covariance[used] + covariance[used].mT))
+    resting = torch.zeros(clocks, dtype=torch.float64)
+    for _ in range(DRAWS):
+        rates = torch.zeros_like(state.path.rates)
+        noise = torch.randn(len(used), factor.shape[-1], 1, generator=generator, dtype=torch.float64)
+        rates[used] = (factor @ noise).reshape(len(used), *rates.shape[1:])
+        still = solve(problem, replace(state, path=replace(state.path, rates=rates)), max_iterations=0)
+        resting += 1 / still.kept_covariance().diagonal()[-clocks:] / DRAWS
+    return 1 - resting * timed.solution.kept_covariance().diagonal()[-clocks:]
+
+
 def _fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> _Followed | None:
     """The rig of the views in runs; None where too few are left."""
     lost: tuple[int, ...] = ()
@@ -182,7 +208,7 @@ def _begun(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone,
     board = torch.tensor([data.boards.index(int(b)) for b in data.views.part[posed]])
     poses = Pose.stack([seen.cam_from_board[int(v)] for v in posed])
     target = state.cam_from_rig[member].inverse() @ poses @ state.target_from_board[board].inverse()
-    path, times = Path(torch.zeros(0), torch.as_tensor(runs.beside_s)), runs.times(posed)
+    offset_s, times = torch.as_tensor(runs.beside_s), runs.times(posed)
     run = torch.as_tensor(runs.run[posed])
-    base, rates = followed(target, run, path.tau(times, member), runs.count, runs.degree, times.middle_m)
-    return replace(state, models=start.models, rig_from_target=base, path=Path(rates, path.offset_s))
+    base, rates = followed(target, run, times.tau(offset_s, member), runs.count, runs.degree, times.middle_m)
+    return replace(state, models=start.models, rig_from_target=base, path=Path(rates, offset_s))

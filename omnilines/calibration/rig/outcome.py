@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -46,6 +47,9 @@ class RigOutcome:
     """How far the board moves between the shutters of the cameras, where that was estimated."""
     clock_notes: tuple[str, ...] = ()
     """What else is said of the cameras' clocks, where they were compared."""
+    moving_share: Float[Tensor, " k"] | None = None
+    """Of what is known of each clock that is estimated, the share that the board's motion tells: as if by chance the rest is told
+    by the noise of its poses, which makes boards at rest seem to move."""
     clock_rms_px: tuple[float, float] = (math.nan, math.nan)
     """Per point, with the clocks as frames are put together and as estimated."""
 
@@ -91,6 +95,11 @@ class RigOutcome:
         where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
         jackknife: a column that is less certain by it is taken to be so."""
         covariance = self.solution.kept_covariance() * self.factor.value
+        clocks = 0 if self.data.runs is None else int(self.data.runs.free.sum())
+        if clocks and self.moving_share is not None:
+            surer = torch.ones(len(covariance), dtype=torch.float64)
+            surer[-clocks:] = self.moving_share
+            covariance = covariance / (surer[:, None] * surer).sqrt()
         if self.shutters is None:
             return covariance
         points = self.fit.points.chosen(self.fit.kept)

@@ -32,6 +32,10 @@ class ViewTimes:
     free: Bool[Tensor, " c"]
     """Whether the offset of each camera is estimated; that of the first is 0."""
 
+    def tau(self, offset_s: Float[Tensor, " c"], camera: Int[Tensor, " v"]) -> Float[Tensor, " v"]:
+        """Of every view, of these cameras with these offsets."""
+        return (self.time_s - offset_s[camera]) / self.unit_s
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -40,10 +44,6 @@ class Path:
     rates: Float[Tensor, "runs degree 6"]
     """Of each power of tau (rotation_rad, translation_m)."""
     offset_s: Float[Tensor, " c"]
-
-    def tau(self, times: ViewTimes, camera: Int[Tensor, " v"]) -> Float[Tensor, " v"]:
-        """Of every view."""
-        return (times.time_s - self.offset_s[camera]) / times.unit_s
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,14 +108,16 @@ class RigState:
         base = self.rig_from_target[points.frame]
         if points.times is None or self.path is None:
             return base
-        return pose_along(base, self.path.rates[points.frame], self.path.tau(points.times, points.camera), points.times.middle_m)
+        return pose_along(
+            base, self.path.rates[points.frame], points.times.tau(self.path.offset_s, points.camera), points.times.middle_m
+        )
 
     def along(self, points: RigPoints) -> PathDerivatives | None:
         """How the target of every view follows the paths and clocks; None where cameras have one clock."""
         if points.times is None or self.path is None:
             return None
         base, rates = self.rig_from_target[points.frame], self.path.rates[points.frame]
-        return path_derivatives(base, rates, self.path.tau(points.times, points.camera), points.times)
+        return path_derivatives(base, rates, points.times.tau(self.path.offset_s, points.camera), points.times)
 
     def cam_from_board(self, points: RigPoints) -> Pose:
         """Of every view."""
