@@ -156,7 +156,7 @@ def test_videos_of_free_running_cameras_give_their_offset(later_s: float, tmp_pa
     beside = Pose(rotation_from_vector(torch.tensor([0.01, -0.15, 0.02])).double(), torch.tensor([-0.1, 0.003, 0.01]).double())
     motion = HandMotion(3, highest_hz=1.2)
     for name, lens, pose, start_s in zip(("left", "right"), LENSES, (Pose.identity(), beside), (0.0, later_s), strict=True):
-        write_video(tmp_path / f"{name}.avi", board, lens, SeenMotion(motion, pose, 12.0), frames_per_s=30.0, start_s=start_s)
+        write_video(tmp_path / f"{name}.avi", board, lens, SeenMotion(motion, pose, 9.0), frames_per_s=30.0, start_s=start_s)
     chosen = ol.frames(tmp_path, board.specification)
     chosen.save(tmp_path / "frames")
     result = ol.calibrate_rig(ol.detect_rig(tmp_path / "frames", board.specification), model="opencv-fisheye")
