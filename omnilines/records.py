@@ -33,6 +33,8 @@ class Corners:
     """Instant of each view of a rig."""
     boards: tuple[str, ...] | None = None
     """Board of each view; None where there is one board."""
+    times_s: Float[np.ndarray, " v"] | None = None
+    """When each view was taken, by the clock of its camera."""
 
     def __len__(self) -> int:
         return len(self.view)

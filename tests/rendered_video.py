@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from calib_patterns import Pattern
-from calib_patterns.rendering import render_target
+from calib_patterns.rendering import graded_background, render_target
 from camera_models import CameraModel
 from camera_models.pose import Pose
 
@@ -56,12 +56,21 @@ class Shutter:
 
 
 def frame(
-    pattern: Pattern, model: CameraModel, path: Path6, time_s: float, shutter: Shutter, noise_grey: float, seed: int
+    pattern: Pattern,
+    model: CameraModel,
+    path: Path6,
+    time_s: float,
+    shutter: Shutter,
+    noise_grey: float,
+    seed: int,
+    wall: Float[np.ndarray, "h w"],
 ) -> UInt8[np.ndarray, "h w"]:
     """A photo of the board at an instant, which is that of the first row's beginning."""
     span_s = shutter.exposure_s + shutter.readout_s
     if shutter.samples == 1 or path.rests(time_s, time_s + span_s):
-        return render_target(pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, seed=seed)
+        return render_target(
+            pattern, model, path.at(time_s), supersample=2, blur_px=0.5, noise_grey=noise_grey, background=wall, seed=seed
+        )
     times = np.linspace(0.0, span_s, shutter.samples)
     shots = np.stack([render_target(pattern, model, path.at(time_s + t), supersample=2, blur_px=0.5) for t in times])
     begins = shutter.readout_s * np.linspace(0, 1, model.image_size[1])
@@ -79,11 +88,12 @@ def write_video(
     noise_grey: float = 2.0, start_s: float = 0.0,
 ) -> list[float]:  # fmt: skip
     """A video of the whole motion (motion JPEG); returns the instant of each frame."""
+    wall = graded_background(model, np.random.default_rng(0))
     writer = cv2.VideoWriter(str(file), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), frames_per_s, model.image_size)
     assert writer.isOpened()
     times = [start_s + k / frames_per_s for k in range(int((path.duration_s - start_s) * frames_per_s))]
     for number, time_s in enumerate(times):
-        shot = frame(pattern, model, path, time_s, shutter, noise_grey, seed=number)
+        shot = frame(pattern, model, path, time_s, shutter, noise_grey, seed=number + round(1e6 * start_s), wall=wall)
         writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
     writer.release()
     return times

@@ -26,6 +26,7 @@ from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
 from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
+from omnilines.footage.alignment import lead_s, put_together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import spaced
 
@@ -101,7 +102,7 @@ def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path)
     beside = Path6(right_from_left @ few.poses, few.move_s, few.rest_s)
     write_video(tmp_path / "left.avi", pattern(BOARD), LENS, few, frames_per_s=RATE)
     write_video(tmp_path / "right.avi", pattern(BOARD), OTHER, beside, frames_per_s=RATE)
-    chosen = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=6))
+    chosen = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=6, frames_of_run=1))
     left, right = ([row for row in chosen.taken if row.lens == number] for number in (0, 1))
     assert [row.index for row in left] == [row.index for row in right] and len(left) == 6
     assert left[0].image == f"left/{left[0].index:06d}.png"
@@ -109,6 +110,31 @@ def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path)
     assert len(files) == 13 and all(file.is_file() for file in files)
     found = ol.detect_rig(tmp_path / "out", BOARD)
     assert set(found.image_sizes) == {"left", "right"}
+    assert found.corners.times_s is not None
+    taken = {row.image: row.time_s for row in chosen.taken}
+    assert np.allclose(found.corners.times_s, [taken[image] for image in found.corners.images], atol=1e-6)
+    runs = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=2, frames_of_run=3))
+    numbers = sorted({row.index for row in runs.taken})
+    assert 4 <= len(numbers) <= 6 and sum(a + 1 == b for a, b in itertools.pairwise(numbers)) >= 3
+
+
+def test_when_videos_began_is_told_by_the_motion_in_them() -> None:
+    rng = np.random.default_rng(0)
+    times_s = np.arange(900) / 30.0
+    motion = np.convolve(rng.gamma(0.3, 1.0, 900 + 120), np.ones(8) / 8, mode="same")
+
+    def seen(start: int, of: int, noise: float) -> np.ndarray:
+        return motion[start : start + of] * 3.0 + noise * rng.gamma(1.0, 1.0, of)
+
+    first = seen(0, 900, 0.3)
+    # What the first shows at its frame 70 the other shows at its beginning.
+    found = lead_s(times_s, first, times_s, 0.4 * seen(70, 900, 0.3), 0.5, 1e-3)
+    assert found is not None and abs(found + 70 / 30) < 0.02
+    assert lead_s(times_s, first, times_s, seen(0, 900, 0.3), 0.5, 1e-3) == 0.0
+    unrelated = [np.convolve(rng.gamma(0.3, 1.0, 900), np.ones(8) / 8, mode="same") for _ in range(20)]
+    assert sum(lead_s(times_s, first, times_s, other, 0.5, 1e-3) is not None for other in unrelated) <= 1
+    assert lead_s(times_s, np.zeros(900), times_s, first, 0.5, 1e-3) is None
+    assert lead_s(times_s[:1], first[:1], times_s, first, 0.5, 1e-3) is None
 
 
 def test_lenses_side_by_side_are_cut_apart(tmp_path: Path) -> None:
@@ -171,9 +197,16 @@ def _plain_video(file: Path, rate: float, seconds: float) -> Path:
 
 def test_videos_of_other_rates_are_put_together_by_time(tmp_path: Path) -> None:
     slow, fast = (Video.of(_plain_video(tmp_path / f"{rate}.avi", rate, 3.0)) for rate in (10.0, 25.0))
-    pairs = list(together([slow, fast]))
+    times_s = [np.array([frame.time_s for frame in video.frames()]) for video in (slow, fast)]
+    pairs = list(together([slow, fast], put_together(times_s, [0.0, 0.0])))
     assert len(pairs) >= 28
     assert max(abs(one.time_s - other.time_s) for one, other in pairs) <= 0.5 / 25.0 + 1e-6
+    late = put_together(times_s, [0.0, -0.52])
+    assert len({other for _, other in late}) == len(late) == 25
+    assert max(abs(times_s[1][other] - times_s[0][one] + 0.52) for one, other in late) <= 0.5 / 25.0 + 1e-6
+    # Of the faster one first, no frame of the slower stands in two instants.
+    swapped = put_together(times_s[::-1], [0.0, 0.0])
+    assert len({slower for _, slower in swapped}) == len(swapped) >= 28
 
 
 def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:

@@ -53,6 +53,7 @@ def problem_of(free_boards: bool, held: tuple[int, ...] = (), boards: int = 2, n
         0.5 + torch.rand(len(view), generator=generator, dtype=torch.float64),
         torch.tensor(camera),
         torch.tensor(frame),
+        torch.tensor(frame),
         torch.tensor(board),
     )
     clean = state.residual_px(points)
@@ -62,6 +63,7 @@ def problem_of(free_boards: bool, held: tuple[int, ...] = (), boards: int = 2, n
         clean + noise_px * random(len(view), 2),
         points.weight,
         points.camera,
+        points.frame,
         points.frame,
         points.board,
     )

@@ -51,6 +51,11 @@ def rig_record(result: RigCalibration, inputs: Mapping[str, Any]) -> Calibration
     }
     views = tuple(view_record(view) for view in result.as_given()[1] if view.camera in rig)
     models = {member.name: member.model for member in result.members}
+    offsets = [
+        f"{m.name}={m.time_offset_s:.9g}+-{m.time_offset_sigma_s:.2g}" for m in result.members if m.time_offset_s is not None
+    ]
+    if offsets:
+        inputs = {**inputs, "time_offset_s": " ".join(offsets)}
     if result.board_terms:
         # Poses and corners are those of this board.
         inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}

@@ -86,7 +86,7 @@ def telling_instants(cameras: Sequence[ViewInformation], instants: Mapping[str, 
 class _Design:
     """The information of every instant on every camera."""
 
-    matrices: tuple[Float[Tensor, "t k k"], ...]
+    matrices: tuple[Float[Tensor, "t _ _"], ...]
     seen: Float[Tensor, "c t"]
     """1 where a camera sees the board."""
 

@@ -211,6 +211,19 @@ class RigThresholds(NamedTuple):
     """How much more the parameters of a cause have to gain than as many that only fit noise."""
 
 
+class ClockThresholds(NamedTuple):
+    """How the clocks of a rig's cameras are compared: by the board's motion in runs of consecutive frames."""
+
+    frames_of_run: int = 5
+    """Frames of a run, through which the board is followed by a polynomial of one degree less."""
+    longest_gap_s: float = 0.2
+    """Between frames of a run: hands turn back and forth more than once in a second, and frames farther apart do not say how
+    the board moves between them."""
+    least_moving_share: float = 0.9
+    """Of what seems to be known of a clock, the share that the board's motion has to tell: with less it may be at rest, and the
+    noise of its poses seems to tell the rest."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CalibrationThresholds:
     """All thresholds of a calibration, the groups of its options."""
@@ -226,3 +239,4 @@ class CalibrationThresholds:
     duplicates: DuplicateThresholds = DuplicateThresholds()
     shooting: ShootingThresholds = ShootingThresholds()
     rig: RigThresholds = RigThresholds()
+    clocks: ClockThresholds = ClockThresholds()

@@ -81,6 +81,9 @@ def calibrate(
     boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
     calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
+    time_offsets: Annotated[
+        bool, typer.Option("--time-offsets", help="Of a rig of videos: estimate by how much each camera's clock is ahead.")
+    ] = False,
     split: SplitInto = None,
     settings: Settings = None,
     as_json: Json = False,
@@ -134,7 +137,7 @@ def calibrate(
                 lambda paths: calibrate_photos(paths, pattern or "", out, options, detection=detection, progress=progress),
                 pattern or "",
             )
-        setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold)
+        setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold, time_offsets)
         start = [] if calibration is None else [calibration]
         if tables:
             return calibrate_rig_corners(tables[0], sizes, out, setup, read=start, progress=progress)

@@ -101,7 +101,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("split",), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
         Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
-        Rule(("boards", "calibration", "hold", "calibration.rig."), _of_rig, IN_RIG),
+        Rule(("boards", "calibration", "hold", "time_offsets", "calibration.rig.", "calibration.clocks."), _of_rig, IN_RIG),
         Rule(("calibration.duplicates.",), lambda call: not _of_rig(call), "with one camera, found a rig"),
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),

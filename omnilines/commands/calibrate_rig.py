@@ -76,6 +76,7 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path]
         boards=setup.boards,
         start=setup.start,
         hold=setup.hold,
+        time_offsets=setup.time_offsets,
         progress=progress,
     )
     with claimed(out, (*result.file_names, PAGE), read, by="calibrate"):

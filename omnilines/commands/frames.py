@@ -10,12 +10,13 @@ from camera_models import InputError
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, write_png
 from omnilines.files.folders import check_results, way_out
+from omnilines.files.frames import TABLE
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed, withdrawn_where_refused
 from omnilines.files.split import Split
 from omnilines.files.videos import find_videos
 from omnilines.footage.options import FrameOptions
-from omnilines.pipelines.frames import TABLE, ChosenFrames
+from omnilines.pipelines.frames import ChosenFrames
 from omnilines.pipelines.frames import frames as pipeline
 from omnilines.pipelines.recognise import OTHERWISE
 from omnilines.progress import ProgressCallback, silent

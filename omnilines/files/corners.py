@@ -4,10 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text
+from omnilines.files.frames import LATEST_S
 from omnilines.files.tables import (
     LARGEST_PX,
     PARQUET_SUFFIXES,
@@ -20,7 +21,7 @@ from omnilines.files.tables import (
 from omnilines.records import LARGEST_M, Corners
 
 COLUMNS = ("view", "image", "board_x_m", "board_y_m", "u_px", "v_px")
-OPTIONAL = ("camera", "frame", "board", "id", "board_z_m", "sigma_px")
+OPTIONAL = ("camera", "frame", "board", "id", "board_z_m", "sigma_px", "time_s")
 
 
 def read_corners(path: str | Path) -> Corners:
@@ -37,8 +38,8 @@ def read_corners(path: str | Path) -> Corners:
 
 
 def read_rig_corners(path: str | Path) -> Corners:
-    """Corners of a rig. Rows with the same view, camera and board are one view; `frames` is None where that column is absent.
-    Raises InputError as `read_corners`, and where a view has two frames."""
+    """Corners of a rig. Rows with the same view, camera and board are one view; `frames` and `times_s` are None where those
+    columns are absent. Raises InputError as `read_corners`, and where a view has two frames or times."""
     table = read_table(path, COLUMNS, OPTIONAL)
     keys = [table.names(name) if table.has(name) else None for name in ("view", "camera", "board")]
     combined = np.zeros(len(table), dtype=np.int64)
@@ -55,7 +56,21 @@ def read_rig_corners(path: str | Path) -> Corners:
     assert view_names is not None
     corners = _corners(table, view, view_names)
     frames = table.name_of_each("frame", view, view_names, "view") if table.has("frame") else None
-    return replace(corners, cameras=cameras or ("cam0",) * len(view_names), frames=frames, boards=boards)
+    return replace(
+        corners,
+        cameras=cameras or ("cam0",) * len(view_names),
+        frames=frames,
+        boards=boards,
+        times_s=_times(table, view, first[order]) if table.has("time_s") else None,
+    )
+
+
+def _times(table: Table, view: Int[np.ndarray, " n"], first: Int[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
+    """Of every view, whose first rows are given."""
+    each = table.within(LATEST_S, "time_s")[:, 0]
+    times = each[first]
+    table.require(each == times[view], "time_s", "the time of the rows above of the same view", "give one time to each view")
+    return times
 
 
 def is_corners_table(path: str | Path) -> bool:
@@ -107,6 +122,8 @@ def write_corners(path: str | Path, corners: Corners) -> None:
     for name, values in (("camera", corners.cameras), ("frame", corners.frames), ("board", corners.boards)):
         if values is not None:
             columns[name] = name_cells(values, corners.view, path, name)
+    if corners.times_s is not None:
+        columns["time_s"] = number_cells(corners.times_s[corners.view], path, "time_s")
     write_table(path, columns)
 
 

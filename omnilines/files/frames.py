@@ -6,8 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from camera_models.formats.disk import write_atomically
+from camera_models.formats.disk import read_text, write_atomically
+from omnilines.files.tables import read_table
 
+TABLE = "frames.csv"
+LATEST_S = 1e9
+"""Of a frame: some years."""
 COLUMNS = ("image", "video", "frame", "time_s", "motion_px", "sharpness", "corners", "taken", "reason")
 
 
@@ -33,12 +37,24 @@ class FrameRow:
     """Why it was taken, or was not."""
 
 
+def read_times(folder: str | Path) -> dict[str, float]:
+    """When each photo in a folder was taken, by its name, where the folder holds a `frames.csv` with these columns; else nothing.
+
+    Raises InputError where a time in it is not a finite number.
+    """
+    path = Path(folder) / TABLE
+    if not path.is_file() or read_text(path).split("\n", 1)[0].strip() != ",".join(COLUMNS):
+        return {}
+    table = read_table(path, COLUMNS)
+    return dict(zip(table.columns["image"], table.within(LATEST_S, "time_s")[:, 0].tolist(), strict=True))
+
+
 def write_frames(path: str | Path, rows: Sequence[FrameRow], videos: Sequence[str]) -> None:
     """Write the table; `videos` are the names of the files of its cameras. Raises InputError where it cannot be written."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for row in rows:
-        measures = (f"{row.time_s:.4f}", f"{row.motion_px:.3f}", f"{row.sharpness:.3f}", row.corners)
+        measures = (f"{row.time_s:.6f}", f"{row.motion_px:.3f}", f"{row.sharpness:.3f}", row.corners)
         writer.writerow((row.image, videos[row.lens], row.index, *measures, "yes" if row.taken else "no", row.reason))
     write_atomically(path, text.getvalue())

@@ -120,40 +120,35 @@ def _files_in(folder: Path) -> list[Path]:
         raise InputError(f"The folder {folder} cannot be read ({error.strerror}); give one that can be.") from None
 
 
-def together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
-    """The frames of all videos at each instant: by number where their rates and lengths agree, else each frame of the first with
-    the nearest of the others by time from their beginnings. It ends with the first video that does."""
-    first = videos[0]
-    if all(_alike(first, video) for video in videos):
-        yield from zip(*(video.frames() for video in videos), strict=False)
-        return
-    others = [_Nearest(video.frames()) for video in videos[1:]]
-    for frame in first.frames():
-        beside = [other.at(frame.time_s) for other in others]
-        found = [one for one in beside if one is not None]
-        if len(found) < len(beside):
-            return
-        yield (frame, *found)
-
-
-def _alike(one: Video, other: Video) -> bool:
+def alike(one: Video, other: Video) -> bool:
+    """Whether the frames of two videos may belong together by their numbers: rate and length agree."""
     return abs(one.frames_per_s - other.frames_per_s) < 1e-3 * one.frames_per_s and abs(one.count - other.count) <= 1
 
 
-class _Nearest:
-    """The frames of a video by time, which only goes forward."""
+def together(videos: Sequence[Video], instants: Sequence[tuple[int, ...]]) -> Iterator[tuple[Frame, ...]]:
+    """The frames of all videos at some instants, each the number of a frame of every video; numbers do not fall from one to the
+    next. It ends with the first video that does."""
+    sources = [_Following(video.frames({instant[k] for instant in instants})) for k, video in enumerate(videos)]
+    for instant in instants:
+        shown = [source.at(index) for source, index in zip(sources, instant, strict=True)]
+        found = [frame for frame in shown if frame is not None]
+        if len(found) < len(shown):
+            return
+        yield tuple(found)
+
+
+class _Following:
+    """The frames of a video by their numbers, which do not fall."""
 
     def __init__(self, frames: Iterator[Frame]) -> None:
         self._frames = frames
-        self._now, self._after = next(frames, None), next(frames, None)
+        self._now = next(frames, None)
 
-    def at(self, time_s: float) -> Frame | None:
-        """The nearest frame; None where the video has ended."""
-        while self._now is not None and self._after is not None:
-            if abs(self._after.time_s - time_s) >= abs(self._now.time_s - time_s):
-                return self._now
-            self._now, self._after = self._after, next(self._frames, None)
-        return None
+    def at(self, index: int) -> Frame | None:
+        """The frame of a number; None where the video has ended."""
+        while self._now is not None and self._now.index < index:
+            self._now = next(self._frames, None)
+        return self._now
 
 
 OPEN_WITH = {

@@ -21,3 +21,14 @@ class FrameOptions:
     """Of a scene, a frame is taken once what it shows has moved by this share of the image's width since the last one."""
     flow_width_px: int = 240
     """Width to which frames are reduced to measure how fast what they show moves."""
+    frames_of_run: int = 5
+    """Of the videos of a rig, so many consecutive frames are taken around each instant: they tell how the board moves, and with
+    it how much earlier one camera began than another. 1: the instant alone."""
+    longest_run_s: float = 1.0
+    """Runs that would last longer, of videos of a low rate, are not taken: they do not tell that."""
+    most_runs: int = 24
+    """Instants that are taken at most with their runs."""
+    least_overlap: float = 0.5
+    """Share of the shorter of two videos that the other shows too, at least."""
+    significance: float = 1e-3
+    """Probability that videos are shifted where the motion in them agrees by chance."""

@@ -5,6 +5,7 @@ the speed in the image, which dense optical flow (T. Kroeger et al., Fast optica
 measures well enough on reduced frames.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,9 @@ class Look:
     """Standard deviation of the Laplacian, in grey levels: to compare frames that show the same."""
     travelled_px: float
     """How far the middle half of the image has moved since the beginning."""
+    change_grey: float = 0.0
+    """Root mean square change of the reduced frame since the one before, in grey levels: grows with the speed of what it shows,
+    and does not ask where that went, as flow does, which noise misleads where a wall is plain."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,6 @@ class Instant:
     index: tuple[int, ...]
     """Of the frame of each video."""
     time_s: tuple[float, ...]
-    pixels: tuple[UInt8[np.ndarray, "h w 3"], ...]
     looks: tuple[Look, ...]
 
     @property
@@ -63,21 +66,22 @@ class Meter:
         scale = min(1.0, self._width_px / grey.shape[1])
         size = [max(1, round(scale * side)) for side in grey.shape[::-1]]
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        motion_px = 0.0
+        motion_px = change_grey = 0.0
         if self._before is not None and min(small.shape) >= LEAST_FLOW_SIDE_PX:
             flow = np.asarray(self._flow.calc(self._before, small, np.zeros((*small.shape, 2), np.float32)))
             speed_px = np.hypot(flow[..., 0], flow[..., 1]) / scale
             motion_px = float(np.sqrt(np.mean(speed_px**2)))
+            change_grey = float(cv2.norm(small, self._before, cv2.NORM_L2)) / math.sqrt(small.size)
             self._travelled_px += float(np.median(speed_px))
         self._before = small
-        return Look(motion_px, float(cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_16S))[1][0, 0]), self._travelled_px)
+        return Look(motion_px, float(cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_16S))[1][0, 0]), self._travelled_px, change_grey)
 
 
 LEAST_FLOW_SIDE_PX = 32
 """Smaller images have no patches to follow."""
 
 
-def stillest(instants: Iterator[Instant], stretch_s: float, options: FrameOptions) -> Iterator[Instant]:
+def stillest(instants: Sequence[Instant], stretch_s: float, options: FrameOptions) -> Iterator[Instant]:
     """Of every stretch of so many seconds the stillest instant among the sharp ones."""
     best: Instant | None = None
     end_s = stretch_s
@@ -92,7 +96,7 @@ def stillest(instants: Iterator[Instant], stretch_s: float, options: FrameOption
         yield best
 
 
-def _slower_side(instants: Iterator[Instant]) -> Iterator[Instant]:
+def _slower_side(instants: Sequence[Instant]) -> Iterator[Instant]:
     """Instants whose motion is that to the faster of both neighbours: repeated frames do not move, but are no stiller for it."""
     before: Instant | None = None
     for instant in instants:

@@ -52,6 +52,9 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
     if places:
         summaries.append(Summary(f"Cameras in the frame of {result.members[0].name} ± one standard deviation", places))
         summaries.append(Summary("Pairs that see the target at once", tuple(_link_row(result, link) for link in result.links)))
+    clocks = tuple((member.name, _clock_text(member)) for member in result.members if member.time_offset_s is not None)
+    if clocks:
+        summaries.append(Summary(f"Clocks ahead of that of {result.members[0].name} ± one standard deviation", clocks))
     if len(result.boards) > 1:
         boards = tuple((name, _board_text(result, k)) for k, name in enumerate(result.boards))
         summaries.append(Summary(f"Boards in the frame of {result.boards[0]} ± one standard deviation", boards))
@@ -82,6 +85,11 @@ def _place_text(member: RigMember) -> str:
     turn = math.degrees(float(np.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1].clip(0))))
     xyz = ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(centre, sigma, strict=True))
     return f"centre {xyz} m; turned by {angle:.3f} ± {figure(turn, '.2g')} degrees"
+
+
+def _clock_text(member: RigMember) -> str:
+    assert member.time_offset_s is not None and member.time_offset_sigma_s is not None
+    return with_sigma(1e3 * member.time_offset_s, 1e3 * member.time_offset_sigma_s) + " ms"
 
 
 def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "3 3"]:
@@ -179,6 +187,8 @@ def _camera_data(member: RigMember) -> dict[str, Any]:
             "translation_m": pose.translation.tolist(),
             "sigma": np.sqrt(np.diag(member.pose_covariance)).tolist(),
         },
+        "time_offset_s": member.time_offset_s,
+        "time_offset_sigma_s": member.time_offset_sigma_s,
     }
 
 

@@ -43,6 +43,7 @@ class RigSetup:
     boards: str
     start: Mapping[str, CameraModel]
     hold: bool
+    time_offsets: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
@@ -201,6 +202,7 @@ def calibrate_rig(
     boards: str = "fixed",
     start: Mapping[str, CameraModel] | None = None,
     hold: bool = False,
+    time_offsets: bool = False,
     progress: ProgressCallback = silent,
     **fields: Unpack[CalibrationFields],
 ) -> RigResult:
@@ -210,7 +212,8 @@ def calibrate_rig(
     Or they are a table whose views name camera (and frame, board); then `image_size` is needed, one (width, height) or by
     camera. `models` are those of single cameras, by name; fields of the options, of all cameras, may be given by name. Several
     boards are "fixed" to each other, "known" (their coordinates have one frame) or "moving" by themselves. `start` are known
-    cameras by name to begin from; `hold` holds their parameters.
+    cameras by name to begin from; `hold` holds their parameters. Where frames have times (of videos, or a table's `times_s`) and
+    the cameras contradict each other, the offset of each camera's clock is estimated; with `time_offsets` always.
 
     Raises InputError for options that do not fit, and GeometryError where no two cameras hang together or the data leave the rig
     open.
@@ -224,7 +227,7 @@ def calibrate_rig(
         >>> [path.name for path in result.save("rig_result")]
         ['calibration.yaml', 'corners.csv', 'covariance.npz']
     """
-    setup = RigSetup(replace(options, **fields), models or {}, boards, start or {}, hold)
+    setup = RigSetup(replace(options, **fields), models or {}, boards, start or {}, hold, time_offsets)
     if isinstance(corners, RigCorners):
         if image_size is not None:
             raise InputError("`image_size` was expected with a table of corners only, found it with photos; leave it out.")
@@ -234,6 +237,11 @@ def calibrate_rig(
         corners = RigCorners.of_table(corners, {"": image_size} if isinstance(image_size, tuple) else image_size)
     if corners.cameras:
         setup.require_photos()
+    if time_offsets and corners.corners.times_s is None:
+        raise InputError(
+            "`time_offsets` compares cameras by when their frames were taken, found no times; give videos, or a table with a "
+            "column time_s."
+        )
     found, result = corners, _fitted(corners, setup, progress)
     again = searched_with_rig(found, result, progress)
     if again is not None:
@@ -259,6 +267,7 @@ def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> R
         numberings=found.numberings,
         seen_from_front=found.seen_from_front,
         refine_board=setup.options.refine_board,
+        time_offsets=setup.time_offsets,
         thresholds=setup.options,
         callback=tell,
     )

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from camera_models.formats.forms import listed
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of, write_corners
+from omnilines.files.frames import read_times
 from omnilines.files.sets import claimed
 from omnilines.files.videos import find_videos
 from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
@@ -58,6 +60,8 @@ class RigCorners:
     notes: tuple[str, ...] = ()
     cameras: tuple[CameraCorners, ...] = ()
     """One by one; none where the corners are from a table."""
+    times_s: Mapping[str, float] = field(default_factory=dict)
+    """When photos were taken, by name and by the clock of each camera, as far as that is known."""
 
     @staticmethod
     def of_table(
@@ -207,8 +211,9 @@ def detect_rig(
         where = "" if folder is None else f" in {folder}"
         raise InputError(f"A pattern was expected in the photos of some camera{where}, found none; {notes[-1]}")
     plain = any(board.plain_grid is not None for board in boards)
+    times_s = {} if folder is None else read_times(folder)
     return replace(
-        corners_of_cameras(found, several),
+        corners_of_cameras(found, several, times_s),
         numberings={board.specification if several else ONE_BOARD: _numbering(board) for board in boards},
         seen_from_front=not plain,
         photo_folder=folder,
@@ -229,8 +234,10 @@ def _by_camera(photos: str | Path | Sequence[str | Path] | Mapping[str, Photos])
     return found
 
 
-def corners_of_cameras(found: Sequence[CameraCorners], several_boards: bool) -> RigCorners:
-    """One table of what was found in the photos of all cameras."""
+def corners_of_cameras(
+    found: Sequence[CameraCorners], several_boards: bool, times_s: Mapping[str, float] = MappingProxyType({})
+) -> RigCorners:
+    """One table of what was found in the photos of all cameras, which may have been taken at known times."""
     tables = [item.found.corners for item in found]
     starts = np.cumsum([0, *(len(table.images) for table in tables)])
     images = tuple(image for table in tables for image in table.images)
@@ -248,10 +255,11 @@ def corners_of_cameras(found: Sequence[CameraCorners], several_boards: bool) -> 
         tuple(item.camera for item in each),
         tuple(frame_of(PurePosixPath(image)) for image in images),
         tuple(item.pattern.specification for item in each) if several_boards else None,
+        np.array([times_s[image] for image in images]) if times_s.keys() >= set(images) else None,
     )
     sizes = {item.camera: item.found.image_size for item in found}
     skipped = tuple(replace(view, camera=item.camera) for item in found for view in item.found.skipped)
-    return RigCorners(corners, sizes, skipped=skipped, cameras=tuple(found))
+    return RigCorners(corners, sizes, skipped=skipped, cameras=tuple(found), times_s=times_s)
 
 
 def _look(

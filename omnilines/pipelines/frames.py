@@ -14,62 +14,22 @@ from camera_models import GeometryError, InputError
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
-from omnilines.files.frames import FrameRow, write_frames
+from omnilines.files.frames import TABLE, FrameRow, write_frames
 from omnilines.files.sets import claimed
 from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.options import FrameOptions
-from omnilines.footage.stillness import Instant, Look, Meter, spaced, stillest
+from omnilines.footage.stillness import Instant, Look, spaced, stillest
 from omnilines.pipelines.detect import corner_table
+from omnilines.pipelines.instants import Lens, instants_of, lenses_of
 from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 GUIDE = "scaramuzza"
 """The model by which views are compared: it fits lenses of every width."""
-TABLE = "frames.csv"
-LEAST_DECODED = 0.9
-"""Of the length that a video states."""
+BESIDE = "it shows how the board moves beside one that tells much"
 LOOKED_FIRST = 16
 """Frames of each video, evenly spread over it, that show how a board of tags is printed."""
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A camera: a video, or a part of one that shows what several lenses see."""
-
-    video: Video
-    split: Split | None
-    part: int
-    name: str
-
-    def of(self, pixels: np.ndarray) -> np.ndarray:
-        """What it sees of a frame of its video."""
-        return pixels if self.split is None else self.split.parts(pixels)[self.part]
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """Width and height (px)."""
-        width, height = self.video.image_size
-        share = 1 if self.split is None else len(self.split.names)
-        return (width, height // share) if self.split is not None and self.split.stacked else (width // share, height)
-
-
-def _lenses(videos: Sequence[Video], split: Split | None) -> tuple[Lens, ...]:
-    """In order. Raises InputError where two would have one name."""
-    if split is None:
-        lenses = tuple(Lens(video, None, 0, video.name) for video in videos)
-    else:
-        several = len(videos) > 1
-        lenses = tuple(
-            Lens(video, split, part, f"{video.name}-{name}" if several else name)
-            for video in videos
-            for part, name in enumerate(split.names)
-        )
-    names = [lens.name for lens in lenses]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"Videos with names of their own were expected, found two called {twice}; rename one of them.")
-    return lenses
 
 
 @dataclass(frozen=True)
@@ -133,9 +93,11 @@ def frames(
     is calibrated from all of them: those instants are taken that together determine the cameras best, whose blur and distortion
     by motion (rolling shutter) count as noise. Without one, those are taken between which the scene has moved.
 
-    Videos of the same rate and length belong together frame by frame, others by time from their beginning. Raises InputError
-    where there is no video, one cannot be decoded, or no frame shows the pattern. `split`, such as `left,right`, cuts frames that
-    show two lenses side by side into those of two cameras.
+    Videos of the same rate and length belong together frame by frame, others by time from their beginning, unless the motion in
+    them says that one began earlier. Of several videos of a target the frames just before and after each instant are taken too:
+    `calibrate_rig` compares the cameras' clocks by them. `split`, such as `left,right`, cuts frames that show two lenses side by
+    side into those of two cameras. Raises InputError where there is no video, one cannot be decoded, or no frame shows the
+    pattern.
 
         >>> chosen = ol.frames("board.mp4", "checkerboard:8x6:30mm")
         >>> 10 <= len(chosen.taken) <= 40, chosen.taken[0].reason
@@ -148,32 +110,38 @@ def frames(
     sources = tuple(Video.of(path) for path in find_videos(given))
     if not sources:
         raise InputError(f"A video was expected, found none in {' '.join(map(str, given)) or 'an empty list'}; give one.")
-    lenses = _lenses(sources, Split.of(split) if isinstance(split, str) else split)
+    lenses = lenses_of(sources, Split.of(split) if isinstance(split, str) else split)
     target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
     notes: tuple[str, ...] = ()
     if target is not None and target.plain_grid is None:
         first = _spread(sources)
         target, otherwise = as_printed(target, first, any_tags=True, mirrored=mirrored, options=detection, progress=progress)
         notes = () if otherwise is None else (otherwise,)
-    search = _Search(lenses, target, mirrored, detection, options)
-    looked = search.looked(progress)
+    instants, told = instants_of(lenses, options, progress)
+    looked = _Search(lenses, target, mirrored, detection).looked(_still(lenses, instants, options))
     if not looked:
         raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
-    notes += tuple(_cut_short(sources, looked[-1].time_s[0], search.stretch_s))
     if target is None:
-        return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes)
-    chosen = _of_target(lenses, looked, target, options)
-    return replace(chosen, notes=notes + chosen.notes)
+        return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes + told)
+    run = _run_frames(sources, options)
+    most = options.most_of_target if run == 1 else min(options.most_of_target, options.most_runs)
+    chosen = _of_target(lenses, looked, target, most)
+    rows = _with_runs(chosen, instants, run) if run > 1 else chosen.rows
+    return replace(chosen, rows=rows, notes=notes + told + chosen.notes)
 
 
-def _cut_short(videos: Sequence[Video], last_s: float, stretch_s: float) -> Iterator[str]:
-    """A note where the last frame that was looked at is long before the end that the videos state."""
-    shortest = min(videos, key=lambda video: video.duration_s)
-    if LEAST_DECODED * shortest.duration_s > last_s + stretch_s:
-        yield (
-            f"The video {shortest.path.name} states {shortest.duration_s:.1f} s, and cannot be decoded after {last_s:.1f} s: it "
-            "is damaged or cut short; copy it again."
-        )
+def _run_frames(videos: Sequence[Video], options: FrameOptions) -> int:
+    """How many consecutive frames are taken around each instant."""
+    slowest = min(video.frames_per_s for video in videos)
+    lasts_s = (options.frames_of_run - 1) / slowest
+    return options.frames_of_run if len(videos) > 1 and lasts_s <= options.longest_run_s else 1
+
+
+def _still(lenses: Sequence[Lens], instants: Sequence[Instant], options: FrameOptions) -> list[Instant]:
+    """The stillest instant of each short stretch."""
+    longest_s = max(lens.video.duration_s for lens in lenses)
+    stretch_s = max(1.0 / options.looked_per_s, longest_s / options.most_looked)
+    return list(stillest(instants, stretch_s, options))
 
 
 def _spread(videos: Sequence[Video]) -> list[PhotoArray]:
@@ -204,40 +172,50 @@ class _Search:
     target: Pattern | None
     mirrored: bool
     detection: DetectionOptions
-    options: FrameOptions
 
-    @property
-    def stretch_s(self) -> float:
-        """Of which one instant is looked at closely."""
-        longest_s = max(lens.video.duration_s for lens in self.lenses)
-        return max(1.0 / self.options.looked_per_s, longest_s / self.options.most_looked)
-
-    def looked(self, progress: ProgressCallback) -> list[_Looked]:
-        """The stillest instants, a few at a time in memory, their targets found on all cores."""
-        still = stillest(self._instants(progress), self.stretch_s, self.options)
+    def looked(self, instants: Sequence[Instant]) -> list[_Looked]:
+        """What is found in some instants, a few at a time in memory, on all cores."""
+        if self.target is None:
+            nothing = (Detection.empty(),) * len(self.lenses)
+            return [_Looked(one.index, one.time_s, one.looks, nothing, (None,) * len(nothing)) for one in instants]
+        videos = tuple(dict.fromkeys(lens.video for lens in self.lenses))
+        place = [videos.index(lens.video) for lens in self.lenses]
+        first = [place.index(number) for number in range(len(videos))]
+        shown = together(videos, [tuple(one.index[k] for k in first) for one in instants])
+        pictures = (
+            (one, tuple(lens.of(frames[number].pixels) for lens, number in zip(self.lenses, place, strict=True)))
+            for one, frames in zip(instants, shown, strict=False)
+        )
         found: list[_Looked] = []
-        while batch := list(itertools.islice(still, 2 * (os.cpu_count() or 1))):
+        while batch := list(itertools.islice(pictures, 2 * (os.cpu_count() or 1))):
             found += on_all_cores(self._closely, batch, "looking at frames", silent)
         return found
 
-    def _closely(self, instant: Instant) -> _Looked:
-        if self.target is None:
-            nothing = (Detection.empty(),) * len(instant.index)
-            return _Looked(instant.index, instant.time_s, instant.looks, nothing, (None,) * len(nothing))
-        seen = [self.target.detect(pixels, mirrored=self.mirrored, options=self.detection) for pixels in instant.pixels]
+    def _closely(self, shown: tuple[Instant, tuple[np.ndarray, ...]]) -> _Looked:
+        instant, pictures = shown
+        assert self.target is not None
+        seen = [self.target.detect(pixels, mirrored=self.mirrored, options=self.detection) for pixels in pictures]
         return _Looked(instant.index, instant.time_s, instant.looks, tuple(d for d, _ in seen), tuple(r for _, r in seen))
 
-    def _instants(self, progress: ProgressCallback) -> Iterator[Instant]:
-        videos = tuple(dict.fromkeys(lens.video for lens in self.lenses))
-        place = [videos.index(lens.video) for lens in self.lenses]
-        meters = [Meter(self.options) for _ in self.lenses]
-        total = max(video.count for video in videos)
-        for done, shown in enumerate(together(videos), 1):
-            frames = [shown[number] for number in place]
-            pixels = tuple(lens.of(frame.pixels) for lens, frame in zip(self.lenses, frames, strict=True))
-            looks = tuple(meter.look(own) for meter, own in zip(meters, pixels, strict=True))
-            yield Instant(tuple(f.index for f in frames), tuple(f.time_s for f in frames), pixels, looks)
-            progress("reading frames", min(done, total), total)
+
+def _with_runs(chosen: ChosenFrames, instants: Sequence[Instant], run: int) -> tuple[FrameRow, ...]:
+    """The rows with the frames beside those taken, which are taken too."""
+    place = {instant.index: k for k, instant in enumerate(instants)}
+    by_instant: dict[int, list[FrameRow]] = {}
+    rows = iter(chosen.rows)
+    while own := list(itertools.islice(rows, len(chosen.lenses))):
+        by_instant[place[tuple(row.index for row in own)]] = own
+    for k in [k for k, own in by_instant.items() if own[0].taken]:
+        low = max(0, min(k - run // 2, len(instants) - run))
+        for beside in range(low, min(low + run, len(instants))):
+            if beside not in by_instant:
+                one = instants[beside]
+                nothing = (Detection.empty(),) * len(chosen.lenses)
+                looked = _Looked(one.index, one.time_s, one.looks, nothing, (None,) * len(nothing))
+                by_instant[beside] = list(_rows(chosen.lenses, [looked], {0}, [[BESIDE] * len(chosen.lenses)]))
+            elif not by_instant[beside][0].taken:
+                by_instant[beside] = [replace(row, taken=True, reason=BESIDE) for row in by_instant[beside]]
+    return tuple(row for k in sorted(by_instant) for row in by_instant[k])
 
 
 def _of_scene(lenses: Sequence[Lens], looked: Sequence[_Looked], options: FrameOptions) -> tuple[FrameRow, ...]:
@@ -249,7 +227,7 @@ def _of_scene(lenses: Sequence[Lens], looked: Sequence[_Looked], options: FrameO
     return _rows(lenses, looked, kept, [[reason] * len(lenses) for reason in reasons])
 
 
-def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Pattern, options: FrameOptions) -> ChosenFrames:
+def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Pattern, most: int) -> ChosenFrames:
     """Those that tell most of the cameras."""
     instants: dict[str, int] = {}
     cameras: list[ViewInformation] = []
@@ -273,12 +251,10 @@ def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Patt
             notes.append(f"{lens.name}: its frames are not compared by what they tell of the camera: {error}")
     seen = [place for place, one in enumerate(looked) if any(map(len, one.seen))]
     if cameras:
-        kept = set(telling_instants(cameras, instants, len(looked), options.most_of_target))
+        kept = set(telling_instants(cameras, instants, len(looked), most))
         known = {name for camera in cameras for name in camera.names}
     else:
-        kept = {
-            seen[place] for place in np.linspace(0, len(seen) - 1, min(len(seen), options.most_of_target)).round().astype(int)
-        }
+        kept = {seen[place] for place in np.linspace(0, len(seen) - 1, min(len(seen), most)).round().astype(int)}
         known = set()
 
     def reason(place: int, number: int) -> str:

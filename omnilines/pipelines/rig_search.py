@@ -40,7 +40,7 @@ def searched_with_rig(source: RigCorners, result: RigCalibration, progress: Prog
     if not gained:
         return None
     note = f"The rig led to {gained} corners that had been missed."
-    fresh = corners_of_cameras(found, source.corners.boards is not None)
+    fresh = corners_of_cameras(found, source.corners.boards is not None, source.times_s)
     return replace(source, corners=fresh.corners, skipped=fresh.skipped, cameras=fresh.cameras, notes=(*source.notes, note))
 
 

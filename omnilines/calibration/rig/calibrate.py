@@ -15,14 +15,16 @@ from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.options import AUTO
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
+from omnilines.calibration.rig.clocks import with_clocks
 from omnilines.calibration.rig.consensus import PosedViews, reflected
 from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
-from omnilines.calibration.rig.loose import SeenAlone, loosened
+from omnilines.calibration.rig.loose import loosened
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.start import (
     RigStart,
     ViewNumberings,
@@ -53,6 +55,7 @@ def calibrate_rig(
     numberings: Mapping[str, Numbering] | None = None,
     seen_from_front: bool = False,
     refine_board: tuple[str, ...] = (),
+    time_offsets: bool = False,
     thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[str, Progress], None] | None = None,
 ) -> RigCalibration:
@@ -61,7 +64,8 @@ def calibrate_rig(
     `relation` says how several boards stand to one another (one of rig_views.BOARDS), `numberings` what is known of the numbering
     of each board (by default that its coordinates may form a lattice), `seen_from_front` that the coordinates are those of the
     printed side, so that they tell a mirror from a lens. `refine_board` names what is estimated of the board
-    (`options.REFINABLE`), which is one board then. `callback` is told the stage and its progress.
+    (`options.REFINABLE`), which is one board then. Of views with times the clocks of the cameras are compared where the cameras
+    contradict each other, with `time_offsets` always. `callback` is told the stage and its progress.
 
     Raises InputError for a malformed table, and GeometryError where no two cameras hang together or the data leave the rig open.
     """
@@ -113,7 +117,9 @@ def calibrate_rig(
         notes=notes,
         thresholds=thresholds,
     )
-    outcome = loosened(outcome, state, _seen_alone(outcome, start, posed, numbers))
+    seen = _seen_alone(outcome, start, posed, numbers)
+    outcome = with_clocks(outcome, state, seen, asked=time_offsets)
+    outcome = loosened(outcome, state, seen)
     return rig_result(without_unsupported_terms(outcome))
 
 

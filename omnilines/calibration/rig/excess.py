@@ -132,12 +132,12 @@ def _apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> 
         both = shared[views]
         moved.append((change.transform(middle.expand(len(views), 1, 3))[:, 0] - middle).norm(dim=-1)[both])
         turned.append(torch.rad2deg(change.log()[:, :3].norm(dim=-1))[both])
-    freed = 6 * (int(shared.sum()) - len(torch.unique(points.frame[shared])))
+    freed = 6 * (int(shared.sum()) - len(torch.unique(points.instant[shared])))
     return _Apart(cost, _rms_px(torch.cat(residuals)), torch.cat(moved), torch.cat(turned), freed)
 
 
 def _shared_views(points: RigPoints) -> Bool[Tensor, " v"]:
-    """Views with corners whose frame another view with corners has too."""
+    """Views with corners whose instant another view with corners has too."""
     seen = torch.bincount(points.view, minlength=len(points.camera)) > 0
-    counts = torch.bincount(points.frame[seen], minlength=int(points.frame.max()) + 1)
-    return seen & (counts[points.frame] > 1)
+    counts = torch.bincount(points.instant[seen], minlength=int(points.instant.max()) + 1)
+    return seen & (counts[points.instant] > 1)

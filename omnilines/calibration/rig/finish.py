@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
+from camera_models.pose import Pose
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.rig.joint import RigData
@@ -37,13 +38,13 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     kept[fit.rows] = fit.kept.numpy()
     found = _links(outcome, residual, kept, poses)
     weakest = weakest_link(found, count)
-    terms = solution.state.shape.free.shape[1]
-    first, last = parameters + 6 * (count - 1), len(covariance) - terms
+    terms, clocks = solution.state.shape.free.shape[1], 0 if data.runs is None else int(data.runs.free.sum())
+    first, last = parameters + 6 * (count - 1), len(covariance) - terms - clocks
     free = covariance[first:last, first:last]
     boards = torch.zeros(len(data.boards), 6, 6, dtype=torch.float64)
     if len(free):
         boards[1:] = torch.stack([free[k : k + 6, k : k + 6] for k in range(0, len(free), 6)])
-    blocks = np.unique(fit.points.frame.numpy())
+    blocks, rig_from_target, frame_covariance = _targets(outcome, frame_covariance)
     members = _members(outcome, covariance, poses, residual, kept)
     used = residual[kept]
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
@@ -55,8 +56,8 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         target_from_board=solution.state.target_from_board,
         board_covariance=boards.numpy(),
         frames=tuple(_block_name(data, block) for block in blocks.tolist()),
-        rig_from_target=solution.state.rig_from_target[torch.as_tensor(blocks)],
-        frame_covariance=frame_covariance[blocks].numpy(),
+        rig_from_target=rig_from_target,
+        frame_covariance=frame_covariance.numpy(),
         corners=replace(data.views.corners, board_m=data.board_m),
         in_one_frame=data.views.tied is not None,
         residual_px=residual,
@@ -69,7 +70,7 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         rms_px_per_axis=float(np.sqrt((used**2).mean())),
         rms_px_per_point=float(np.sqrt((used**2).sum(-1).mean())),
         board=solution.state.shape,
-        board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last:].sqrt().tolist(), strict=True)),
+        board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last : last + terms].sqrt().tolist(), strict=True)),
         iterations=solution.iterations,
         notes=rig_notes(outcome, members, weakest, left_out),
     )
@@ -96,11 +97,35 @@ def _column_names(outcome: RigOutcome) -> list[str]:
     names += [f"{twist} of {camera}" for camera in cameras[1:] for twist in TWIST_NAMES]
     if data.views.tied is None:
         names += [f"{twist} of board {data.views.boards[b]}" for b in data.boards[1:] for twist in TWIST_NAMES]
-    return names + [f"{term} of the board" for term in data.shape.free_names]
+    names += [f"{term} of the board" for term in data.shape.free_names]
+    return names + [f"the time offset of {cameras[k]}" for k in _free_clocks(data)]
 
 
-def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tensor, "f 6 6"]]:
-    """Covariance of the kept columns of the problem and of the poses of all frames: the noise of the corners as the residuals
+def _free_clocks(data: RigData) -> list[int]:
+    return [] if data.runs is None else np.flatnonzero(data.runs.free).tolist()
+
+
+def _targets(outcome: RigOutcome, covariance: Float[Tensor, "r e e"]) -> tuple[np.ndarray, Pose, Float[Tensor, "f 6 6"]]:
+    """The instants of the rig, where the target is in them, and the covariance of its left perturbation, from that of the
+    eliminated blocks. Where cameras have clocks of their own, an instant is that of its earliest view, by the first one."""
+    data, points, state = outcome.data, outcome.fit.points, outcome.solution.state
+    blocks, first = np.unique(points.instant.numpy(), return_index=True)
+    some = replace(
+        points,
+        camera=points.camera[first],
+        instant=points.instant[first],
+        frame=points.frame[first],
+        board=points.board[first],
+        times=None if data.runs is None else data.runs.times(outcome.fit.views[first]),
+    )
+    along = state.along(some)
+    if along is None:
+        return blocks, state.rig_from_target[some.frame], covariance[some.frame]
+    return blocks, state.target(some), along.by_run @ covariance[some.frame] @ along.by_run.mT
+
+
+def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tensor, "f e e"]]:
+    """Covariance of the kept columns of the problem and of its eliminated blocks: the noise of the corners as the residuals
     show it, how much frames contradict each other and, of corners found in photos, what they have in common."""
     solution = outcome.solution
     kept = outcome.kept_covariance
@@ -127,6 +152,7 @@ def _covariance(outcome: RigOutcome, kept: Float[Tensor, "q q"]) -> tuple[tuple[
     if data.views.tied is None:
         names += [f"{data.views.boards[b]}.{name}" for b in data.boards[1:] for name in TWIST_NAMES]
     names += [f"board.{name}" for name in data.shape.free_names]
+    names += [f"{cameras[k]}.time_offset_s" for k in _free_clocks(data)]
     rest = len(names) - sum(len(basis) for basis in data.bases)
     spread = torch.block_diag(*data.bases, torch.eye(rest, dtype=torch.float64))
     covariance = spread @ kept @ spread.mT
@@ -162,6 +188,8 @@ def _members(
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
     sigmas = outcome.factor.sigmas(SHARE)
+    free = _free_clocks(data)
+    clocks = {k: place - len(free) for place, k in enumerate(free)}
     for k, c in enumerate(data.cameras):
         model, name = state.models[k], data.views.cameras[c]
         high = low + len(model.parameters)
@@ -184,6 +212,8 @@ def _members(
                 sign_source=outcome.sign_sources.get(c),
                 held=setup.start is not None and setup.hold,
                 interval_95=linear_intervals(model.parameters, covariance[low:high, low:high], sigmas).numpy(),
+                time_offset_s=float(state.path.offset_s[k]) if k in clocks and state.path is not None else None,
+                time_offset_sigma_s=math.sqrt(float(covariance[clocks[k], clocks[k]])) if k in clocks else None,
             )
         )
         low = high

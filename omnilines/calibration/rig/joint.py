@@ -13,6 +13,7 @@ from omnilines.calibration.redundancy import basis_without, redundant_parameter
 from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.own_motion import OwnMotion
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.runs import Runs
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.robust import CONVERGED, LEAST_SCALE_PX, PASSES
 from omnilines.calibration.thresholds import CalibrationThresholds, RobustThresholds
@@ -42,6 +43,18 @@ class RigData:
     """Which terms of the board's shape are free."""
     motion: OwnMotion | None = None
     """What is known of the own motion of every view of the table; None where cameras see the board at one pose."""
+    runs: Runs | None = None
+    """Runs of frames through which the board is followed; None where cameras have one clock."""
+
+    @property
+    def block(self) -> Int[np.ndarray, " a"]:
+        """Eliminated block of every view of the table: its pose of the target, or its run (-1: none)."""
+        return self.views.block if self.runs is None else self.runs.run
+
+    @property
+    def blocks(self) -> int:
+        """Number of those."""
+        return self.views.blocks if self.runs is None else self.runs.count
 
     def points(self, chosen: Int[np.ndarray, " v"]) -> tuple[RigPoints, Int[np.ndarray, " v"], Int[np.ndarray, " n"]]:
         """The corners of some views in the order of their cameras and views, these views, and their rows in the table."""
@@ -63,15 +76,17 @@ class RigData:
             pixels=torch.as_tensor(corners.pixels[rows]),
             weight=torch.as_tensor(1 / sigma),
             camera=torch.as_tensor(camera),
-            frame=torch.as_tensor(views.block[ordered]),
+            instant=torch.as_tensor(views.block[ordered]),
+            frame=torch.as_tensor(self.block[ordered]),
             board=torch.as_tensor(part[views.part[ordered]]),
             motion=None if self.motion is None else replace(self.motion, sigma=self.motion.sigma[torch.as_tensor(ordered)]),
+            times=None if self.runs is None else self.runs.times(ordered),
         )
         return points, ordered, rows
 
     def problem(self, points: RigPoints) -> RigProblem:
         """The least-squares problem of some corners."""
-        return RigProblem(points, self.bases, len(self.boards), self.views.tied is None, self.views.blocks, self.shape)
+        return RigProblem(points, self.bases, len(self.boards), self.views.tied is None, self.blocks, self.shape)
 
 
 @dataclass(frozen=True, eq=False)

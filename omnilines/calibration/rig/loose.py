@@ -5,7 +5,6 @@ estimated in turn.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +21,7 @@ from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.own_motion import OwnMotion, alone
 from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.shutters import SeenPoses, Shutters, estimated
 from omnilines.least_squares import Solution
 
@@ -30,16 +30,6 @@ SAME = 0.02
 """Relative change of the standard deviations below which the rounds end."""
 START = 2e-3, 1e-3
 """Standard deviations (rad, m) from which they begin."""
-
-
-@dataclass(frozen=True, eq=False)
-class SeenAlone:
-    """What the cameras of a rig see by themselves, as the rig numbers it."""
-
-    cam_from_board: Mapping[int, Pose]
-    """Of views of the table."""
-    kept: Bool[np.ndarray, " n"]
-    """Rows of the table that fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +54,10 @@ def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcom
         return outcome
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, thresholds.rig)
     notes = (*(() if cause is None else (cause,)), motion_note(found.shutters), *found.notes)
+    # Views that no run follows stay out.
+    reasons = {} if outcome.data.runs is None else outcome.reasons
     return replace(
-        outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons={}
+        outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons=reasons
     )
 
 
@@ -85,7 +77,7 @@ def loose_fit(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, sign
     """
     state, placed = _placed(data, fit, start, seen)
     chosen = np.array([v for v in range(len(data.views.camera)) if v in fit.views or v in seen.cam_from_board])
-    chosen = chosen[placed[data.views.block[chosen]]]
+    chosen = chosen[(data.block[chosen] >= 0) & placed[data.block[chosen]]]
     good = seen.kept.copy()
     # Views too small for a pose of their own keep what fits the rig.
     small = ~np.isin(data.views.corners.view[fit.rows], list(seen.cam_from_board))
@@ -119,13 +111,13 @@ def loose_fit(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, sign
 
 def _placed(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone) -> tuple[RigState, Bool[np.ndarray, " b"]]:
     """The rig with the cameras' own models and the poses of all frames that any camera sees, and which these are."""
-    placed = np.zeros(data.views.blocks, dtype=bool)
+    placed = np.zeros(data.blocks, dtype=bool)
     placed[fit.points.frame[fit.points.view[fit.kept]].numpy()] = True
     target = fit.state.rig_from_target
     rotation, translation = target.rotation.clone(), target.translation.clone()
     for view, pose in seen.cam_from_board.items():
-        block = int(data.views.block[view])
-        if not placed[block]:
+        block = int(data.block[view])
+        if data.runs is None and not placed[block]:
             own = fit.state.cam_from_rig[data.cameras.index(int(data.views.camera[view]))].inverse() @ pose
             rotation[block], translation[block], placed[block] = own.rotation, own.translation, True
     return replace(fit.state, models=start.models, rig_from_target=Pose(rotation, translation)), placed
@@ -155,8 +147,8 @@ def _shared(points: RigPoints, views: Int[np.ndarray, " v"], seen: SeenAlone) ->
     """Views with a pose of their own whose frame another camera with one sees too."""
     has = torch.tensor([int(v) in seen.cam_from_board for v in views])
     has &= torch.bincount(points.view, minlength=len(points.camera)) > 0
-    counts = torch.bincount(points.frame[has], minlength=int(points.frame.max()) + 1)
-    return torch.nonzero(has & (counts[points.frame] > 1)).flatten()
+    counts = torch.bincount(points.instant[has], minlength=int(points.instant.max()) + 1)
+    return torch.nonzero(has & (counts[points.instant] > 1)).flatten()
 
 
 def _estimated(
@@ -171,7 +163,7 @@ def _estimated(
     for part, own in zip(at.parts, points.parts, strict=True):
         views = slice(*own.views)
         more[views], information[views] = alone(part, at.residual[slice(*own.rows)], pose[views], points.motion)
-    _, frame = torch.unique(points.frame[shared], return_inverse=True)
+    _, frame = torch.unique(points.instant[shared], return_inverse=True)
     covariance = torch.linalg.inv(information[shared])
     seen = SeenPoses(frame, (state.moved + more)[shared], 0.5 * (covariance + covariance.mT))
     return estimated(seen, START if before is None else (before.turn_rad, before.shift_m), lost)
@@ -185,9 +177,9 @@ def _sigma(
     shutters: Shutters,
 ) -> Float[np.ndarray, "a 6"]:
     """Standard deviations of the own motion of all views of the table."""
-    scale = torch.ones(int(points.frame.max()) + 1, dtype=torch.float64)
-    scale[torch.unique(points.frame[shared])] = shutters.frame_scale
+    scale = torch.ones(int(points.instant.max()) + 1, dtype=torch.float64)
+    scale[torch.unique(points.instant[shared])] = shutters.frame_scale
     axes = np.repeat([shutters.turn_rad, shutters.shift_m], 3)
     found = sigma.copy()
-    found[views] = scale[points.frame].sqrt().numpy()[:, None] * axes
+    found[views] = scale[points.instant].sqrt().numpy()[:, None] * axes
     return found

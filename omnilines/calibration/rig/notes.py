@@ -8,6 +8,7 @@ import torch
 from camera_models.formats.camera_doubts import model_doubts
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
+from omnilines.calibration.rig.clocks import offsets_note
 from omnilines.calibration.rig.excess import excess_note
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.outcome import RigOutcome
@@ -23,7 +24,9 @@ def rig_notes(
     left_out: Mapping[str, str],
 ) -> tuple[str, ...]:
     """What a person should know of a rig, the most important first."""
-    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()] + list(outcome.notes)
+    notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
+    offsets = offsets_note(outcome)
+    notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.notes]
     views, doubt = outcome.data.views, outcome.thresholds.doubt
     notes += size_notes(torch.as_tensor(views.corners.board_m), doubt)
     if weakest is not None:

@@ -1,10 +1,12 @@
 """What the calibration of a rig came to, before its result is written."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -43,12 +45,32 @@ class RigOutcome:
     thresholds: CalibrationThresholds
     shutters: Shutters | None = None
     """How far the board moves between the shutters of the cameras, where that was estimated."""
+    clock_notes: tuple[str, ...] = ()
+    """What else is said of the cameras' clocks, where they were compared."""
+    moving_share: Float[Tensor, " k"] | None = None
+    """Of what is known of each clock that is estimated, the share that the board's motion tells: as if by chance the rest is told
+    by the noise of its poses, which makes boards at rest seem to move."""
+    clock_rms_px: tuple[float, float] = (math.nan, math.nan)
+    """Per point, with the clocks as frames are put together and as estimated."""
 
     @property
     def freedom(self) -> int:
         """Observations less unknowns."""
         frames = len(np.unique(self.fit.points.frame[self.fit.points.view[self.fit.kept]].numpy()))
-        return 2 * int(self.fit.kept.sum()) - self.solution.reduced.equations.structure.kept_size - 6 * frames
+        structure = self.solution.reduced.equations.structure
+        return 2 * int(self.fit.kept.sum()) - structure.kept_size - structure.dim * frames
+
+    @property
+    def offset_sigma_s(self) -> Float[np.ndarray, " m"]:
+        """Standard deviation of the offset of each member's clock; 0 where it is not estimated."""
+        runs = self.data.runs
+        found = np.zeros(len(self.data.cameras))
+        if runs is not None and runs.free.any():
+            variance = self.kept_covariance.diagonal()
+            if self.frame_spread is not None:
+                variance = variance + self.frame_spread.diagonal()
+            found[runs.free] = variance[-int(runs.free.sum()) :].sqrt().numpy()
+        return found
 
     @cached_property
     def factor(self) -> VarianceFactor:
@@ -73,6 +95,11 @@ class RigOutcome:
         where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
         jackknife: a column that is less certain by it is taken to be so."""
         covariance = self.solution.kept_covariance() * self.factor.value
+        clocks = 0 if self.data.runs is None else int(self.data.runs.free.sum())
+        if clocks and self.moving_share is not None:
+            surer = torch.ones(len(covariance), dtype=torch.float64)
+            surer[-clocks:] = self.moving_share
+            covariance = covariance / (surer[:, None] * surer).sqrt()
         if self.shutters is None:
             return covariance
         points = self.fit.points.chosen(self.fit.kept)

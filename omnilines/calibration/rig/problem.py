@@ -8,6 +8,9 @@ standard deviations: pixels times the weights.
 
 Where the board moves between the shutters of the cameras, each view has a small motion xi of its own (`rig/shutters.py`) that is
 known beforehand to be zero within some standard deviations. It is eliminated within its view (`rig/own_motion.py`).
+
+Where cameras have clocks of their own, the eliminated blocks are the paths of the board in runs of frames (`rig/path.py`), and
+the offsets of the clocks are kept, last of all.
 """
 
 from collections.abc import Sequence
@@ -22,6 +25,7 @@ from camera_models import CameraModel
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.rig.own_motion import Moved, OwnMotion, motion_pose, without_motion
+from omnilines.calibration.rig.path import Path, PathDerivatives, ViewTimes, moved_run, path_derivatives, pose_along
 from omnilines.least_squares import CellLinearisation, CellPart, Cells, KeptGroup, Structure
 
 
@@ -48,10 +52,15 @@ class RigPoints:
     """Inverse standard deviation of each corner, 1 / px."""
     camera: Int[Tensor, " v"]
     """Camera of each view."""
+    instant: Int[Tensor, " v"]
+    """Pose of the target that cameras with one clock would see."""
     frame: Int[Tensor, " v"]
+    """Eliminated block of each view: its instant or, where views have times, its run."""
     board: Int[Tensor, " v"]
     motion: OwnMotion | None = None
     """What is known of each view's own motion of the board; None where cameras see the same."""
+    times: ViewTimes | None = None
+    """When views were taken; None where cameras have one clock."""
 
     @cached_property
     def parts(self) -> tuple[RigPart, ...]:
@@ -91,10 +100,28 @@ class RigState:
     """How the board differs from its drawing."""
     moved: Float[Tensor, "v 6"] | None = None
     """Own motion of every view, where the points say what is known of it."""
+    path: Path | None = None
+    """How the target moves in each run, where the points have times; `rig_from_target` is then that of the middle of the run."""
+
+    def target(self, points: RigPoints) -> Pose:
+        """`rig_from_target` of every view."""
+        base = self.rig_from_target[points.frame]
+        if points.times is None or self.path is None:
+            return base
+        return pose_along(
+            base, self.path.rates[points.frame], points.times.tau(self.path.offset_s, points.camera), points.times.middle_m
+        )
+
+    def along(self, points: RigPoints) -> PathDerivatives | None:
+        """How the target of every view follows the paths and clocks; None where cameras have one clock."""
+        if points.times is None or self.path is None:
+            return None
+        base, rates = self.rig_from_target[points.frame], self.path.rates[points.frame]
+        return path_derivatives(base, rates, points.times.tau(self.path.offset_s, points.camera), points.times)
 
     def cam_from_board(self, points: RigPoints) -> Pose:
         """Of every view."""
-        shared = self.cam_from_rig[points.camera] @ self.rig_from_target[points.frame] @ self.target_from_board[points.board]
+        shared = self.cam_from_rig[points.camera] @ self.target(points) @ self.target_from_board[points.board]
         if points.motion is None or self.moved is None:
             return shared
         return shared @ motion_pose(self.moved, points.motion)
@@ -114,7 +141,8 @@ def _placed(cam_from_board: Pose, points: RigPoints, shape: BoardShape) -> Float
 
 class RigProblem:
     """Kept are, in this order: the intrinsics of each camera along the columns of its basis (none: held), the poses of the
-    cameras but the first, those of the boards that are free, the terms of the board's shape that are free."""
+    cameras but the first, those of the boards that are free, the terms of the board's shape that are free, the offsets of the
+    clocks that are free."""
 
     def __init__(
         self,
@@ -128,14 +156,23 @@ class RigProblem:
         self.points, self.bases, self.free_terms = points, tuple(bases), shape.free
         self.free_boards = boards - 1 if free_boards else 0
         self.estimated = [c for c, basis in enumerate(self.bases) if basis.shape[1]]
+        clocks = torch.zeros(0) if points.times is None else points.times.free
+        self.free_clocks = torch.nonzero(clocks).flatten()
         groups = [KeptGroup(torch.where(points.camera == c, 0, -1), 1, self.bases[c].shape[1]) for c in self.estimated]
         if len(self.bases) > 1:
             groups.append(KeptGroup(points.camera - 1, len(self.bases) - 1, 6))
         if self.free_boards:
             groups.append(KeptGroup(points.board - 1, self.free_boards, 6))
+        self._board_group = len(groups) - 1
         if not shape.plain:
             groups.append(KeptGroup(torch.zeros_like(points.board), 1, shape.free.shape[1]))
-        self.structure = Structure(points.frame, frames, 6, tuple(groups))
+        self._shape_group = len(groups) - 1
+        if len(self.free_clocks):
+            place = torch.full((len(self.bases),), -1)
+            place[self.free_clocks] = torch.arange(len(self.free_clocks))
+            groups.append(KeptGroup(place[points.camera], len(self.free_clocks), 1))
+        width = 6 if points.times is None else 6 * (1 + points.times.degree)
+        self.structure = Structure(points.frame, frames, width, tuple(groups))
         self._last: tuple[RigState, CellLinearisation, tuple[Moved, ...]] | None = None
 
     def linearise(self, state: RigState) -> CellLinearisation:
@@ -168,7 +205,8 @@ class RigProblem:
         target by that of cam_from_rig rig_from_target.
         """
         points = self.points
-        cam_from_target = state.cam_from_rig[points.camera] @ state.rig_from_target[points.frame]
+        cam_from_target = state.cam_from_rig[points.camera] @ state.target(points)
+        along = state.along(points)
         cam_from_board = state.cam_from_board(points)
         seen = _placed(cam_from_board, points, state.shape)
         on_rig, on_target = adjoint(state.cam_from_rig), adjoint(cam_from_target)
@@ -196,29 +234,44 @@ class RigProblem:
             if camera:
                 kept.append((len(self.estimated), pose))
             if part.other_board and self.free_boards:
-                kept.append((len(self.structure.groups) - (2 if terms else 1), pose @ on_target[first:last]))
+                kept.append((self._board_group, pose @ on_target[first:last]))
             if terms:
                 shape = torch.eye(width, dtype=torch.float64)[:, 6 + q :].expand(count, -1, -1)
-                kept.append((len(self.structure.groups) - 1, shape))
-            parts.append(CellPart(cells, local, pose @ on_rig[camera], tuple(kept)))
+                kept.append((self._shape_group, shape))
+            by_target = pose @ on_rig[camera]
+            if along is not None and bool((self.free_clocks == camera).any()):
+                kept.append((len(self.structure.groups) - 1, by_target @ along.by_offset[first:last]))
+            by_block = by_target if along is None else by_target @ along.by_run[first:last]
+            parts.append(CellPart(cells, local, by_block, tuple(kept)))
         return CellLinearisation(torch.cat(residual), tuple(parts))
 
     def retract(self, state: RigState, kept: Tensor, eliminated: Tensor) -> RigState:
         """Parameters move along their columns, poses by exp(delta) T."""
         sizes = [self.bases[c].shape[1] for c in self.estimated]
         terms = self.free_terms.shape[1]
-        *cameras, poses, boards, bent = kept.split([*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards, terms])
+        clocks = len(self.free_clocks)
+        *cameras, poses, boards, bent, ticks = kept.split(
+            [*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards, terms, clocks]
+        )
         models = list(state.models)
         for c, step in zip(self.estimated, cameras, strict=True):
             models[c] = models[c].with_parameters(models[c].parameters + self.bases[c] @ step)
+        target, path = self._targets(state, eliminated, ticks)
         return RigState(
             tuple(models),
             _moved(state.cam_from_rig, poses),
             _moved(state.target_from_board, boards),
-            Pose.exp(eliminated) @ state.rig_from_target,
+            target,
             state.shape.moved(self.free_terms @ bent),
             None if state.moved is None else state.moved + self._own_step(state, kept, eliminated),
+            path,
         )
+
+    def _targets(self, state: RigState, step: Tensor, ticks: Float[Tensor, " k"]) -> tuple[Pose, Path | None]:
+        if self.points.times is None or state.path is None:
+            return Pose.exp(step) @ state.rig_from_target, state.path
+        target, path = moved_run(state.rig_from_target, state.path, step, self.points.times.middle_m)
+        return target, replace(path, offset_s=path.offset_s.index_add(0, self.free_clocks, ticks))
 
     def _own_step(self, state: RigState, kept: Tensor, eliminated: Tensor) -> Float[Tensor, "v 6"]:
         """How each view's own motion follows a step of all else."""

@@ -39,6 +39,10 @@ class RigMember:
     held: bool
     interval_95: Float[np.ndarray, "p 2"]
     """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
+    time_offset_s: float | None = None
+    """How far its clock is ahead of that of the first camera; None where that was not estimated."""
+    time_offset_sigma_s: float | None = None
+    """One standard deviation."""
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -20,7 +20,7 @@ from omnilines.least_squares.schur import back_substitute, normal_equations, red
 
 def moved_by_radial_shifts(
     problem: RigProblem, solution: Solution[RigState], radial_shift_px: float
-) -> tuple[Float[Tensor, "c k"], Float[Tensor, "c f 6"]]:
+) -> tuple[Float[Tensor, "c k"], Float[Tensor, "c f e"]]:
     """How the kept parameters and the poses of all frames move if the corners of each camera in turn are shifted away from the
     centre of its image by so much."""
     points, state = problem.points, solution.state

@@ -1,0 +1,169 @@
+"""Cameras that run freely: the offset of each clock is found by itself from the board's motion, with its standard deviation."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from clock_views import CAM_FROM_RIG, MODELS, HandMotion, noisy, seen_freely
+from rendered_video import write_video
+
+import omnilines as ol
+from calib_patterns import pattern
+from camera_models import InputError, OpenCVFisheye
+from camera_models.pose import Pose, rotation_from_vector
+from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.path import Path as BoardPath
+from omnilines.calibration.rig.path import ViewTimes, moved_run, path_derivatives, pose_along
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.files import read_rig_corners, write_corners
+
+OFFSET_S = 0.0137
+NOISE_PX = 0.1
+SETUPS = {f"cam{c}": CameraSetup(model.image_size, model.NAME) for c, model in enumerate(MODELS)}
+
+
+def told(result: RigCalibration) -> list[str]:
+    return [note for note in result.notes if note.startswith("The cameras' clocks differ")]
+
+
+class Resting(HandMotion):
+    """Moved on every two seconds, and at rest else."""
+
+    def at(self, time_s: np.ndarray) -> Pose:
+        return super().at(2.0 * np.floor((time_s + 1.0) / 2.0))
+
+
+def pose_error(result: RigCalibration) -> float:
+    """Squared error of the second camera's pose in its covariance: chi-square of six."""
+    second = result.members[1]
+    off = (second.cam_from_rig @ CAM_FROM_RIG[1].inverse()).log().numpy()
+    return float(off @ np.linalg.solve(second.pose_covariance, off))
+
+
+def test_the_path_has_the_derivatives_that_differences_have() -> None:
+    generator = torch.Generator().manual_seed(0)
+    count, degree = 6, 4
+    middle = torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64)
+    base = Pose.exp(torch.randn(count, 6, generator=generator, dtype=torch.float64))
+    rates = 0.1 * torch.randn(count, degree, 6, generator=generator, dtype=torch.float64)
+    time_s = 0.07 * torch.randn(count, generator=generator, dtype=torch.float64)
+    times = ViewTimes(time_s, 0.066, degree, middle, torch.tensor([False, True]))
+    path, camera = BoardPath(rates, torch.tensor([0.0, 0.01], dtype=torch.float64)), torch.tensor([0, 1] * 3)
+    found = path_derivatives(base, rates, times.tau(path.offset_s, camera), times)
+    pose = pose_along(base, rates, times.tau(path.offset_s, camera), middle)
+    step = 1e-6
+    for k in range(6 * (1 + degree)):
+        at = []
+        for sign in (step, -step):
+            moved, along = moved_run(
+                base, path, sign * torch.eye(6 * (1 + degree), dtype=torch.float64)[k].repeat(count, 1), middle
+            )
+            at.append((pose_along(moved, along.rates, times.tau(path.offset_s, camera), middle) @ pose.inverse()).log())
+        assert torch.allclose(found.by_run[..., k], (at[0] - at[1]) / (2 * step), atol=1e-7)
+    at = [
+        (pose_along(base, rates, times.tau(path.offset_s + tick, camera), middle) @ pose.inverse()).log()
+        for tick in (step, -step)
+    ]
+    assert torch.allclose(found.by_offset[..., 0], (at[0] - at[1]) / (2 * step), atol=1e-6)
+
+
+def test_an_offset_is_found_by_itself_named_and_modelled() -> None:
+    corners = noisy(seen_freely(HandMotion(2), (0.0, OFFSET_S), runs=6), NOISE_PX, 1)
+    result = calibrate_rig(corners, SETUPS)
+    second = result.members[1]
+    assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
+    assert abs(second.time_offset_s - OFFSET_S) < 4 * second.time_offset_sigma_s < 1e-4
+    assert len(told(result)) == 1 and "cam1 by 13." in told(result)[0]
+    assert "cam1.time_offset_s" in result.names and len(result.names) == len(result.covariance)
+    # Chi-square of 6: beyond 28 once in ten thousand times.
+    assert pose_error(result) < 28 and result.rms_px_per_axis < 1.02 * NOISE_PX
+    # Poses are of the instants, not of runs.
+    assert len(result.frames) == len(result.rig_from_target) == len(result.frame_covariance) >= 25
+    frame = result.frames.index(next(view.frame for view in result.views if view.used and view.camera == "cam0"))
+    view = next(view for view in result.views if view.used and view.camera == "cam0")
+    assert view.cam_from_board is not None
+    assert torch.allclose(view.cam_from_board.translation, result.rig_from_target[frame].translation, atol=1e-9)
+    assert np.linalg.eigvalsh(result.frame_covariance).min() > 0
+
+
+def test_cameras_of_one_clock_and_boards_at_rest_claim_no_offset(tmp_path: Path) -> None:
+    together = noisy(seen_freely(HandMotion(2), (0.0, 0.0), runs=6), NOISE_PX, 1)
+    write_corners(tmp_path / "corners.csv", together)
+    table = read_rig_corners(tmp_path / "corners.csv")
+    assert table.times_s is not None and together.times_s is not None
+    assert np.array_equal(np.sort(table.times_s), np.sort(together.times_s))
+    alone = calibrate_rig(table, SETUPS)
+    assert not told(alone) and alone.members[1].time_offset_s is None
+    asked = calibrate_rig(table, SETUPS, time_offsets=True).members[1]
+    assert asked.time_offset_s is not None and asked.time_offset_sigma_s is not None
+    assert abs(asked.time_offset_s) < 4 * asked.time_offset_sigma_s
+    rested = calibrate_rig(noisy(seen_freely(Resting(2), (0.0, OFFSET_S), runs=6), NOISE_PX, 3), SETUPS, time_offsets=True)
+    assert rested.members[1].time_offset_s is None and not told(rested)
+    assert any("the board moves too little" in note for note in rested.notes)
+
+
+def test_what_has_no_times_is_refused() -> None:
+    corners = replace(seen_freely(HandMotion(2), (0.0, 0.0), runs=2), times_s=None)
+    with pytest.raises(InputError, match="`time_offsets` compares cameras by when their frames were taken, found no times"):
+        ol.calibrate_rig(corners, {f"cam{c}": model.image_size for c, model in enumerate(MODELS)}, time_offsets=True)
+
+
+@pytest.mark.full
+def test_offsets_and_poses_are_at_the_bound() -> None:
+    """Over motions and noise: the board's motion is none of the model's polynomials."""
+    errors, poses = [], []
+    for seed in range(40):
+        corners = noisy(seen_freely(HandMotion(seed), (0.0, OFFSET_S)), NOISE_PX, seed)
+        result = calibrate_rig(corners, SETUPS)
+        second = result.members[1]
+        assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
+        errors.append((second.time_offset_s - OFFSET_S) / second.time_offset_sigma_s)
+        poses.append(pose_error(result))
+    assert abs(np.mean(errors)) < 3 / np.sqrt(40) and 0.68 < np.std(errors) < 1.34 and np.abs(errors).max() < 4
+    # Errors over the bound: the mean of chi-squares of six is 6 within 3 * sqrt(12 / 40).
+    assert np.sqrt(np.mean(poses) / 6) < 1.1
+
+
+LENSES = (
+    OpenCVFisheye([150.0, 150.0, 239.5, 179.5, 0.02, -0.004, 0.0, 0.0], (480, 360)),
+    OpenCVFisheye([155.0, 155.0, 238.0, 181.0, 0.01, -0.002, 0.0, 0.0], (480, 360)),
+)
+
+
+@dataclass(frozen=True)
+class SeenMotion:
+    """A board in hand as one camera sees it; never at rest."""
+
+    motion: HandMotion
+    cam_from_rig: Pose
+    duration_s: float
+
+    def at(self, time_s: float) -> Pose:
+        return self.cam_from_rig @ self.motion.at(np.array([time_s]))[0]
+
+    def rests(self, begin_s: float, end_s: float) -> bool:
+        return False
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("later_s", [0.0137, 1.5137])
+def test_videos_of_free_running_cameras_give_their_offset(later_s: float, tmp_path: Path) -> None:
+    """Rendered; one began later by a part of a frame, or by 45 frames and that."""
+    board = pattern("checkerboard:9x6:50mm")
+    beside = Pose(rotation_from_vector(torch.tensor([0.01, -0.15, 0.02])).double(), torch.tensor([-0.1, 0.003, 0.01]).double())
+    motion = HandMotion(3, highest_hz=1.2)
+    for name, lens, pose, start_s in zip(("left", "right"), LENSES, (Pose.identity(), beside), (0.0, later_s), strict=True):
+        write_video(tmp_path / f"{name}.avi", board, lens, SeenMotion(motion, pose, 9.0), frames_per_s=30.0, start_s=start_s)
+    chosen = ol.frames(tmp_path, board.specification)
+    chosen.save(tmp_path / "frames")
+    result = ol.calibrate_rig(ol.detect_rig(tmp_path / "frames", board.specification), model="opencv-fisheye")
+    second = result.fit.members[1]
+    assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
+    # What left sees at t, right, which began later, sees at t - later_s of its own clock.
+    assert abs(second.time_offset_s + later_s) < 4 * second.time_offset_sigma_s < 1e-4
+    off = (second.cam_from_rig @ beside.inverse()).log().numpy()
+    assert off @ np.linalg.solve(second.pose_covariance, off) < 28
+    assert any("began" in note for note in chosen.notes) == (later_s > 1)
