@@ -35,8 +35,6 @@ from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from omnilines.commands.result import CommandResult
     from omnilines.guide.options import GuideOptions
     from omnilines.progress import ProgressCallback
@@ -89,63 +87,20 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
-    from omnilines.pipelines.detect_rig import is_rig
+    from omnilines.commands.calibrate_inputs import CalibrationInputs, calibrate_inputs
 
-    tables = [path for path in photos if path.suffix.lower() == ".csv"]
-    if tables and (len(photos) > 1 or image_size is None):
-        wanted = "one corners.csv alone" if len(photos) > 1 else "--image-size WIDTHxHEIGHT beside corners.csv"
-        raise InputError(
-            f"{wanted} was expected, found {' '.join(map(str, photos))}; a table does not hold the size of the photos."
-        )
-    if not tables and pattern is None:
-        raise InputError("--pattern was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model or "", "--model")
-    rig = is_rig(photos) or split is not None
-    if not rig and (set(models) - {""} or set(sizes) - {""}):
+    given = CalibrationInputs(photos, pattern, sizes, models, boards, calibration, hold, time_offsets, split)
+    if given.named_cameras and not given.rig:
         raise InputError(f"`image_size` and `model` by camera count only {IN_RIG}; found one camera: name none.")
+    terms = tuple(name.strip() for name in refine_board.split(",") if name.strip())
+    options = CalibrationOptions(degree=degree, coefficients=coefficients, loss=loss, mirror=mirror, refine_board=terms)
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        from camera_models import load
-        from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
-        from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
-        from omnilines.commands.frames import with_frames
-        from omnilines.pipelines.calibrate_rig import RigSetup
-
-        options = CalibrationOptions(
-            model=models.get("", DEFAULT.model) if not rig else DEFAULT.model,
-            degree=degree,
-            coefficients=coefficients,
-            loss=loss,
-            mirror=mirror,
-            refine_board=tuple(name.strip() for name in refine_board.split(",") if name.strip()),
-        )
-        frame_options, detection, options = with_settings(Stages(FrameOptions(), DetectionOptions(), options), settings or ())
-        if not rig and tables:
-            return calibrate_corners(tables[0], sizes[""], out, options, progress=progress)
-
-        def from_frames(command: "Callable[[list[Path]], CommandResult]", target: str) -> "CommandResult":
-            """On the frames of videos, where photos are videos."""
-            return with_frames(
-                command, photos, out, target, split=split, mirror=mirror, detection=detection, options=frame_options,
-                progress=progress,
-            )  # fmt: skip
-
-        if not rig:
-            return from_frames(
-                lambda paths: calibrate_photos(paths, pattern or "", out, options, detection=detection, progress=progress),
-                pattern or "",
-            )
-        setup = RigSetup(options, models, boards, {} if calibration is None else load(calibration), hold, time_offsets)
-        start = [] if calibration is None else [calibration]
-        if tables:
-            return calibrate_rig_corners(tables[0], sizes, out, setup, read=start, progress=progress)
-        patterns = [text.strip() for text in (pattern or "").split(",")]
-        return from_frames(
-            lambda paths: calibrate_rig_photos(paths, patterns, out, setup, detection=detection, read=start, progress=progress),
-            patterns[0],
-        )
+        frames, detection, set_options = with_settings(Stages(FrameOptions(), DetectionOptions(), options), settings or ())
+        return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, progress=progress)
 
     run(command, as_json)
 
