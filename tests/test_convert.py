@@ -254,3 +254,12 @@ def test_the_python_function(tmp_path: Path) -> None:
     assert result.files == (tmp_path / "camchain.yaml", tmp_path / "camchain_conversion.csv") and result.holds
     with pytest.raises(InputError, match="Another file than the input"):
         command(source, source)
+
+
+def test_a_lens_that_folds_inside_its_image_is_spoken_of(tmp_path, capsys) -> None:
+    folding = camera_models.OpenCVFisheye([300.0, 300.0, 320.0, 240.0, -0.9, 0.0, 0.0, 0.0], (640, 480))
+    save(tmp_path / "in.yaml", folding)
+    status, _, err = run(capsys, tmp_path / "in.yaml", tmp_path / "out.yaml")
+    assert status == 0 and "percent of its image, beyond that its distortion folds" in " ".join(err.split())
+    save(tmp_path / "good.yaml", LENS)
+    assert "folds" not in run(capsys, tmp_path / "good.yaml", tmp_path / "again.yaml")[2]

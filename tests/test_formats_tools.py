@@ -455,6 +455,9 @@ def test_colmap_rigs_that_are_not_one(tmp_path: Path) -> None:
     put(tmp_path / "rigs.txt", "1 3 CAMERA 1 CAMERA 2 1 1 0 0\n")
     with pytest.raises(InputError, match=r"rigs.txt, line 1 must hold RIG_ID NUM_SENSORS"):
         read(tmp_path)
+    put(tmp_path / "rigs.txt", RIGS + "2 1 CAMERA 1\n")
+    with pytest.raises(InputError, match=r"rigs.txt: every sensor must be in one rig once"):
+        read(tmp_path)
 
 
 def test_colmap_binary_layout(tmp_path: Path) -> None:

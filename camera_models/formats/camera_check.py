@@ -79,8 +79,8 @@ def _check_numbers(name: str, model: CameraModel) -> None:
             )
 
 
-def _check_sight(name: str, model: CameraModel) -> None:
-    """Pixels of the image have bearings, and these are seen at those pixels."""
+def seen_share(model: CameraModel) -> float:
+    """Share of the pixels of an image, on a grid, that have a bearing which is seen at that pixel."""
     width, height = model.image_size
     u, v = torch.linspace(0, width - 1, _ACROSS, dtype=torch.float64), torch.linspace(0, height - 1, _ACROSS, dtype=torch.float64)
     pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1).reshape(-1, 2)
@@ -88,7 +88,12 @@ def _check_sight(name: str, model: CameraModel) -> None:
         bearings, seen = model.unproject(pixels)
         again, valid = model.project(bearings)
     near = valid & ((again - pixels).norm(dim=-1) < _ROUND_TRIP_PX)
-    share = float((seen & near & bearings.isfinite().all(-1)).double().mean())
+    return float((seen & near & bearings.isfinite().all(-1)).double().mean())
+
+
+def _check_sight(name: str, model: CameraModel) -> None:
+    """Pixels of the image have bearings, and these are seen at those pixels."""
+    share = seen_share(model)
     if share < _LEAST_SEEN:
         values = " ".join(f"{key}={value:g}" for key, value in model.named_parameters().items())
         raise InputError(

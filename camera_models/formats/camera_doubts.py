@@ -2,6 +2,7 @@
 
 from camera_models._model import CameraModel
 from camera_models.formats.calibration_data import Calibration
+from camera_models.formats.camera_check import seen_share
 
 OFF_CENTRE = 0.1
 """Share of a side by which the principal point lies off the middle, from which on swapped numbers are looked for."""
@@ -14,6 +15,8 @@ OTHER_SIZE = 0.7
 SAME_SHAPE = 0.1
 OTHER_ASPECT = 2.0
 """Between the focal lengths along u and v: no chip has it."""
+LITTLE_SEEN = 0.2
+"""Share of the image that a camera sees: the circle of a fisheye fills more of it."""
 FAR_APART_M = 20.0
 """Of two cameras of a rig; boards are often measured in millimetres."""
 
@@ -48,6 +51,10 @@ def model_doubts(model: CameraModel) -> tuple[str, ...]:
         aspect = values["fx"] / values["fy"]
         if not 1 / OTHER_ASPECT < aspect < OTHER_ASPECT:
             said.append(f"the focal lengths {values['fx']:g} and {values['fy']:g} px differ by more than pixels do; check them")
+    if model.CALIBRATED and (seen := seen_share(model)) < LITTLE_SEEN:
+        said.append(
+            f"it sees {100 * seen:.0f} percent of its image, beyond that its distortion folds; check the coefficients"
+        )
     if not 0.0 <= values.get("alpha", 0.0) <= 1.0:
         said.append(f"alpha is meant to lie in 0 to 1, found {values['alpha']:g}; check it")
     return tuple(said)

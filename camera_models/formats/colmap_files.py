@@ -73,7 +73,11 @@ def read_cameras(path: Path) -> list[CameraRecord]:
 
 def read_rigs(path: Path) -> list[RigRecord]:
     """The rigs of rigs.txt or rigs.bin; raises InputError with what was expected."""
-    return list(_rigs_of_bytes(_bytes(path)) if path.suffix.lower() == ".bin" else map(_rig_of_row, _rows(path)))
+    records = list(_rigs_of_bytes(_bytes(path)) if path.suffix.lower() == ".bin" else map(_rig_of_row, _rows(path)))
+    sensors = [(sensor.type, sensor.id) for record in records for sensor in record.sensors]
+    if len(set(sensors)) < len(sensors):
+        raise InputError(f"{path}: every sensor must be in one rig once, found one twice; correct the file.")
+    return records
 
 
 def write_cameras(records: Sequence[CameraRecord], binary: bool) -> str | bytes:

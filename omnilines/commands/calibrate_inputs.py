@@ -1,0 +1,97 @@
+"""omnilines calibrate: which of its ways goes with what is given: photos, videos or a table, of one camera or a rig."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from calib_patterns import DetectionOptions
+from camera_models import InputError, load
+from omnilines.calibration.options import CalibrationOptions
+from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
+from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
+from omnilines.commands.frames import with_frames
+from omnilines.commands.result import CommandResult
+from omnilines.footage.options import FrameOptions
+from omnilines.pipelines.calibrate_rig import RigSetup
+from omnilines.pipelines.detect_rig import is_rig
+from omnilines.progress import ProgressCallback
+
+
+@dataclass(frozen=True)
+class CalibrationInputs:
+    """What is given to `calibrate`. Raises InputError where parts of it are missing or do not go together."""
+
+    photos: Sequence[Path]
+    """Photos, folders and videos, or one corners.csv."""
+    pattern: str | None = None
+    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """By camera, "" standing for all others; of a table only."""
+    models: Mapping[str, str] = field(default_factory=dict)
+    """As `image_sizes`."""
+    boards: str = "fixed"
+    calibration: Path | None = None
+    hold: bool = False
+    time_offsets: bool = False
+    split: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.table and (len(self.photos) > 1 or not self.image_sizes):
+            wanted = "one corners.csv alone" if len(self.photos) > 1 else "`image_size` beside corners.csv"
+            raise InputError(
+                f"{wanted} was expected, found {' '.join(map(str, self.photos))}; a table does not hold the size of the photos."
+            )
+        if not self.table and self.pattern is None:
+            raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
+
+    @property
+    def table(self) -> Path | None:
+        """The corners.csv, where one is given."""
+        return next((path for path in self.photos if path.suffix.lower() == ".csv"), None)
+
+    @property
+    def rig(self) -> bool:
+        """Whether they are of several cameras."""
+        return is_rig(self.photos) or self.split is not None
+
+    @property
+    def named_cameras(self) -> set[str]:
+        """Cameras that have a model or an image size of their own."""
+        return {*self.models, *self.image_sizes} - {""}
+
+
+def calibrate_inputs(
+    given: CalibrationInputs,
+    out: Path,
+    options: CalibrationOptions,
+    *,
+    frames: FrameOptions,
+    detection: DetectionOptions,
+    progress: ProgressCallback,
+) -> CommandResult:
+    """Calibrate from what is given and write the results into `out`; videos through their frames, which are written too."""
+    patterns = [text.strip() for text in (given.pattern or "").split(",")]
+
+    def from_frames(command: Callable[[list[Path]], CommandResult], target: str) -> CommandResult:
+        """On the frames of videos, where photos are videos."""
+        return with_frames(
+            command, given.photos, out, target, split=given.split, mirror=options.mirror, detection=detection, options=frames,
+            progress=progress,
+        )  # fmt: skip
+
+    if given.rig:
+        cameras = {} if given.calibration is None else load(given.calibration)
+        read = [] if given.calibration is None else [given.calibration]
+        setup = RigSetup(options, given.models, given.boards, cameras, given.hold, given.time_offsets)
+        if given.table is not None:
+            return calibrate_rig_corners(given.table, given.image_sizes, out, setup, read=read, progress=progress)
+        return from_frames(
+            lambda paths: calibrate_rig_photos(paths, patterns, out, setup, detection=detection, read=read, progress=progress),
+            patterns[0],
+        )
+    options = replace(options, model=given.models.get("", options.model))
+    if given.table is not None:
+        return calibrate_corners(given.table, given.image_sizes[""], out, options, progress=progress)
+    return from_frames(
+        lambda paths: calibrate_photos(paths, given.pattern or "", out, options, detection=detection, progress=progress),
+        given.pattern or "",
+    )
