@@ -216,9 +216,15 @@ def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:
     factors = sizes * torch.randn(9, 2, 4, generator=generator, dtype=torch.float64)
     matrix = factors.mT @ factors
     names = tuple(str(k) for k in range(9))
-    chosen = telling_instants([ViewInformation(names, matrix)], {name: k for k, name in enumerate(names)}, 9, 4)
+    instants, alike = {name: k for k, name in enumerate(names)}, torch.ones(9, dtype=torch.float64)
+    chosen = telling_instants([ViewInformation(names, matrix, alike)], instants, 9, 4)
     best = max(float(torch.logdet(matrix[list(group)].sum(0))) for group in itertools.combinations(range(9), 4))
     assert len(set(chosen)) == 4 and float(torch.logdet(matrix[chosen].sum(0))) > best - 0.05
+    loud = alike.clone()
+    loud[chosen[:2]] = 3.0
+    others = telling_instants([ViewInformation(names, matrix, loud)], instants, 9, 4)
+    assert len(set(others)) == 4 and not set(others) & set(chosen[:2])
+    assert set(telling_instants([ViewInformation(names, matrix, 3.0 * alike)], instants, 9, 4)) == set(chosen)
 
 
 @pytest.mark.parametrize("kind", ["text", "cut", "playlist", "empty"])

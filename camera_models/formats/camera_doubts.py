@@ -52,9 +52,7 @@ def model_doubts(model: CameraModel) -> tuple[str, ...]:
         if not 1 / OTHER_ASPECT < aspect < OTHER_ASPECT:
             said.append(f"the focal lengths {values['fx']:g} and {values['fy']:g} px differ by more than pixels do; check them")
     if model.CALIBRATED and (seen := seen_share(model)) < LITTLE_SEEN:
-        said.append(
-            f"it sees {100 * seen:.0f} percent of its image, beyond that its distortion folds; check the coefficients"
-        )
+        said.append(f"it sees {100 * seen:.0f} percent of its image, beyond that its distortion folds; check the coefficients")
     if not 0.0 <= values.get("alpha", 0.0) <= 1.0:
         said.append(f"alpha is meant to lie in 0 to 1, found {values['alpha']:g}; check it")
     return tuple(said)

@@ -4,6 +4,9 @@ Each view v adds S_v = A_v' A_v / s_v^2 to the information on its camera (`held_
 that blurred and sheared views count less. Of all sets of so many instants the one wanted has the largest determinant of the
 summed information of every camera (V. Fedorov, Theory of optimal experiments, 1972): taken one by one, then exchanged while that
 gains. Cameras of a rig are tied by the instants that two of them share; each tells about as much, of six numbers.
+
+A calibration weighs all views alike. Then one with r times the variance of n others makes a mean less certain where r > 2 + 1/n:
+views that are noisier than that are taken only where there are not enough others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,6 +24,8 @@ from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.views import board_points, corner_weights
 from omnilines.records import Corners
 
+LOUD = 2.0
+"""Times the typical variance of corners from which on one more view harms a mean of many."""
 ROUNDS = 3
 """Of exchanges; later ones gain next to nothing."""
 _OPEN = 1e-6
@@ -34,6 +39,8 @@ class ViewInformation:
     names: tuple[str, ...]
     matrix: Float[Tensor, "v k k"]
     """Of the camera's parameters along independent directions in which all views together say one each."""
+    noise: Float[Tensor, " v"]
+    """Variance of the corners of each view over the typical one."""
 
 
 def view_information(corners: Corners, fit: CameraCalibration) -> ViewInformation:
@@ -46,25 +53,28 @@ def view_information(corners: Corners, fit: CameraCalibration) -> ViewInformatio
     poses = Pose.stack([view.cam_from_board for _, view in used if view.cam_from_board is not None])
     problem = BoardProblem(points, fit.model.calibration_basis(), corner_weights(corners, rows))
     terms = ViewTerms.of(problem, CameraAndBoards(fit.model, poses, fit.board))
-    matrix = terms.matrix / _noise_px2(terms)[:, None, None]
+    noise_px2, typical_px2 = _noise_px2(terms)
+    matrix = terms.matrix / noise_px2[:, None, None]
     total = matrix.sum(0)
     unit = total.diagonal().clamp_min(1e-300).rsqrt()
     values, vectors = torch.linalg.eigh(total * unit[:, None] * unit)
     basis = unit[:, None] * vectors * values.clamp_min(1e-12 * float(values[-1])).rsqrt()
-    return ViewInformation(tuple(view.name for _, view in used), basis.mT @ matrix @ basis)
+    return ViewInformation(tuple(view.name for _, view in used), basis.mT @ matrix @ basis, noise_px2 / typical_px2)
 
 
-def _noise_px2(terms: ViewTerms) -> Float[Tensor, " v"]:
-    """Of each view by its own residuals and, as of one more view, those of all; never below the typical one."""
-    of_all = terms.squares_px2.sum() / terms.counts.sum()
-    own = (terms.squares_px2 + of_all * terms.counts.mean()) / (terms.counts + terms.counts.mean())
-    return own.clamp_min(float(of_all))
+def _noise_px2(terms: ViewTerms) -> tuple[Float[Tensor, " v"], float]:
+    """Of each view by its own residuals and, as of one more view, those of a typical one, never below that; and that."""
+    typical = float((terms.squares_px2 / terms.counts).median())
+    own = (terms.squares_px2 + typical * terms.counts.mean()) / (terms.counts + terms.counts.mean())
+    return own.clamp_min(typical), typical
 
 
 def telling_instants(cameras: Sequence[ViewInformation], instants: Mapping[str, int], count: int, most: int) -> list[int]:
     """At most `most` of the instants 0 ... count - 1, those that tell most first; `instants`: that of every view by its name."""
     design = _Design.of(cameras, instants, count)
     useful = [place for place in range(count) if bool(design.seen[:, place].any())]
+    quiet = [place for place in useful if float(design.noise[:, place].max()) <= LOUD]
+    useful = quiet if len(quiet) >= most else useful
     if len(useful) <= most:
         return useful
     chosen: list[int] = []
@@ -89,20 +99,23 @@ class _Design:
     matrices: tuple[Float[Tensor, "t _ _"], ...]
     seen: Float[Tensor, "c t"]
     """1 where a camera sees the board."""
+    noise: Float[Tensor, "c t"]
+    """Of its view, over that of a typical one; 0 where it sees none."""
 
     @staticmethod
     def of(cameras: Sequence[ViewInformation], instants: Mapping[str, int], count: int) -> "_Design":
         """Views that no camera used add nothing."""
         matrices = []
-        seen = torch.zeros(len(cameras), count, dtype=torch.float64)
+        seen, noise = torch.zeros(2, len(cameras), count, dtype=torch.float64)
         for number, camera in enumerate(cameras):
             size = camera.matrix.shape[-1]
             matrix = torch.zeros(count, size, size, dtype=torch.float64)
-            for name, own in zip(camera.names, camera.matrix, strict=True):
+            for name, own, variance in zip(camera.names, camera.matrix, camera.noise, strict=True):
                 matrix[instants[name]] += own
                 seen[number, instants[name]] = 1.0
+                noise[number, instants[name]] = variance
             matrices.append(matrix)
-        return _Design(tuple(matrices), seen)
+        return _Design(tuple(matrices), seen, noise)
 
     def gains(self, chosen: list[int], candidates: list[int]) -> Float[Tensor, " n"]:
         """The logarithm of the determinants with each of the candidates added to those chosen."""

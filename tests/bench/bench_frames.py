@@ -102,6 +102,6 @@ def _bound(lens: CameraModel, path: Path6, times: list[float], noise_px: float, 
     matrix = ViewTerms.of(problem, CameraAndBoards(lens, poses[front])).matrix / noise_px**2
     unit = matrix.sum(0).diagonal().rsqrt()
     names = tuple(str(k) for k in front)
-    scaled = ViewInformation(names, matrix * unit[:, None] * unit)
+    scaled = ViewInformation(names, matrix * unit[:, None] * unit, torch.ones(len(names), dtype=torch.float64))
     best = telling_instants([scaled], {name: k for k, name in enumerate(names)}, len(front), count)
     return torch.linalg.inv(matrix[best].sum(0))
