@@ -53,20 +53,20 @@ def view_information(corners: Corners, fit: CameraCalibration) -> ViewInformatio
     poses = Pose.stack([view.cam_from_board for _, view in used if view.cam_from_board is not None])
     problem = BoardProblem(points, fit.model.calibration_basis(), corner_weights(corners, rows))
     terms = ViewTerms.of(problem, CameraAndBoards(fit.model, poses, fit.board))
-    noise_px2, typical_px2 = _noise_px2(terms)
-    matrix = terms.matrix / noise_px2[:, None, None]
+    own_px2 = terms.squares_px2 / terms.counts
+    typical_px2 = float(own_px2.median())
+    matrix = terms.matrix / _noise_px2(terms, typical_px2)[:, None, None]
     total = matrix.sum(0)
     unit = total.diagonal().clamp_min(1e-300).rsqrt()
     values, vectors = torch.linalg.eigh(total * unit[:, None] * unit)
     basis = unit[:, None] * vectors * values.clamp_min(1e-12 * float(values[-1])).rsqrt()
-    return ViewInformation(tuple(view.name for _, view in used), basis.mT @ matrix @ basis, noise_px2 / typical_px2)
+    return ViewInformation(tuple(view.name for _, view in used), basis.mT @ matrix @ basis, own_px2 / typical_px2)
 
 
-def _noise_px2(terms: ViewTerms) -> tuple[Float[Tensor, " v"], float]:
-    """Of each view by its own residuals and, as of one more view, those of a typical one, never below that; and that."""
-    typical = float((terms.squares_px2 / terms.counts).median())
-    own = (terms.squares_px2 + typical * terms.counts.mean()) / (terms.counts + terms.counts.mean())
-    return own.clamp_min(typical), typical
+def _noise_px2(terms: ViewTerms, typical_px2: float) -> Float[Tensor, " v"]:
+    """Of each view by its own residuals and, as of one more view, those of a typical one; never below that."""
+    own = (terms.squares_px2 + typical_px2 * terms.counts.mean()) / (terms.counts + terms.counts.mean())
+    return own.clamp_min(typical_px2)
 
 
 def telling_instants(cameras: Sequence[ViewInformation], instants: Mapping[str, int], count: int, most: int) -> list[int]:
