@@ -27,8 +27,8 @@ from omnilines.options import with_settings
 VIDEO = "frames ChosenFrames FrameOptions".split()  # the example of `frames` runs in test_frames.py
 VERBS = "detect detect_rig calibrate calibrate_rig convert render validate".split()
 RESULTS = "PhotoCorners RigCorners CalibrationResult RigResult ConversionResult CalibrationOptions DetectionOptions".split()
-SCENE_VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
-SCENE_RESULTS = "PhotoArcs PhotoPoses Scene RectifiedViews ExtractionOptions PosingOptions MatchingOptions SceneOptions".split()
+SCENE_VERBS = "extract directions given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
+SCENE_RESULTS = "PhotoArcs PhotoDirections DirectionsOptions PhotoPoses Scene RectifiedViews ExtractionOptions PosingOptions MatchingOptions SceneOptions".split()
 TRUTH_RESULTS = "RenderOptions RenderedTargets RenderedScene Validation SceneValidation".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
