@@ -79,7 +79,8 @@ class PhotoDirections:
 
     @property
     def poses(self) -> ImagePoses | None:
-        """Of the photos with a frame, or a vertical, all at one place: that of a photo alone is open. None where there are none."""
+        """Of the photos with a frame, or a vertical, all at one place, as that of a photo alone is open; None where there are
+        none."""
         known = [one for one in self.photos if one.cam_from_world is not None]
         if not known:
             return None

@@ -1,7 +1,7 @@
 """The great circles of the arcs of one photo, and how likely each is one of a line along a direction.
 
 A line of the direction d is seen on a great circle through d and -d: its normal n has n . d = 0. Ends of an arc that are off by
-(o1, o2) rad across it turn its circle so that at d = a V1 + b V2 it is off by a o1 + b o2. With the covariance of the two, and the
+(o1, o2) rad across it turn its circle so that at d = a V1 + b V2 it is off by a o1 + b o2. With the covariance of the two, and a
 standard deviation t by which lines stray from a common direction, n . d has the variance
 
     s^2 = (p . d)^2 + (q . d)^2 + t^2,
@@ -13,8 +13,8 @@ the way from m to d is uniform over pi; n . d is its sine times sin(m, d). The r
 
     ratio = sqrt(pi / 2) sin(m, d) / s exp(-(n . d)^2 / 2 s^2),
 
-and its mean by chance is at most 1, whatever the noise. No arc reaches the direction of its own line: one that holds d or -d has the
-ratio 0.
+and its mean by chance is at most 1, whatever the noise. No arc reaches the direction of its own line: one that holds d or -d has
+the ratio 0.
 """
 
 from dataclasses import dataclass
@@ -48,8 +48,8 @@ class Circles:
     def of_arcs(
         bearings: Float[np.ndarray, "n 2 3"], by_pixel: Float[np.ndarray, "n 2 3 2"], covariance_px2: Float[np.ndarray, "n 2 2 2"]
     ) -> "Circles":
-        """From both ends (unit), d bearing / d pixel and the covariance of each end. An arc whose ends are one bearing has no circle:
-        it is of no direction."""
+        """From both ends (unit), d bearing / d pixel and the covariance of each end. An arc whose ends are one bearing has no
+        circle: it is of no direction."""
         v1, v2 = bearings[:, 0], bearings[:, 1]
         normal = arc_normal(torch.as_tensor(v1), torch.as_tensor(v2)).numpy()
         across = np.einsum("nkxp,nx->nkp", by_pixel, normal)
@@ -79,18 +79,15 @@ class Circles:
         """Rows of those that are known best, in ascending order."""
         return np.sort(np.argsort(self.sigma_rad, kind="stable")[:most])
 
-    def off(
-        self, directions: Float[np.ndarray, "*m 3"], stray_rad: float
-    ) -> tuple[Float[np.ndarray, "*m n"], Float[np.ndarray, "*m n"]]:
-        """n . d and its variance."""
-        variance = stray_rad**2 + LEAST_SIGMA_RAD**2 + np.square(directions @ self.noise[0].T)
-        variance += np.square(directions @ self.noise[1].T)
-        return directions @ self.normal.T, variance
+    def off(self, direction: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k n"]]:
+        """n . d and its variance, without strays."""
+        variance = np.square(direction @ self.noise[0].T) + np.square(direction @ self.noise[1].T)
+        return direction @ self.normal.T, variance + LEAST_SIGMA_RAD**2
 
-    def ratio(self, directions: Float[np.ndarray, "*m 3"], stray_rad: float) -> Float[np.ndarray, "*m n"]:
-        """How much more likely each arc is as that of a line along each direction than by chance."""
-        off, variance = self.off(directions, stray_rad)
-        sine2 = np.clip(1.0 - np.square(directions @ self.middle.T), 0.0, 1.0)
-        likely = np.sqrt(0.5 * np.pi * sine2 / variance) * np.exp(-0.5 * np.square(off) / variance)
-        reached = (directions @ self.ends[0].T) * (directions @ self.ends[1].T) > 0
-        return np.where(reached, 0.0, likely)
+    def ratio(self, direction: Float[np.ndarray, "k 3"], stray_rad: Float[np.ndarray, " c"]) -> Float[np.ndarray, "c k n"]:
+        """How much more likely each arc is as that of a line along each direction, with each stray, than by chance."""
+        off, variance = self.off(direction)
+        sine2 = np.clip(1.0 - np.square(direction @ self.middle.T), 0.0, 1.0)
+        sine2[(direction @ self.ends[0].T) * (direction @ self.ends[1].T) > 0] = 0.0
+        whole = variance + np.square(stray_rad)[:, None, None]
+        return np.sqrt(0.5 * np.pi * sine2 / whole) * np.exp(-0.5 * np.square(off) / whole)

@@ -1,7 +1,7 @@
 """A Manhattan frame of one photo: three directions at right angles in which its lines meet, with the covariance of the rotation.
 
-Directions in which pairs of arcs meet are tried as one axis a; with any further arc of the normal n the second is a x n, the third
-follows. The frames under which the arcs are most likely are refined as a whole (`mixture.py`). A frame is there where chance does
+Directions in which pairs of arcs meet are tried as one axis a; with any further arc of the normal n the second is a x n, and the
+third follows. The frames under which the arcs are most likely are refined as a whole (`mixture.py`). A frame is there where chance does
 not make it (`meeting.py`): the arcs count with the mean of their ratios to the axes, without the three lines that place it; and
 those that are not of its strongest axis count again with those to the two others, without the one that turns it about that axis.
 """
@@ -48,7 +48,7 @@ def manhattan_frame(circles: Circles, options: DirectionsOptions = DirectionsOpt
     frames = _tried_frames(own, weight, options)
     if not len(frames):
         return None
-    fits = [fitted(own, frame, options.tried_rad, options.max_stray_rad, True) for frame in frames]
+    fits = [fitted(own, weight, frame, np.array(options.strays_rad), as_frame=True) for frame in frames]
     best = max(fits, key=lambda fit: fit.log_likelihood)
     if not _stands(own, weight, best, options):
         return None
@@ -67,7 +67,9 @@ def _tried_frames(
         return []
     second = second[axis, arc] / length[axis, arc, None]
     frames = np.stack([first[axis], second, np.cross(first[axis], second)], 1)
-    ratio = circles.ratio(first, options.tried_rad)[axis] + circles.ratio(frames[:, 1:], options.tried_rad).sum(1)
+    stray = np.array([options.tried_rad])
+    others = circles.ratio(frames[:, 1:].reshape(-1, 3), stray)[0].reshape(len(frames), 2, -1)
+    ratio = circles.ratio(first, stray)[0][axis] + others.sum(1)
     frames = frames[np.argsort(-(np.log1p(options.share * ratio) @ weight), kind="stable")]
     kept: list[np.ndarray] = []
     while len(frames) and len(kept) < options.refined_frames:
@@ -80,7 +82,7 @@ def _tried_frames(
 def _stands(circles: Circles, weight: Float[np.ndarray, " n"], fit: Mixture, options: DirectionsOptions) -> bool:
     if float(largest_sigma(fit.turn_covariance[0])) > options.max_sigma_rad:
         return False
-    h, ratio = fit.belongs(circles), circles.ratio(fit.direction, fit.stray_rad)
+    h, ratio = fit.belongs(circles), fit.ratio(circles)
     tests, count = STRAYS_TOLD_APART / options.false_directions, len(circles)
     strongest = int(np.argmax(weight @ h))
     others = h[:, strongest] < 0.5
@@ -99,4 +101,4 @@ def _upright(circles: Circles, fit: Mixture) -> Frame:
     x = axes[right] * (-1.0 if axes[right, 0] < 0 else 1.0)
     named = np.stack([x, np.cross(z, x), z])
     order = [right, 3 - right - up, up]
-    return Frame(described(circles, replace(fit, direction=named, share=fit.share[order])), named.T, fit.turn_covariance[0])
+    return Frame(described(circles, replace(fit, direction=named, share=fit.share[:, order])), named.T, fit.turn_covariance[0])

@@ -79,14 +79,14 @@ def meeting_directions(circles: Circles, options: DirectionsOptions = Directions
         tried = apart(tried_directions(own.rows(rows), weight[rows], 1, options), options.separation_rad, found)
         if not len(tried):
             break
-        alone = fitted(own.rows(rows), tried, options.tried_rad, options.max_stray_rad, False)
+        alone = fitted(own.rows(rows), weight[rows], tried, np.array(options.strays_rad), as_frame=False)
         if not _stand(own.rows(rows), weight[rows], alone, options)[0]:
             break
         found = np.concatenate([found, alone.direction])
         free[rows[alone.belongs(own.rows(rows))[:, 0] > 0.5]] = False
     found = apart(found, options.separation_rad)
     while len(found):
-        fit = fitted(own, found, options.tried_rad, options.max_stray_rad, False)
+        fit = fitted(own, weight, found, np.array(options.strays_rad), as_frame=False)
         kept = apart(fit.direction[_stand(own, weight, fit, options)], options.separation_rad)
         if len(kept) == len(found):
             return described(circles, _ordered(circles, fit))
@@ -109,7 +109,7 @@ def tried_directions(
     direction = np.cross(circles.normal[sharpest[first]], circles.normal[sharpest[second]])
     length = np.linalg.norm(direction, axis=-1)
     direction = direction[length > options.tried_rad] / length[length > options.tried_rad, None]
-    score = np.log1p(options.share * circles.ratio(direction, options.tried_rad)) @ weight
+    score = np.log1p(options.share * circles.ratio(direction, np.array([options.tried_rad]))[0]) @ weight
     return apart(direction[np.argsort(-score, kind="stable")], options.separation_rad, most=most)
 
 
@@ -132,7 +132,7 @@ def apart(
 
 def _stand(circles: Circles, weight: Float[np.ndarray, " n"], fit: Mixture, options: DirectionsOptions) -> Bool[np.ndarray, " k"]:
     """Which directions chance does not make, are known well enough, and have enough lines."""
-    h, ratio = fit.belongs(circles), circles.ratio(fit.direction, fit.stray_rad)
+    h, ratio = fit.belongs(circles), fit.ratio(circles)
     sigma = largest_sigma(direction_covariance(fit))
     pairs = 0.5 * len(circles) * (len(circles) - 1)
     stands = (sigma <= options.max_sigma_rad) & (weight @ h >= options.min_lines)
@@ -178,6 +178,6 @@ def _ordered(circles: Circles, fit: Mixture) -> Mixture:
     return replace(
         fit,
         direction=np.where(largest < 0, -1.0, 1.0) * direction,
-        share=fit.share[order],
+        share=fit.share[:, order],
         turn_covariance=fit.turn_covariance[order],
     )

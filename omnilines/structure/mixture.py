@@ -1,15 +1,21 @@
 """Directions under which the arcs of one photo are most likely, from directions that are near.
 
-With the ratio r_ik of arc i and direction k (`circles.py`) and the shares w_k of the directions, the arcs have the log likelihood
+Lines stray from their common direction, most of them by little, some by much: with the shares a_c the stray has the standard
+deviation t_c. With the ratio r_ick of arc i for stray c and direction k (`circles.py`) and the shares w_k of the directions, the
+arcs have the log likelihood
 
-    L = sum_i log(w_0 + sum_k w_k r_ik),    w_0 + sum_k w_k = 1,
+    L = sum_i g_i log(w_0 + sum_k w_k sum_c a_c r_ick),    w_0 + sum_k w_k = 1,    sum_c a_c = 1,
 
-over that of arcs turned at random. Expectation maximisation: with h_ik = w_k r_ik / (w_0 + sum_j w_j r_ij), the probability that arc i
-is of direction k, the shares are the means of h, and a rotation u of d changes n . d by u . (d x n), so that
+over that of arcs turned at random. Fragments of one line stray together: their weights g add up to 1. Expectation
+maximisation: h_ick, the probability that arc i is of direction k with stray c, is its part of the sum, and the shares are means
+of h. A rotation u of d changes e = n . d by u . (d x n), so that with the variances s_ick^2 of e
 
-    H_k u_k = -sum_i h_ik (n_i . d_k) (d_k x n_i) / s_ik^2,    H_k = sum_i h_ik (d_k x n_i)(d_k x n_i)' / s_ik^2,
+    H_k u_k = -sum_ic g_i h_ick e_ik / s_ick^2 (d_k x n_i),    H_k = sum_ic g_i h_ick / s_ick^2 (d_k x n_i)(d_k x n_i)',
 
-for each direction, or one u for all of them from the sums over k where they are a frame. H^-1 is the covariance of u.
+for each direction, or one u for all of them from the sums over k where they are a frame. The covariance of u is the inverse of
+the observed information, which has the second derivative of log r in place of 1 / s^2:
+
+    q_ik = sum_c h_ick (1 / s_ick^2 - e_ik^2 / s_ick^4) + (sum_c h_ick e_ik / s_ick^2)^2.
 """
 
 from dataclasses import dataclass
@@ -21,13 +27,11 @@ from omnilines.structure.circles import Circles
 
 ROUNDS = 100
 SETTLED_RAD = 1e-8
-STRAYS = (0.5, 0.8, 1.0, 1.25, 2.0)
-"""Times the last stray, tried in every round."""
-LEAST_STRAY_RAD = 1e-6
 FIRST_SHARES = 0.5
 """Of all directions together, before anything is known of them."""
 OPEN_RAD = 1.0
 """Standard deviation of a rotation before anything is seen, so that one that nothing fixes is found so."""
+TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -35,67 +39,109 @@ class Mixture:
     """k directions, and how likely each arc is of each."""
 
     direction: Float[np.ndarray, "k 3"]
-    share: Float[np.ndarray, " k"]
-    stray_rad: float
+    share: Float[np.ndarray, "c k"]
+    """Of the arcs, by stray."""
+    strays_rad: Float[np.ndarray, " c"]
     turn_covariance: Float[np.ndarray, "k 3 3"]
     """Of the rotation vector of each direction (camera frame, from the left), or of their frame."""
     log_likelihood: float
 
+    @property
+    def stray_rad(self) -> float:
+        """Root mean square over the arcs of all directions."""
+        return float(np.sqrt(self._by_stray @ np.square(self.strays_rad)))
+
+    @property
+    def _by_stray(self) -> Float[np.ndarray, " c"]:
+        return self.share.sum(1) / max(float(self.share.sum()), TINY)
+
+    def ratio(self, circles: Circles) -> Float[np.ndarray, "k n"]:
+        """How much more likely each arc is as one of each direction than by chance."""
+        return np.einsum("c,ckn->kn", self._by_stray, circles.ratio(self.direction, self.strays_rad))
+
     def belongs(self, circles: Circles) -> Float[np.ndarray, "n k"]:
         """Probability that each arc is of each direction."""
-        return _probabilities(circles.ratio(self.direction, self.stray_rad), self.share)
+        return _parts(circles.ratio(self.direction, self.strays_rad), self.share)[0].sum(0).T
 
 
-def _probabilities(ratio: Float[np.ndarray, "k n"], share: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k"]:
-    likely = share[:, None] * ratio
-    return (likely / (1.0 - share.sum() + likely.sum(0))).T
-
-
-def _log_likelihood(ratio: Float[np.ndarray, "k n"], share: Float[np.ndarray, " k"]) -> float:
-    return float(np.log(1.0 - share.sum() + share @ ratio).sum())
+def _parts(
+    ratio: Float[np.ndarray, "c k n"], share: Float[np.ndarray, "c k"]
+) -> tuple[Float[np.ndarray, "c k n"], Float[np.ndarray, " n"]]:
+    """The probabilities h, and the likelihood of each arc."""
+    likely = share[:, :, None] * ratio
+    whole: Float[np.ndarray, " n"] = 1.0 - share.sum() + likely.sum((0, 1))
+    return likely / whole, whole
 
 
 def fitted(
-    circles: Circles, direction: Float[np.ndarray, "k 3"], stray_rad: float, max_stray_rad: float, as_frame: bool
+    circles: Circles,
+    weight: Float[np.ndarray, " n"],
+    direction: Float[np.ndarray, "k 3"],
+    strays_rad: Float[np.ndarray, " c"],
+    *,
+    as_frame: bool,
 ) -> Mixture:
-    """The most likely directions, shares and stray near given ones; `as_frame`: their angles to each other stay."""
-    count = len(direction)
-    share = np.full(count, FIRST_SHARES / count)
-    ratio = circles.ratio(direction, stray_rad)
+    """The most likely directions and shares near given directions; `as_frame`: they are at right angles, and stay so."""
+    share = np.full((len(strays_rad), len(direction)), FIRST_SHARES / (len(direction) * len(strays_rad)))
+    most = 1.0 - 1.0 / len(circles)
     for _ in range(ROUNDS):
-        h = _probabilities(ratio, share)
-        share = np.minimum(h.mean(0), (1.0 - 1.0 / len(circles)) * h.mean(0) / max(h.mean(0).sum(), 1e-300))
-        turn, _ = _step(circles, direction, h, stray_rad, as_frame)
+        h = weight * _parts(circles.ratio(direction, strays_rad), share)[0]
+        of_direction = h.sum((0, 2)) / weight.sum()
+        share = h.sum((1, 2))[:, None] / max(float(h.sum()), TINY) * of_direction
+        share *= min(1.0, most / max(float(share.sum()), TINY))
+        turn = _step(circles, direction, h, strays_rad, as_frame)
         direction = direction + np.cross(turn, direction)
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        if as_frame:
-            direction = _orthogonal(direction)
-        tried = [min(max(times * stray_rad, LEAST_STRAY_RAD), max_stray_rad) for times in STRAYS]
-        ratios = [circles.ratio(direction, one) for one in tried]
-        best = int(np.argmax([_log_likelihood(one, share) for one in ratios]))
-        settled = tried[best] == stray_rad and float(np.abs(turn).max()) < SETTLED_RAD
-        stray_rad, ratio = tried[best], ratios[best]
-        if settled:
+        direction = _orthogonal(direction) if as_frame else direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        if float(np.abs(turn).max()) < SETTLED_RAD:
             break
-    h = _probabilities(ratio, share)
-    _, covariance = _step(circles, direction, h, stray_rad, as_frame)
-    return Mixture(direction, share, stray_rad, covariance, _log_likelihood(ratio, share))
+    h, whole = _parts(circles.ratio(direction, strays_rad), share)
+    covariance = _covariance(circles, direction, weight, h, strays_rad, as_frame)
+    return Mixture(direction, share, strays_rad, covariance, float(weight @ np.log(whole)))
 
 
 def _step(
-    circles: Circles, direction: Float[np.ndarray, "k 3"], h: Float[np.ndarray, "n k"], stray_rad: float, as_frame: bool
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 3"]]:
-    """Rotation vectors of the directions, and their covariances."""
-    off, variance = circles.off(direction, stray_rad)
-    weight = h.T / variance
+    circles: Circles,
+    direction: Float[np.ndarray, "k 3"],
+    h: Float[np.ndarray, "c k n"],
+    strays_rad: Float[np.ndarray, " c"],
+    as_frame: bool,
+) -> Float[np.ndarray, "k 3"]:
+    """Rotation vectors of the directions; h is weighted."""
+    off, variance = circles.off(direction)
+    weight = (h / (variance + np.square(strays_rad)[:, None, None])).sum(0)
     lever = np.cross(direction[:, None], circles.normal)
-    gradient = np.einsum("kn,kni->ki", weight * off, lever)
-    hessian = np.einsum("kn,kni,knj->kij", weight, lever, lever)
+    gradient, information = np.einsum("kn,kni->ki", weight * off, lever), _summed(weight, lever, as_frame)
     if as_frame:
-        gradient, hessian = gradient.sum(0, keepdims=True), hessian.sum(0, keepdims=True)
-    covariance = np.linalg.inv(hessian + np.eye(3) / OPEN_RAD**2)
-    turn = -np.einsum("kij,kj->ki", covariance, gradient)
-    return np.broadcast_to(turn, direction.shape), np.broadcast_to(covariance, (len(direction), 3, 3))
+        gradient = np.broadcast_to(gradient.sum(0), gradient.shape)
+    return -np.linalg.solve(information, gradient[..., None])[..., 0]
+
+
+def _summed(weight: Float[np.ndarray, "k n"], lever: Float[np.ndarray, "k n 3"], as_frame: bool) -> Float[np.ndarray, "k 3 3"]:
+    """Sums of lever lever', over the directions too where they are a frame, with what is known of a rotation beforehand."""
+    summed = (lever * weight[..., None]).swapaxes(-1, -2) @ lever
+    if as_frame:
+        summed = np.broadcast_to(summed.sum(0), summed.shape)
+    return summed + np.eye(3) / OPEN_RAD**2
+
+
+def _covariance(
+    circles: Circles,
+    direction: Float[np.ndarray, "k 3"],
+    weight: Float[np.ndarray, " n"],
+    h: Float[np.ndarray, "c k n"],
+    strays_rad: Float[np.ndarray, " c"],
+    as_frame: bool,
+) -> Float[np.ndarray, "k 3 3"]:
+    """Of the rotation vectors; where the observed information does not bound one, as that of few arcs may not, by the step's."""
+    off, variance = circles.off(direction)
+    per_variance = 1.0 / (variance + np.square(strays_rad)[:, None, None])
+    slope = (h * per_variance).sum(0) * off
+    curvature = (h * per_variance * (1.0 - np.square(off) * per_variance)).sum(0) + np.square(slope)
+    lever = np.cross(direction[:, None], circles.normal)
+    observed = _summed(weight * curvature, lever, as_frame)
+    expected = _summed(weight * (h * per_variance).sum(0), lever, as_frame)
+    bounded = np.linalg.eigvalsh(observed)[:, 0] > 0
+    return np.linalg.inv(np.where(bounded[:, None, None], observed, expected))
 
 
 def _orthogonal(direction: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

@@ -78,9 +78,9 @@ class DirectionsOptions:
     paired_arcs: int = 60
     """Each pair of so many of them is tried as a direction."""
     tried_rad: float = math.radians(0.5)
-    """Standard deviation by which parallel lines stray, while directions are tried; circles as near to each other are one line."""
-    max_stray_rad: float = math.radians(1.0)
-    """What is found of it from the arcs, at most."""
+    """Standard deviation by which parallel lines stray, while directions are tried, and up to which circles are one line."""
+    strays_rad: tuple[float, ...] = tuple(math.radians(t) for t in (0.0, 0.03, 0.1, 0.3, 1.0))
+    """Standard deviations by which lines stray; how many stray by each is found from the arcs."""
     share: float = 0.05
     """Of the arcs, those of a direction, while directions are tried."""
     false_directions: float = 1e-3
