@@ -114,7 +114,8 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("directions.upright.",), lambda call: call.has("vertical"), "with `vertical`"),
         Rule(("directions.tried_axes", "directions.refined_frames"), lambda call: call.has("orthogonal"), "with `orthogonal`"),
         Rule(
-            ("directions.max_directions", "directions.min_lines"), lambda call: not call.has("orthogonal"), "without `orthogonal`",
+            ("directions.max_directions", "directions.min_lines"), lambda call: not call.has("orthogonal"),
+            "without `orthogonal`",
         ),
     ),
     "scene": (Rule(("texture_m", "textured"), lambda call: call.has("textures"), "with `textures`"),),

@@ -63,9 +63,9 @@ class Meeting:
         return largest_sigma(self.covariance)
 
 
-def largest_sigma(covariance: Float[np.ndarray, "*k 3 3"]) -> Float[np.ndarray, "*k"]:
+def largest_sigma(covariance: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, " k"]:
     """Largest standard deviation in any one direction."""
-    sigma: Float[np.ndarray, "*k"] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[..., -1], 0.0))
+    sigma: Float[np.ndarray, " k"] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[..., -1], 0.0))
     return sigma
 
 
@@ -95,9 +95,15 @@ def meeting_directions(circles: Circles, options: DirectionsOptions = Directions
 
 
 def line_weights(circles: Circles, same_rad: float) -> Float[np.ndarray, " n"]:
-    """Of each arc, so that those of one line, as near to each other as a standard deviation of `same_rad`, add up to one."""
+    """Of each arc, so that those of one line add up to one: the middle of each lies on the circle of the other, and their normals
+    agree, as far as is known and to a standard deviation of `same_rad`."""
     sine2 = np.clip(1.0 - np.square(circles.normal @ circles.normal.T), 0.0, 1.0)
-    return 1.0 / np.exp(-0.5 * sine2 / same_rad**2).sum(1)
+    own = np.square(circles.sigma_rad)
+    off, variance = circles.off(circles.middle)
+    apart2 = np.square(off) / (variance + same_rad**2)
+    apart2 = np.maximum(np.maximum(apart2, apart2.T), sine2 / (own[:, None] + own + same_rad**2))
+    np.fill_diagonal(apart2, 0.0)
+    return 1.0 / np.exp(-0.5 * apart2).sum(1)
 
 
 def tried_directions(

@@ -1,12 +1,12 @@
 """Directions under which the arcs of one photo are most likely, from directions that are near.
 
-Lines stray from their common direction, most of them by little, some by much: with the shares a_c the stray has the standard
-deviation t_c. With the ratio r_ick of arc i for stray c and direction k (`circles.py`) and the shares w_k of the directions, the
+Lines stray from their common direction: with the shares a_c by the standard deviation t_c. With the ratio r_ick of arc i for stray c and direction k (`circles.py`) and the shares w_k of the directions, the
 arcs have the log likelihood
 
     L = sum_i g_i log(w_0 + sum_k w_k sum_c a_c r_ick),    w_0 + sum_k w_k = 1,    sum_c a_c = 1,
 
-over that of arcs turned at random. Fragments of one line stray together: their weights g add up to 1. Expectation
+over that of arcs turned at random. With shares of all strays few arcs look sharper than they are: they lead to the directions, and
+one stray describes them in the end, the most likely one. Fragments of one line stray together: their weights g add up to 1. Expectation
 maximisation: h_ick, the probability that arc i is of direction k with stray c, is its part of the sum, and the shares are means
 of h. A rotation u of d changes e = n . d by u . (d x n), so that with the variances s_ick^2 of e
 
@@ -26,7 +26,7 @@ from jaxtyping import Float
 from omnilines.structure.circles import Circles
 
 ROUNDS = 100
-SETTLED_RAD = 1e-8
+SETTLED_RAD, NEARLY_RAD = 1e-7, 1e-5
 FIRST_SHARES = 0.5
 """Of all directions together, before anything is known of them."""
 OPEN_RAD = 1.0
@@ -81,22 +81,69 @@ def fitted(
     *,
     as_frame: bool,
 ) -> Mixture:
-    """The most likely directions and shares near given directions; `as_frame`: they are at right angles, and stay so."""
-    share = np.full((len(strays_rad), len(direction)), FIRST_SHARES / (len(direction) * len(strays_rad)))
-    most = 1.0 - 1.0 / len(circles)
-    for _ in range(ROUNDS):
-        h = weight * _parts(circles.ratio(direction, strays_rad), share)[0]
-        of_direction = h.sum((0, 2)) / weight.sum()
-        share = h.sum((1, 2))[:, None] / max(float(h.sum()), TINY) * of_direction
-        share *= min(1.0, most / max(float(share.sum()), TINY))
-        turn = _step(circles, direction, h, strays_rad, as_frame)
+    """The most likely directions, shares and stray near given directions; `as_frame`: they are at right angles, and stay so.
+
+    From where all strays together lead, and from the given directions, one stray is kept: the better of both counts.
+    """
+    climb = _Climb(circles, weight, strays_rad, as_frame)
+    ends = [climb.with_one_stray(start) for start in (direction, climb.with_all_strays(direction))]
+    return max(ends, key=lambda end: end.log_likelihood)
+
+
+@dataclass(frozen=True)
+class _Climb:
+    """Expectation maximisation from given directions."""
+
+    circles: Circles
+    weight: Float[np.ndarray, " n"]
+    strays_rad: Float[np.ndarray, " c"]
+    as_frame: bool
+
+    def with_all_strays(self, direction: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+        """Where directions go while the shares of all strays are found."""
+        share = np.full((len(self.strays_rad), len(direction)), FIRST_SHARES / (len(direction) * len(self.strays_rad)))
+        for _ in range(ROUNDS):
+            h = self.weight * _parts(self.circles.ratio(direction, self.strays_rad), share)[0]
+            share = self._shares(h)
+            direction, moved = self._moved(direction, h, self.strays_rad)
+            if moved < NEARLY_RAD:
+                break
+        return direction
+
+    def with_one_stray(self, direction: Float[np.ndarray, "k 3"]) -> Mixture:
+        """Directions and shares with the stray that is most likely."""
+        share = np.full((1, len(direction)), FIRST_SHARES / len(direction))
+        at, nearby = -1, np.arange(len(self.strays_rad))
+        for _ in range(ROUNDS):
+            ratio = self.circles.ratio(direction, self.strays_rad[nearby])
+            likely = [float(self.weight @ np.log(_parts(one[None], share)[1])) for one in ratio]
+            best = int(np.argmax(likely))
+            settled, at = at == nearby[best], int(nearby[best])
+            h, _ = _parts(ratio[[best]], share)
+            share = self._shares(self.weight * h)
+            direction, moved = self._moved(direction, self.weight * h, self.strays_rad[[at]])
+            nearby = np.arange(max(at - 1, 0), min(at + 2, len(self.strays_rad)))
+            if settled and moved < SETTLED_RAD:
+                break
+        stray = self.strays_rad[[at]]
+        h, whole = _parts(self.circles.ratio(direction, stray), share)
+        covariance = _covariance(self.circles, direction, self.weight, h, stray, self.as_frame)
+        return Mixture(direction, share, stray, covariance, float(self.weight @ np.log(whole)))
+
+    def _shares(self, h: Float[np.ndarray, "c k n"]) -> Float[np.ndarray, "c k"]:
+        """By stray and by direction; some arcs are left to chance."""
+        share = h.sum((1, 2))[:, None] / max(float(h.sum()), TINY) * h.sum((0, 2)) / self.weight.sum()
+        most = 1.0 - 1.0 / len(self.circles)
+        return share * min(1.0, most / max(float(share.sum()), TINY))
+
+    def _moved(
+        self, direction: Float[np.ndarray, "k 3"], h: Float[np.ndarray, "c k n"], strays_rad: Float[np.ndarray, " c"]
+    ) -> tuple[Float[np.ndarray, "k 3"], float]:
+        """The directions after a step, and the largest component of their turns."""
+        turn = _step(self.circles, direction, h, strays_rad, self.as_frame)
         direction = direction + np.cross(turn, direction)
-        direction = _orthogonal(direction) if as_frame else direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-        if float(np.abs(turn).max()) < SETTLED_RAD:
-            break
-    h, whole = _parts(circles.ratio(direction, strays_rad), share)
-    covariance = _covariance(circles, direction, weight, h, strays_rad, as_frame)
-    return Mixture(direction, share, strays_rad, covariance, float(weight @ np.log(whole)))
+        norm = np.linalg.norm(direction, axis=-1, keepdims=True)
+        return _orthogonal(direction) if self.as_frame else direction / norm, float(np.abs(turn).max())
 
 
 def _step(
