@@ -1,4 +1,4 @@
-"""Directions of one photo against arcs drawn with known noise: none by chance, the true ones otherwise, with honest covariances."""
+"""Directions of one photo against arcs drawn with known noise: none by chance, else the true ones with honest covariances."""
 
 import json
 import math
@@ -89,7 +89,7 @@ def test_fragments_of_two_lines_are_no_direction() -> None:
     """However many there are, two lines always meet."""
     rng, parts = np.random.default_rng(3), []
     for k in range(2):
-        start, end = unit(rng.normal(size=(2, 3)) + [0, 0, 3.0])
+        start, end = unit(rng.normal(size=(2, 3)) + np.array([0, 0, 3.0]))
         middle = unit(start + np.linspace(0, 0.9, 25)[:, None] * (end - start))
         parts.append(arcs_along(np.broadcast_to(end - start, middle.shape), middle, rng, 2e-4, 0.01 + 0.005 * k))
     circles = joined(parts)
@@ -115,7 +115,7 @@ def test_true_directions_are_found_among_clutter_and_their_arcs() -> None:
 def test_covariances_hold_the_errors(stray_deg: float) -> None:
     """Of directions and of frames: Mahalanobis distances squared are chi-square with two and three degrees of freedom."""
     rng, of_directions, of_frames = np.random.default_rng(7), list[float](), list[float]()
-    for _ in range(25):
+    for _ in range(14):
         turn = random_rotation(rng)
         circles = world(turn.T, 18, 25, rng, 190.0, math.radians(stray_deg))
         found, frame = meeting_directions(circles), manhattan_frame(circles)
@@ -129,7 +129,7 @@ def test_covariances_hold_the_errors(stray_deg: float) -> None:
         skew = axes @ frame.cam_from_world.T
         error = 0.5 * np.array([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
         of_frames.append(float(error @ np.linalg.solve(frame.covariance, error)))
-    assert len(of_directions) >= 70
+    assert len(of_directions) >= 40
     assert 0.9 <= np.mean(np.array(of_directions) < 5.991) <= 1.0 and 1.0 < np.mean(of_directions) < 3.0
     assert 0.8 <= np.mean(np.array(of_frames) < 7.815) <= 1.0 and 1.5 < np.mean(of_frames) < 4.5
 

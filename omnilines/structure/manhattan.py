@@ -1,9 +1,10 @@
 """A Manhattan frame of one photo: three directions at right angles in which its lines meet, with the covariance of the rotation.
 
-Directions in which pairs of arcs meet are tried as one axis a; with any further arc of the normal n the second is a x n, and the
-third follows. The frames under which the arcs are most likely are refined as a whole (`mixture.py`). A frame is there where chance
-does not make it (`meeting.py`): the arcs count with the mean of their ratios to the axes, without the three lines that place it; and
-those that are not of its strongest axis count again with those to the two others, without the one that turns it about that axis.
+Directions in which pairs of arcs meet are tried as one axis a; with any further arc of the normal n the second is a x n, and
+the third follows. The frames under which the arcs are most likely are refined as a whole (`mixture.py`). A frame is there where
+chance does not make it (`meeting.py`): the arcs count with the mean of their ratios to the axes, without the three lines that
+place it; and those that are not of its strongest axis count again with those to the two others, without the one that turns it
+about that axis.
 """
 
 import math

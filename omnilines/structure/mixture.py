@@ -1,16 +1,17 @@
 """Directions under which the arcs of one photo are most likely, from directions that are near.
 
-Lines stray from their common direction: with the shares a_c by the standard deviation t_c. With the ratio r_ick of arc i for stray c and direction k (`circles.py`) and the shares w_k of the directions, the
-arcs have the log likelihood
+Lines stray from their common direction: with the shares a_c by the standard deviation t_c. With the ratio r_ick of arc i for
+stray c and direction k (`circles.py`) and the shares w_k of the directions, the arcs have the log likelihood
 
     L = sum_i g_i log(w_0 + sum_k w_k sum_c a_c r_ick),    w_0 + sum_k w_k = 1,    sum_c a_c = 1,
 
-over that of arcs turned at random. With shares of all strays few arcs look sharper than they are: they lead to the directions, and
-one stray describes them in the end, the most likely one. Fragments of one line stray together: their weights g add up to 1. Expectation
-maximisation: h_ick, the probability that arc i is of direction k with stray c, is its part of the sum, and the shares are means
-of h. A rotation u of d changes e = n . d by u . (d x n), so that with the variances s_ick^2 of e
+over that of arcs turned at random. Shares of all strays lead to the directions; in the end one stray describes the lines, the
+most likely one, as with all of them few arcs look sharper than they are. Fragments of one line stray together: their weights g
+add up to 1. Expectation maximisation: h_ick, the probability that arc i is of direction k with stray c, is its part of the sum,
+and the shares are means of h. A rotation u of d changes e = n . d by u . (d x n), so that with the variances s_ick^2 of e
 
-    H_k u_k = -sum_ic g_i h_ick e_ik / s_ick^2 (d_k x n_i),    H_k = sum_ic g_i h_ick / s_ick^2 (d_k x n_i)(d_k x n_i)',
+    H_k u_k = -sum_ic g_i h_ick e_ik / s_ick^2 (d_k x n_i),
+    H_k = sum_ic g_i h_ick / s_ick^2 (d_k x n_i)(d_k x n_i)',
 
 for each direction, or one u for all of them from the sums over k where they are a frame. The covariance of u is the inverse of
 the observed information, which has the second derivative of log r in place of 1 / s^2:
