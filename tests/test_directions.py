@@ -250,6 +250,10 @@ def test_idle_and_contradicting_options_are_refused(room: Path, tmp_path: Path, 
         (("--set", "directions.tried_axes=3"), "counts only with --orthogonal"),
         (("--orthogonal", "--set", "directions.upright.as_near=3"), "counts only with --vertical"),
         (("--orthogonal", "--set", "directions.min_lines=3"), "counts only without --orthogonal"),
+        (("--set", "directions.tried_rad=0"), "stray while directions are tried"),
+        (("--set", "directions.strays_rad=0.1,0"), "in ascending order"),
+        (("--set", "directions.share=0"), "above 0"),
+        (("--set", "directions.paired_arcs=1"), "Two arcs or more"),
     ):
         status, out, err = run(capsys, *given, *options)
         assert status == 2 and said in err and not out and not (tmp_path / "out").exists()

@@ -22,7 +22,7 @@ from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses
 from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
-from omnilines.structure.meeting import Meeting, meeting_directions
+from omnilines.structure.meeting import Meeting, check_options, meeting_directions
 from omnilines.structure.options import DirectionsOptions
 from omnilines.structure.upright import level_axes, vertical_direction
 
@@ -147,7 +147,7 @@ def directions(
     vertical, by photos that were held about upright, with a rotation that is right but for a turn about it. A photo in which
     none stands out from chance has none.
 
-    Raises InputError where both are asked for.
+    Raises InputError where both are asked for, or an option is out of its range.
 
         >>> found = ol.directions(ol.extract("room/", ol.load("room/calibration.yaml")), orthogonal=True)
         >>> len(found.photos), found.photos[0].names
@@ -155,6 +155,7 @@ def directions(
     """
     if orthogonal and vertical:
         raise InputError("One of `orthogonal` and `vertical` was expected, found both; a frame has the vertical as its z.")
+    check_options(options)
     wanted = Wanted.FRAME if orthogonal else Wanted.VERTICAL if vertical else Wanted.ALL
 
     def look(found: FoundArcs) -> FoundDirections:

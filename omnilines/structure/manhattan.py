@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from omnilines.structure.circles import Circles
 from omnilines.structure.meeting import (
+    AT_ONCE,
     STRAYS_TOLD_APART,
     Meeting,
     described,
@@ -69,9 +70,13 @@ def _tried_frames(
     second = second[axis, arc] / length[axis, arc, None]
     frames = np.stack([first[axis], second, np.cross(first[axis], second)], 1)
     stray = np.array([options.tried_rad])
-    others = circles.ratio(frames[:, 1:].reshape(-1, 3), stray)[0].reshape(len(frames), 2, -1)
-    ratio = circles.ratio(first, stray)[0][axis] + others.sum(1)
-    frames = frames[np.argsort(-(np.log1p(options.share * ratio) @ weight), kind="stable")]
+    of_first = circles.ratio(first, stray)[0]
+    scores = [np.zeros(0)]
+    for low in range(0, len(frames), AT_ONCE // 2):
+        own = slice(low, low + AT_ONCE // 2)
+        others = circles.ratio(frames[own, 1:].reshape(-1, 3), stray)[0].reshape(-1, 2, len(circles)).sum(1)
+        scores.append(np.log1p(options.share * (of_first[axis[own]] + others)) @ weight)
+    frames = frames[np.argsort(-np.concatenate(scores), kind="stable")]
     kept: list[np.ndarray] = []
     while len(frames) and len(kept) < options.refined_frames:
         kept.append(frames[0])
