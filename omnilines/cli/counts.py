@@ -112,7 +112,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     "directions": (
         Rule(("directions.upright.",), lambda call: call.has("vertical"), "with `vertical`"),
-        Rule(("directions.tried_axes", "directions.refined_frames"), lambda call: call.has("orthogonal"), "with `orthogonal`"),
+        Rule(("directions.tried_axes",), lambda call: call.has("orthogonal"), "with `orthogonal`"),
         Rule(
             ("directions.max_directions", "directions.min_lines"), lambda call: not call.has("orthogonal"),
             "without `orthogonal`",

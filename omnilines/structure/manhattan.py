@@ -78,7 +78,7 @@ def _tried_frames(
         scores.append(np.log1p(options.share * (of_first[axis[own]] + others)) @ weight)
     frames = frames[np.argsort(-np.concatenate(scores), kind="stable")]
     kept: list[np.ndarray] = []
-    while len(frames) and len(kept) < options.refined_frames:
+    while len(frames) and len(kept) < options.refined:
         kept.append(frames[0])
         near = np.abs(frames @ frames[0].T).max(-1) > math.cos(options.separation_rad)
         frames = frames[~near.all(-1)]

@@ -79,15 +79,11 @@ def meeting_directions(circles: Circles, options: DirectionsOptions = Directions
     weight = line_weights(own, options.tried_rad)
     found, free = np.zeros((0, 3)), np.ones(len(own), dtype=bool)
     while len(found) < options.max_directions:
-        rows = np.flatnonzero(free)
-        tried = apart(tried_directions(own.rows(rows), weight[rows], 1, options), options.separation_rad, found)
-        if not len(tried):
-            break
-        alone = fitted(own.rows(rows), weight[rows], tried, np.array(options.strays_rad), as_frame=False)
-        if not _stand(own.rows(rows), weight[rows], alone, options)[0]:
+        alone = _best(own.rows(free), weight[free], found, options)
+        if alone is None:
             break
         found = np.concatenate([found, alone.direction])
-        free[rows[alone.belongs(own.rows(rows))[:, 0] > 0.5]] = False
+        free &= alone.belongs(own)[:, 0] < 0.5
     found = apart(found, options.separation_rad)
     while len(found):
         fit = fitted(own, weight, found, np.array(options.strays_rad), as_frame=False)
@@ -96,6 +92,18 @@ def meeting_directions(circles: Circles, options: DirectionsOptions = Directions
             return described(circles, _ordered(circles, fit))
         found = kept
     return Meeting.none(len(circles))
+
+
+def _best(
+    circles: Circles, weight: Float[np.ndarray, " n"], found: Float[np.ndarray, "k 3"], options: DirectionsOptions
+) -> Mixture | None:
+    """The first of the directions tried that stands out from chance, beside those that are found."""
+    tried = tried_directions(circles, weight, options.refined, options)
+    for start in apart(tried, options.separation_rad, found):
+        alone = fitted(circles, weight, start[None], np.array(options.strays_rad), as_frame=False)
+        if _stand(circles, weight, alone, options)[0]:
+            return alone
+    return None
 
 
 def check_options(options: DirectionsOptions) -> None:

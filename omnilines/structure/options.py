@@ -93,9 +93,9 @@ class DirectionsOptions:
     """Of one photo."""
     tried_axes: int = 12
     """Directions that are tried as an axis of a Manhattan frame."""
-    refined_frames: int = 4
-    """Of the frames tried, so many of the best are refined."""
-    max_sigma_rad: float = math.radians(3.0)
+    refined: int = 4
+    """Of the directions, or frames, tried, so many of the best are refined."""
+    max_sigma_rad: float = math.radians(5.0)
     """A direction that is known less well is none."""
     upright: UprightOptions = UprightOptions()
     """Which direction is up."""

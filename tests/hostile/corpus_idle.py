@@ -63,7 +63,7 @@ IDLE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("board", ("--triangulation", "svd", "--bandwidth", "0.1")),
     ("rectify", ("--view", "cube", "--fov-deg", "100")),
     ("directions", ("--set", "directions.tried_axes=4")),
-    ("directions", ("--vertical", "--set", "directions.refined_frames=4")),
+    ("directions", ("--vertical", "--set", "directions.tried_axes=5")),
     ("directions", ("--orthogonal", "--set", "directions.max_directions=4")),
 )
 """Command -> what it is given and does nothing there; the last option is at fault."""
