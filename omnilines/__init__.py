@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import PhotoCorners, detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+    from omnilines.pipelines.directions import PhotoDirections, directions
     from omnilines.pipelines.frames import ChosenFrames, frames
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.options import SceneOptions
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from omnilines.posing.photo_poses import PhotoPoses
     from omnilines.progress import Cancelled, ProgressCallback
     from omnilines.records import Corners, ImagePoses, Lines, Segments
+    from omnilines.structure.options import DirectionsOptions
     from omnilines.studies.scene_validation import SceneValidation
     from omnilines.studies.validate import validate
     from omnilines.studies.validation import Validation
@@ -77,6 +79,8 @@ _HOMES = {
     "omnilines.pipelines.arcs": ("extract", "PhotoArcs"),
     "omnilines.pipelines.given_arcs": ("given_arcs",),
     "omnilines.extraction": ("ExtractionOptions",),
+    "omnilines.pipelines.directions": ("directions", "PhotoDirections"),
+    "omnilines.structure.options": ("DirectionsOptions",),
     "omnilines.pipelines.poses": ("estimate_poses",),
     "omnilines.posing.photo_poses": ("PhotoPoses",),
     "omnilines.posing.options": ("PosingOptions",),
@@ -115,6 +119,7 @@ __all__ = [
     "ConversionResult",
     "Corners",
     "DetectionOptions",
+    "DirectionsOptions",
     "ExtractionOptions",
     "FrameOptions",
     "GeometryError",
@@ -125,6 +130,7 @@ __all__ = [
     "OmnilinesError",
     "PhotoArcs",
     "PhotoCorners",
+    "PhotoDirections",
     "PhotoPoses",
     "Pose",
     "PosingOptions",
@@ -146,6 +152,7 @@ __all__ = [
     "convert",
     "detect",
     "detect_rig",
+    "directions",
     "estimate_poses",
     "extract",
     "frames",

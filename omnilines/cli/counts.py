@@ -110,6 +110,14 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("mirror",), lambda call: call.has("scene"), "with `scene`"),
         Rule(("pattern",), lambda call: not call.has("scene"), "without `scene`"),
     ),
+    "directions": (
+        Rule(("directions.upright.",), lambda call: call.has("vertical"), "with `vertical`"),
+        Rule(("directions.tried_axes",), lambda call: call.has("orthogonal"), "with `orthogonal`"),
+        Rule(
+            ("directions.max_directions", "directions.min_lines"), lambda call: not call.has("orthogonal"),
+            "without `orthogonal`",
+        ),
+    ),
     "scene": (Rule(("texture_m", "textured"), lambda call: call.has("textures"), "with `textures`"),),
     "reconstruct": (
         Rule(("mask", "extraction."), lambda call: not call.has("segments"), "without `segments`: arcs are not looked for then"),

@@ -1,4 +1,4 @@
-"""The command on arcs: extract."""
+"""The commands on the arcs of photos: extract, directions."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -40,3 +40,44 @@ def extract(
         )  # fmt: skip
 
     run(extracted, as_json)
+
+
+@app.command()
+def directions(
+    photos: ScenePhotos,
+    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    out: Out,
+    orthogonal: Annotated[
+        bool, typer.Option("--orthogonal", help="Three directions at right angles, and the rotation of each photo.")
+    ] = False,
+    vertical: Annotated[
+        bool, typer.Option("--vertical", help="Only the vertical, by photos held about upright, and how each is tilted.")
+    ] = False,
+    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    split: SplitInto = None,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Find the directions in which the lines of each photo meet -> directions.csv, rotations where asked for, pictures."""
+    from omnilines.commands.directions import directions as command
+    from omnilines.commands.frames import with_frames
+    from omnilines.options import with_settings
+    from omnilines.pipelines.arcs import SHORT_ARCS
+    from omnilines.structure.options import DirectionsOptions
+
+    of_arcs = [setting for setting in settings or () if setting.startswith("extraction.")]
+    others = [setting for setting in settings or () if setting not in of_arcs]
+    extraction = with_settings(SHORT_ARCS, of_arcs, "extraction.")
+    options = with_settings(DirectionsOptions(), others, "directions.")
+
+    def found(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        return with_frames(
+            lambda paths: command(
+                paths, calibration, out, orthogonal=orthogonal, vertical=vertical, mask=mask, extraction=extraction,
+                options=options, progress=progress,
+            ),
+            photos, out, split=split, progress=progress,
+        )  # fmt: skip
+
+    run(found, as_json)

@@ -1,13 +1,13 @@
 """What was found in photos: figures for tables and `--json`, and pictures of the photos with their arcs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 
 from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
@@ -22,6 +22,7 @@ COLOURS = ((80, 255, 80), (255, 190, 60), (80, 200, 255), (255, 110, 220), (90, 
 """BGR, one after another."""
 QUALITY = 92
 """Of a JPEG."""
+GREY = (150, 150, 150)
 DRAWN_EVERY_PX = 4.0
 LONG_DEG = 10.0
 """Share of arcs longer than this is told."""
@@ -69,16 +70,27 @@ def _row(found: FoundArcs, model: CameraModel) -> str:
 
 def write_pictures(folder: Path, arcs: PhotoArcs, progress: ProgressCallback) -> tuple[Path, ...]:
     """A JPEG of each photo that was used, with its arcs over it; the files."""
+    return write_drawn(
+        folder, arcs.used, lambda found: draw_arcs(found.photo.read(), arcs.cameras[found.camera], found), progress
+    )
+
+
+def write_drawn(
+    folder: Path,
+    photos: Sequence[FoundArcs],
+    drawn: Callable[[FoundArcs], UInt8[np.ndarray, "h w 3"]],
+    progress: ProgressCallback,
+) -> tuple[Path, ...]:
+    """A JPEG of each photo as it is drawn; the files."""
 
     def draw(found: FoundArcs) -> Path:
         """The picture of one photo."""
         path = folder / picture_name(found.photo)
-        picture = draw_arcs(found.photo.read(), arcs.cameras[found.camera], found)
-        write_atomically(path, jpeg_of(picture, QUALITY))
+        write_atomically(path, jpeg_of(drawn(found), QUALITY))
         return path
 
-    at_once = photos_at_once([found.photo for found in arcs.used], BYTES_PER_PIXEL)
-    return tuple(on_all_cores(draw, arcs.used, "drawing arcs", progress, at_once))
+    at_once = photos_at_once([found.photo for found in photos], BYTES_PER_PIXEL)
+    return tuple(on_all_cores(draw, photos, "drawing arcs", progress, at_once))
 
 
 def picture_name(photo: Photo) -> str:
@@ -86,13 +98,17 @@ def picture_name(photo: Photo) -> str:
     return f"{PurePosixPath(photo.name).with_suffix('')}.jpg"
 
 
-def draw_arcs(image: Shaped[np.ndarray, "h w *c"], model: CameraModel, found: FoundArcs) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo, darkened, with its arcs as curves, sampled through the model, and their end points."""
+def draw_arcs(
+    image: Shaped[np.ndarray, "h w *c"], model: CameraModel, found: FoundArcs, kind: Int[np.ndarray, " n"] | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo, darkened, with its arcs as curves, sampled through the model, and their end points, in the colour of their kind
+    (grey for -1), else one after another."""
     grey = image if image.dtype == np.uint8 else (image // 257).astype(np.uint8)
     picture = (cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) if grey.ndim == 2 else grey) // 2
     width = 1 if max(model.image_size) < 3000 else 3
     for k, curve in enumerate(curves(model, found)):
-        colour = COLOURS[k % len(COLOURS)]
+        number = k if kind is None else int(kind[k])
+        colour = COLOURS[number % len(COLOURS)] if number >= 0 else GREY
         # Across the seam of a panorama the curve goes on at the other side.
         cuts = np.flatnonzero(np.abs(np.diff(curve[:, 0])) > 0.5 * model.image_size[0]) + 1
         for piece in np.split(curve, cuts):

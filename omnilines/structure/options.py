@@ -67,3 +67,35 @@ class StructureOptions:
     """Which lines are parallel."""
     upright: UprightOptions = UprightOptions()
     """Which way is up."""
+
+
+@dataclass(frozen=True)
+class DirectionsOptions:
+    """All options of the directions in which the lines of one photo meet."""
+
+    used_arcs: int = 400
+    """Arcs whose circles are known best: the directions are estimated from so many."""
+    paired_arcs: int = 60
+    """Each pair of so many of them is tried as a direction."""
+    tried_rad: float = math.radians(0.5)
+    """Standard deviation by which parallel lines stray, while directions are tried, and up to which circles are one line."""
+    strays_rad: tuple[float, ...] = tuple(math.radians(t) for t in (0.0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0))
+    """Standard deviations by which lines may stray, in ascending order; which one it is is found from the arcs."""
+    share: float = 0.05
+    """Of the arcs, those of a direction, while directions are tried."""
+    false_directions: float = 1e-3
+    """Directions that are expected in a photo whose arcs are turned at random, at most."""
+    min_lines: float = 4.0
+    """Lines, fragments of one taken together, that a direction has at least."""
+    separation_rad: float = math.radians(3.0)
+    """Least angle between two directions."""
+    max_directions: int = 8
+    """Of one photo."""
+    tried_axes: int = 12
+    """Directions that are tried as an axis of a Manhattan frame."""
+    refined: int = 4
+    """Of the directions, or frames, tried, so many of the best are refined."""
+    max_sigma_rad: float = math.radians(5.0)
+    """A direction that is known less well is none."""
+    upright: UprightOptions = UprightOptions()
+    """Which direction is up."""

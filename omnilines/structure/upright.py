@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
@@ -20,12 +20,12 @@ from omnilines.structure.options import UprightOptions
 
 @dataclass(frozen=True)
 class Upright:
-    """The vertical of a scene."""
+    """The vertical of a scene, or of one photo."""
 
     family: int
-    """The vertical family of `Families`."""
+    """The vertical one of the directions."""
     up: Float[np.ndarray, "3"]
-    """Unit vector of the world that points up."""
+    """Unit vector that points up, in the frame of the directions."""
 
 
 def photos_up(cam_from_world: Pose) -> Float[np.ndarray, "3"]:
@@ -40,24 +40,33 @@ def photos_up(cam_from_world: Pose) -> Float[np.ndarray, "3"]:
 
 
 def vertical_family(families: Families, cam_from_world: Pose, options: UprightOptions = UprightOptions()) -> Upright | None:
-    """The family that is vertical, and its upper side; None where the photos do not tell.
+    """The family that is vertical, and its upper side; None where the photos do not tell (`vertical_direction`)."""
+    return vertical_direction(families.direction, families.members, -cam_from_world.rotation[:, 1].numpy(), options)
 
-    The angle of a family to the photos' up is the median over the photos. The vertical family is the nearest one within
+
+def vertical_direction(
+    direction: Float[np.ndarray, "k 3"],
+    members: Int[np.ndarray, " k"],
+    ups: Float[np.ndarray, "m 3"],
+    options: UprightOptions = UprightOptions(),
+) -> Upright | None:
+    """Which of some directions with so many lines is vertical, by what photos have for up (-y of their cameras).
+
+    The angle of a direction to the photos' up is the median over the photos. The vertical one is the nearest within
     `upright_rad`; where others are as near, it is the largest of them, if it has clearly more lines than the next.
     """
-    if not len(families) or not len(cam_from_world):
+    if not len(direction) or not len(ups):
         return None
-    ups = -cam_from_world.rotation[:, 1].numpy()
-    cosine = ups @ families.direction.T
+    cosine = ups @ direction.T
     side = np.where(np.median(cosine, axis=0) < 0, -1.0, 1.0)
     angle = np.median(np.arccos(np.clip(side * cosine, -1.0, 1.0)), axis=0)
     limit = min(options.as_near * float(angle.min()) + options.as_near_rad, options.upright_rad)
     near = np.flatnonzero(angle <= limit)
-    near = near[np.argsort(-families.members[near], kind="stable")]
-    if not len(near) or (len(near) > 1 and families.members[near[0]] < options.clearly_more * families.members[near[1]]):
+    near = near[np.argsort(-members[near], kind="stable")]
+    if not len(near) or (len(near) > 1 and members[near[0]] < options.clearly_more * members[near[1]]):
         return None
     best = int(near[0])
-    return Upright(best, side[best] * families.direction[best])
+    return Upright(best, side[best] * direction[best])
 
 
 def upright_from_world(
@@ -75,7 +84,11 @@ def upright_from_world(
     level = np.abs(families.direction @ z) <= sine
     # Families are sorted by size.
     x = families.direction[int(np.flatnonzero(level)[0])] if level.any() else right
-    x = x if x @ right >= 0 else -x
-    x = x - (x @ z) * z
+    return torch.as_tensor(level_axes(x if x @ right >= 0 else -x, z))
+
+
+def level_axes(right: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """x, y and z as rows, with z up and x as far to the right as is level; up is a unit vector, and not along right."""
+    x = right - (right @ up) * up
     x = x / np.linalg.norm(x)
-    return torch.as_tensor(np.stack([x, np.cross(z, x), z]))
+    return np.stack([x, np.cross(up, x), up])

@@ -62,6 +62,9 @@ IDLE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("board", ("--data", "IN/corners.csv", "--pattern", BOARD)),
     ("board", ("--triangulation", "svd", "--bandwidth", "0.1")),
     ("rectify", ("--view", "cube", "--fov-deg", "100")),
+    ("directions", ("--set", "directions.tried_axes=4")),
+    ("directions", ("--vertical", "--set", "directions.tried_axes=5")),
+    ("directions", ("--orthogonal", "--set", "directions.max_directions=4")),
 )
 """Command -> what it is given and does nothing there; the last option is at fault."""
 TWICE: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -81,6 +84,7 @@ STAGES = {
     "detect": ("detection.min_corners", "detection.fit.max_sigma_px", "detection.views.half_angle_deg"),
     "corners": ("calibration.views.least_views", "calibration.robust.reject_sigma", "calibration.start.half_angles_deg"),
     "extract": ("extraction.min_length_px", "extraction.chains.min_points", "extraction.clutter.strong_grey"),
+    "directions": ("directions.tried_rad", "directions.used_arcs", "directions.strays_rad"),
     "reconstruct": ("scene.matching.explained.reach_px", "scene.kept_lines.max_chance", "scene.seed"),
     "adjust": ("scene.adjustment.loss_scale", "scene.adjustment.weak_share", "adjustment.start_rounds"),
 }

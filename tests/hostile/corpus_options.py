@@ -15,6 +15,7 @@ BASE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "corners": (("calibrate", "IN/corners.csv", "--image-size", "646x482", "--out", "OUT"), ("corners.csv",)),
     "convert": (("convert", "IN/calibration.yaml", "OUT.yml"), ("omnilines",)),
     "extract": (("extract", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
+    "directions": (("directions", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
     "rectify": (("rectify", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
     "adjust": (
         ("adjust", *LENS, "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT"),

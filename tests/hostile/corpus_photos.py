@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "detect": ("detect", "IN/photos", *PATTERN, "--out", "OUT"),
     "calibrate": ("calibrate", "IN/photos", *PATTERN, "--model", "opencv-fisheye", "--out", "OUT"),
     "extract": ("extract", "IN/photos", *LENS, "--out", "OUT"),
+    "directions": ("directions", "IN/photos", *LENS, "--orthogonal", "--out", "OUT"),
     "rectify": ("rectify", "IN/photos", *LENS, "--size", "64x48", "--out", "OUT"),
     "reconstruct": ("reconstruct", "IN/photos", *LENS, "--poses", "IN/poses.csv", "--out", "OUT"),
     "board": ("experiment", "board", "--data", "IN/photos", *PATTERN, "--out", "OUT"),

@@ -1,0 +1,79 @@
+"""Directions of photos: figures for tables and `--json`, and pictures of the photos with the arcs of each direction."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+
+from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
+from omnilines.pipelines.arcs import FoundArcs
+from omnilines.pipelines.directions import FoundDirections, PhotoDirections
+from omnilines.progress import ProgressCallback
+from omnilines.records import Summary
+
+
+def directions_summary(found: PhotoDirections) -> Summary:
+    """A row for each photo that was used."""
+    rows = tuple((one.arcs.photo.name, _row(one)) for one in found.photos)
+    some = sum(len(one) > 0 for one in found.photos)
+    return Summary("Directions", rows, (f"a {found.wanted.value} in {some} of {len(rows)} photos",), of_photos=True)
+
+
+def _row(one: FoundDirections) -> str:
+    if not len(one):
+        return "none"
+    arcs = ", ".join(f"{name}: {count}" for name, count in zip(one.names, one.meeting.members.tolist(), strict=True))
+    sigma = np.degrees(one.meeting.sigma_rad)
+    known = f"{sigma.min():.2g}" if len(sigma) == 1 else f"{sigma.min():.2g} to {sigma.max():.2g}"
+    tilt = "" if one.tilt_rad is None else f", tilted by {math.degrees(one.tilt_rad):.2f} degrees"
+    return f"arcs of {arcs} (of {len(one.arcs)}), known to {known} degrees{tilt}"
+
+
+def directions_data(found: PhotoDirections) -> dict[str, Any]:
+    """What `--json` prints."""
+    photos = [
+        {
+            "image": one.arcs.photo.name,
+            "camera": one.arcs.camera,
+            "arcs": len(one.arcs),
+            "stray_deg": math.degrees(one.meeting.stray_rad) if len(one) else None,
+            "tilt_deg": None if one.tilt_rad is None else math.degrees(one.tilt_rad),
+            "directions": [
+                {"name": name, "xyz": direction.tolist(), "sigma_deg": math.degrees(sigma), "arcs": int(count)}
+                for name, direction, sigma, count in zip(
+                    one.names, one.meeting.direction, one.meeting.sigma_rad, one.meeting.members, strict=True
+                )
+            ],
+        }
+        for one in found.photos
+    ]
+    return {"wanted": found.wanted.value, "photos": photos, "skipped": found.arcs.skipped}
+
+
+def write_direction_pictures(folder: Path, found: PhotoDirections, progress: ProgressCallback) -> tuple[Path, ...]:
+    """A JPEG of each photo that was used with its arcs in the colours of their directions, and a ring where one is seen."""
+    of_photo = {one.arcs.photo.name: one for one in found.photos}
+
+    def drawn(arcs: FoundArcs) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture of one photo."""
+        return draw_directions(found, of_photo[arcs.photo.name])
+
+    return write_drawn(folder, found.arcs.used, drawn, progress)
+
+
+def draw_directions(found: PhotoDirections, one: FoundDirections) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo of some directions with its arcs; both sides of a direction have a ring where the photo shows them."""
+    model = found.arcs.cameras[one.arcs.camera]
+    picture = draw_arcs(one.arcs.photo.read(), model, one.arcs, one.meeting.direction_of)
+    radius = max(4, max(model.image_size) // 100)
+    for k, direction in enumerate(one.meeting.direction):
+        for side in (direction, -direction):
+            pixel, seen = model.project(torch.as_tensor(side))
+            u, v = pixel.detach().tolist()
+            if bool(seen) and 0 <= u < model.image_size[0] and 0 <= v < model.image_size[1]:
+                cv2.circle(picture, (round(u), round(v)), radius, COLOURS[k % len(COLOURS)], 2, cv2.LINE_AA)
+    return picture
