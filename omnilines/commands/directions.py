@@ -42,7 +42,7 @@ def directions(
     cameras, refs = load(calibration), find_photos(photos)
     require_distinct_stems(refs)
     camera_of = cameras_of_photos(refs, cameras)
-    keep = None if mask is None else read_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    keep = None if mask is None else read_mask(mask, refs, [cameras[name] for name in set(camera_of.values())])
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
     turns = (POSES, COVARIANCE) if orthogonal or vertical else ()
