@@ -187,7 +187,7 @@ def test_the_page_is_for_who_has_its_address(tmp_path: pathlib.Path, frames: lis
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["video", "folder"])
+@pytest.mark.parametrize("kind", ["video", pytest.param("folder", marks=pytest.mark.full)])
 def test_in_chromium(kind: str, frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
     """A video, or a growing folder, is shown, its frames are counted, the next pose is said; the end of the video, or `Finish`,
     ends it with a calibration."""

@@ -100,7 +100,7 @@ def of_views(corners: Corners, views: list[int]) -> Corners:
     return Corners(np.searchsorted(views, corners.view[rows]), names, names, corners.board_m[rows], corners.pixels[rows])
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 def test_views_that_no_good_model_fits_do_not_choose_the_model(shared_data, seed):
     """Corners of a real lens with four views that bend, are misread or misnumbered: a model that is too stiff keeps them."""
     corners, size = read_corners(shared_data / "calibration/gopro/corners.csv"), (3840, 2880)

@@ -148,7 +148,10 @@ def omnidir_pair(folder) -> tuple[Corners, list, list, list]:
 
 @pytest.mark.parametrize(
     ("model", "loss"),
-    [("scaramuzza", "none"), ("scaramuzza", "cauchy"), pytest.param("unified", "none", marks=pytest.mark.full)],
+    [
+        ("scaramuzza", "none"),
+        *(pytest.param(*both, marks=pytest.mark.full) for both in (("scaramuzza", "cauchy"), ("unified", "none"))),
+    ],
 )
 def test_real_stereo_pair_is_nearly_as_good_together_as_alone(shared_data, model, loss):
     corners, *_ = omnidir_pair(shared_data / "calibration/omnidir_corners")
