@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float
-from rig_views import BOARD, FISHEYE_220, PINHOLE, looking_along
+from rig_views import BOARD, FISHEYE_220, PINHOLE, looking_along, table_of
 
 from camera_models import CameraModel
 from camera_models.pose import Pose, rotation_from_vector
@@ -66,17 +66,7 @@ def seen_freely(
                 parts.append((len(views), BOARD[inside], pixels[inside].numpy()))
                 views.append((f"cam{c}", f"{number:05d}"))
                 times.append(clock_s)
-    images = tuple(f"{camera}/{frame}.png" for camera, frame in views)
-    return Corners(
-        np.concatenate([np.full(len(board), v) for v, board, _ in parts]),
-        images,
-        images,
-        np.concatenate([board for _, board, _ in parts]),
-        np.concatenate([pixels for _, _, pixels in parts]),
-        cameras=tuple(camera for camera, _ in views),
-        frames=tuple(frame for _, frame in views),
-        times_s=np.array(times),
-    )
+    return replace(table_of(views, parts), times_s=np.array(times))
 
 
 def noisy(corners: Corners, sigma_px: float, seed: int) -> Corners:

@@ -90,6 +90,11 @@ def seen_by_all(
         for f in torch.nonzero(inside.any(-1)).flatten().tolist():
             parts.append((len(views), BOARD[inside[f].numpy()], pixels[f][inside[f]].numpy()))
             views.append((f"cam{c}", f"{f:03d}"))
+    return table_of(views, parts)
+
+
+def table_of(views: list[tuple[str, str]], parts: list[tuple[int, np.ndarray, np.ndarray]]) -> Corners:
+    """Of views (camera, frame) and, for each, its number, its corners on the board and in the image."""
     images = tuple(f"{camera}/{frame}.png" for camera, frame in views)
     return Corners(
         np.concatenate([np.full(len(board), v) for v, board, _ in parts]),

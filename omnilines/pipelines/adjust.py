@@ -59,11 +59,8 @@ def adjust(
     idle = [name for name in OF_PHOTOS if getattr(options, name) != getattr(OF_TABLES, name)]
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
-    if pose_sigma is not None and not (min(pose_sigma) > 0 and "poses" in options.refine):
-        held = "refined" if "poses" in options.refine else "held"
-        raise InputError(
-            f"A prior on poses takes deviations above 0 and `refine` with poses, found {pose_sigma} and poses {held}."
-        )
+    if pose_sigma is not None:
+        _check_prior(pose_sigma, options)
     cameras, table = calibration_of(camera), _table_of(poses, segments)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
 
@@ -104,6 +101,15 @@ def adjust(
     return Scene(
         scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
     )
+
+
+def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:
+    """Raises InputError where the deviations of a prior are none, or poses are held."""
+    if not (min(pose_sigma) > 0 and "poses" in options.refine):
+        held = "refined" if "poses" in options.refine else "held"
+        raise InputError(
+            f"A prior on poses takes deviations above 0 and `refine` with poses, found {pose_sigma} and poses {held}."
+        )
 
 
 def _checks(scene: AdjustedScene, misfit: Misfit | None) -> tuple[Check, ...]:

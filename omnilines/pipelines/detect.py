@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -134,6 +134,10 @@ class PhotoCorners:
         return (out / CORNERS,)
 
 
+_Looked: TypeAlias = tuple[Detection, str | None, tuple[int, int] | None]
+"""What one photo shows of the target, why it was skipped, and its size."""
+
+
 def detect(
     photos: Photos,
     pattern: Pattern | str,
@@ -168,8 +172,8 @@ def detect(
 
     turned = turned_otherwise(found_photos)
 
-    def look(photo: Photo) -> tuple[Detection, str | None, tuple[int, int] | None]:
-        """What one photo shows of the target, why it was skipped, and its size."""
+    def look(photo: Photo) -> _Looked:
+        """At one photo."""
         if photo.name in turned:
             return Detection.empty(), turned[photo.name], None
         try:
@@ -190,21 +194,9 @@ def detect(
     few = 2 * len(without) > len(found)
     other = other_board(without, target, mirrored, options, progress) if few else None
     size = _common_size(found, target, other)
-    if camera is not None and size != camera.image_size:
-        photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
-        raise InputError(
-            f"The `camera` of the photos, of {photo_size}, was expected, found one of {camera_size}; give that of these photos, "
-            "or leave it out."
-        )
-    kept: list[tuple[Photo, Detection]] = []
-    skipped = []
-    for photo, (detection, reason, its_size) in zip(found_photos, found, strict=True):
-        if its_size is not None and len(detection) and its_size != size:
-            reason = f"its size is {its_size[0]}x{its_size[1]} px where most photos have {size[0]}x{size[1]} px"
-        if reason is None and len(detection):
-            kept.append((photo, detection))
-        else:
-            skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
+    if camera is not None:
+        _require_size(camera, size)
+    kept, skipped = _of_size(found_photos, found, size)
     folder = photo_folder(found_photos)
     return PhotoCorners(
         corner_table([(photo.name, detection) for photo, detection in kept], target),
@@ -222,9 +214,32 @@ def detect(
     )
 
 
-def _common_size(
-    found: Sequence[tuple[Detection, str | None, tuple[int, int] | None]], pattern: Pattern, other: str | None
-) -> tuple[int, int]:
+def _require_size(camera: CameraModel, size: tuple[int, int]) -> None:
+    """Raises InputError where a camera is of another image size than the photos."""
+    if size != camera.image_size:
+        photo_size, camera_size = (f"{width}x{height} px" for width, height in (size, camera.image_size))
+        raise InputError(
+            f"The `camera` of the photos, of {photo_size}, was expected, found one of {camera_size}; give that of these photos, "
+            "or leave it out."
+        )
+
+
+def _of_size(
+    photos: Sequence[Photo], found: Sequence[_Looked], size: tuple[int, int]
+) -> tuple[list[tuple[Photo, Detection]], list[ViewResult]]:
+    """The photos of a size that show the target, and why each of the others is skipped."""
+    kept, skipped = list[tuple[Photo, Detection]](), list[ViewResult]()
+    for photo, (detection, reason, its_size) in zip(photos, found, strict=True):
+        if its_size is not None and len(detection) and its_size != size:
+            reason = f"its size is {its_size[0]}x{its_size[1]} px where most photos have {size[0]}x{size[1]} px"
+        if reason is None and len(detection):
+            kept.append((photo, detection))
+        else:
+            skipped.append(ViewResult(photo.name, photo.name, False, reason or "no corner was found"))
+    return kept, skipped
+
+
+def _common_size(found: Sequence[_Looked], pattern: Pattern, other: str | None) -> tuple[int, int]:
     """That of most photos with corners. Raises InputError where none has any, with what they show instead."""
     sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
     if not sizes:
