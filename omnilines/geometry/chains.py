@@ -1,0 +1,29 @@
+"""Edge points of photos, linked to chains: each is thought to be one straight line of the world, seen by a camera that need not be known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Points of an edge each, in the order in which they lie along it. All photos are of one camera.
+
+    `image`: the photo of each chain, in `images`. `chain`: the chain of each point, never falling, so that the points of a chain
+    stand together. `pixels`: points in pixels (u right, v down; the first pixel's centre is at 0, 0). `normals`: unit vectors across
+    the edge in the image, towards the brighter side. `sigma_px`: standard deviation of a point along its normal.
+    """
+
+    images: tuple[str, ...]
+    image_size: tuple[int, int]
+    image: Int[np.ndarray, " chains"]
+    chain: Int[np.ndarray, " points"]
+    pixels: Float[np.ndarray, "points 2"]
+    normals: Float[np.ndarray, "points 2"]
+    sigma_px: Float[np.ndarray, " points"]
+
+    @property
+    def count(self) -> int:
+        """Number of chains."""
+        return len(self.image)
