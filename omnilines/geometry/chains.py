@@ -1,4 +1,4 @@
-"""Edge points of photos, linked to chains: each is thought to be one straight line of the world, seen by a camera that need not be known."""
+"""Edge points of photos, linked to chains: each is thought to be a straight line of the world. No camera need be known."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ class Chains:
     """Points of an edge each, in the order in which they lie along it. All photos are of one camera.
 
     `image`: the photo of each chain, in `images`. `chain`: the chain of each point, never falling, so that the points of a chain
-    stand together. `pixels`: points in pixels (u right, v down; the first pixel's centre is at 0, 0). `normals`: unit vectors across
-    the edge in the image, towards the brighter side. `sigma_px`: standard deviation of a point along its normal.
+    stand together. `pixels`: points in pixels (u right, v down; the first pixel's centre is at 0, 0). `normals`: unit vectors
+    across the edge in the image, towards the brighter side. `sigma_px`: standard deviation of a point along its normal.
     """
 
     images: tuple[str, ...]
