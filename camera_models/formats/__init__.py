@@ -37,10 +37,15 @@ class FormatEntry(NamedTuple):
 FORMATS: tuple[FormatEntry, ...] = (
     FormatEntry("colmap", "camera_models.formats.colmap:Colmap", ("cameras.txt", "cameras.bin")),
     FormatEntry("mrcal", "camera_models.formats.mrcal:Mrcal", ("*.cameramodel",)),
+    FormatEntry("opensfm", "camera_models.formats.opensfm:OpenSfM", ("*camera_models*.json", "cameras.json")),
     FormatEntry("basalt", "camera_models.formats.basalt:Basalt", ("*.json",)),
+    FormatEntry("caliscope", "camera_models.formats.caliscope:Caliscope", ("*camera_array*.toml",)),
+    FormatEntry("anipose", "camera_models.formats.anipose:Anipose", ("*.toml",)),
     FormatEntry("ocamcalib", "camera_models.formats.ocamcalib:OCamCalib", ("*calib_results*.txt", "*ocam*.txt", "*ocam*.yaml")),
     FormatEntry("kalibr", "camera_models.formats.kalibr:Kalibr", ("*camchain*.yaml", "*kalibr*.yaml")),
     FormatEntry("ros", "camera_models.formats.ros:RosCameraInfo", ("*camera_info*.yaml", "ost.yaml")),
+    FormatEntry("mc-calib", "camera_models.formats.mc_calib:MCCalib", ("*calibrated_cameras*.yml",)),
+    FormatEntry("metashape", "camera_models.formats.metashape:Metashape", ("*metashape*.xml", "*agisoft*.xml")),
     FormatEntry("opencv", "camera_models.formats.opencv:OpenCV", ("*.yml", "*.xml", "*opencv*.yaml")),
     FormatEntry("omnilines", "camera_models.formats.native:Native", ("*.yaml",)),
 )

@@ -12,7 +12,6 @@ absent: of the IMU, its own defaults are written. `rpmax`, the radius at z = 1 u
 from the coefficients and is not read. Pixels are OpenCV's.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,8 +20,8 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form
+from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, required, text
@@ -71,7 +70,7 @@ class Basalt(CalibrationFormat):
         return frozenset({"rig"})
 
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
-        data = mapping(required(mapping(_json(path), "the file"), "value0", "the file"), "value0")
+        data = mapping(required(mapping(read_json(path), "the file"), "value0", "the file"), "value0")
         intrinsics = items(required(data, "intrinsics", "value0"), "intrinsics")
         sizes = items(required(data, "resolution", "value0"), "resolution")
         poses = items(data.get("T_imu_cam") or [], "T_imu_cam")
@@ -108,21 +107,7 @@ class Basalt(CalibrationFormat):
             poses.append(dict(zip(_POSE, [*quaternion_of_pose(back), *back.translation.tolist()], strict=True)))
         sizes = [list(model.image_size) for model in calibration.values()]
         value = {"T_imu_cam": poses, "intrinsics": intrinsics, "resolution": sizes, **_ABOUT_IMU}
-        return {path: json.dumps({"value0": value}, indent=4, allow_nan=False) + "\n"}
-
-
-def _json(path: Path) -> Any:
-    content = read_text(path)
-    try:
-        return json.loads(content)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}, line {error.lineno} is not valid JSON: {error.msg}; correct it or restore the file.") from None
-    except ValueError:  # a number of more digits than Python reads
-        raise InputError(
-            f"{path} was expected to hold numbers within reason, found one of thousands of digits; restore it."
-        ) from None
-    except RecursionError:
-        raise InputError(f"{path} is nested too deeply for a calibration; restore the file.") from None
+        return {path: json_text({"value0": value})}
 
 
 def _pose(value: Any, where: str) -> Pose:

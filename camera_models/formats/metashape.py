@@ -1,0 +1,132 @@
+"""Agisoft Metashape's camera calibration (Tools, Camera Calibration, Save): one camera in XML.
+
+    frame        pinhole           x = X / Z, y = Y / Z
+    fisheye      opencv-fisheye    (x, y) = theta (cos phi, sin phi), the angles of the bearing off and about the axis
+    spherical    equirectangular
+
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + p1 (r^2 + 2 x^2) + 2 p2 x y,   y' likewise with p1 and p2 exchanged
+    u = w / 2 + cx + f x' + b1 x' + b2 y',   v = h / 2 + cy + f y'
+
+The upper left corner of the image is (0, 0) there. p1 and p2 are OpenCV's p2 and p1. Metashape User Manual, appendix
+"Camera models".
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+from xml.etree import ElementTree
+
+from camera_models._model import CameraModel
+from camera_models.errors import InputError
+from camera_models.formats.calibration_data import Calibration
+from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
+from camera_models.formats.disk import read_text
+from camera_models.formats.forms import Form, listed
+from camera_models.formats.values import image_size as size_of
+from camera_models.formats.values import number, of_text
+
+_FRAME, _FISHEYE, _SPHERICAL = "frame", "fisheye", "spherical"
+_CENTRE = 0.5
+"""Of the first pixel, in Metashape."""
+_TERMS = ("cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+_NO_PLACE = {_FRAME: ("k4", "p3", "p4"), _FISHEYE: ("b2", "p1", "p2", "p3", "p4"), _SPHERICAL: _TERMS}
+"""Terms that our model of a projection has not: they have to be 0."""
+_SIZE = ("width", "height")
+
+
+class Metashape(CalibrationFormat):
+    """An XML file with the root `calibration`."""
+
+    NAME = "metashape"
+    TITLE = "Metashape"
+    SUFFIXES = (".xml",)
+    TOGETHER = False
+    FORMS: ClassVar[tuple[Form, ...]] = (
+        Form(_FRAME, "pinhole", ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")),
+        Form(_FISHEYE, "opencv-fisheye", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+        Form(_SPHERICAL, "equirectangular", ()),
+    )
+
+    def recognises(self, path: Path, head: str) -> bool:
+        """XML with Metashape's keys."""
+        return path.suffix.lower() in self.SUFFIXES and "<calibration" in head and "<projection>" in head
+
+    def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
+        keys = _leaves(path)
+        if "projection" not in keys:
+            raise InputError("The key projection is missing in the file; add it.")
+        form = self.form_named(keys["projection"], "the file")
+        numbers = {key: _number(keys, key) for key in (*_SIZE, "f", *_TERMS)}
+        sides = [int(side) if side == int(side) else side for side in (numbers[key] for key in _SIZE)]
+        size = size_of(sides, "width and height")
+        beyond = [key for key in _NO_PLACE[form.name] if numbers[key] != 0]
+        if beyond:
+            raise InputError(
+                f"A camera of the type {form.name} was expected without {listed(beyond)}, for which the camera model "
+                f"{form.model} has no place, found {listed(f'{key} = {numbers[key]:g}' for key in beyond)}; hold these at 0 "
+                "in Metashape."
+            )
+        named = {} if form.name == _SPHERICAL else _pixels(numbers, size)
+        camera = form.camera([named[key] for key in form.order or ()], size, "the file")
+        beside = [key for key in keys if key not in ("projection", "f", "date", *_SIZE, *_TERMS)]
+        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+
+    def _documents(self, path: Path, calibration: Calibration) -> Documents:
+        ((_, model),) = calibration.items()
+        form = self.exact_form(model)
+        width, height = model.image_size
+        keys: dict[str, Any] = {"projection": form.name, "width": width, "height": height}
+        if form.name != _SPHERICAL:
+            keys |= _terms(model)
+        lines = [f"  <{key}>{value}</{key}>" for key, value in keys.items()]
+        return {path: "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', "<calibration>", *lines, "</calibration>", ""])}
+
+
+def _leaves(path: Path) -> dict[str, str]:
+    """The text of each element below the root."""
+    content = read_text(path)
+    if "<!" in content.replace("<!--", ""):
+        # Entities can make a short file long beyond memory.
+        raise InputError(f"{path} was expected to be plain XML, found a document type or a section of raw data; remove it.")
+    try:
+        # The declaration names the encoding of bytes, which a text has none of.
+        root = ElementTree.fromstring(content.encode())
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{path} is not valid XML ({error}); correct it or restore the file.") from None
+    if root.tag != "calibration":
+        raise InputError(f"{path} was expected to hold a <calibration>, found <{root.tag}>; save the calibration in Metashape.")
+    return {leaf.tag: (leaf.text or "").strip() for leaf in root}
+
+
+def _number(keys: Mapping[str, str], key: str) -> float:
+    if key not in keys and key in _TERMS:
+        return 0.0
+    if key == "f" and keys["projection"] == _SPHERICAL:
+        return 0.0
+    if key not in keys:
+        raise InputError(f"The key {key} is missing in the file; add it.")
+    try:
+        return number(of_text(keys[key]), key)
+    except ValueError:
+        raise InputError(f"{key} must be a number, found '{keys[key][:80]}'; correct it.") from None
+
+
+def _pixels(terms: Mapping[str, float], size: tuple[int, int]) -> dict[str, float]:
+    """Our parameters of Metashape's."""
+    f, b1 = terms["f"], terms["b1"]
+    named = {key: terms[key] for key in ("k1", "k2", "k3", "k4")}
+    named |= {"fx": f + b1, "fy": f, "skew": terms["b2"], "p1": terms["p2"], "p2": terms["p1"]}
+    return named | {key: terms[key] + side / 2 - _CENTRE for key, side in zip(("cx", "cy"), size, strict=True)}
+
+
+def _terms(model: CameraModel) -> dict[str, float]:
+    """Metashape's parameters of ours; those that are 0 are left out, as Metashape does."""
+    ours = model.named_parameters()
+    fx, fy = ours["fx"], ours["fy"]
+    named = {"f": fy} | {key: ours[key] - side / 2 + _CENTRE for key, side in zip(("cx", "cy"), model.image_size, strict=True)}
+    named |= {"b1": fx - fy, "b2": ours.get("skew", 0.0)}
+    named |= {key: ours.get(key, 0.0) for key in ("k1", "k2", "k3")}
+    if model.NAME == "opencv-fisheye":
+        named["k4"] = ours["k4"]
+    named |= {"p1": ours.get("p2", 0.0), "p2": ours.get("p1", 0.0)}
+    return {key: value for key, value in named.items() if value != 0 or key == "f"}
