@@ -54,6 +54,8 @@ def exchange(old: bytes, new: bytes, most: int = -1) -> Change:
 WIDTHS = {"no-width": b"0", "negative-width": b"-640", "wide": b"1000000000", "half-width": b"640.5"}
 TORN_AND_WHOLE = {("omnilines-rig", "torn-third"), ("omnilines-rig", "torn-half"), ("kalibr", "torn-third")}
 """Cut between two cameras or parts: what is left is a file of fewer."""
+OTHER_UNITS = ("metashape", "opensfm")
+"""Their files hold no focal length fx in pixels."""
 
 
 def cases() -> Iterator[Case]:
@@ -86,6 +88,8 @@ def numbered(kind: str) -> Iterator[Case]:
     """It holds numbers that no camera has."""
     name, binary = f"IN/{FILES[kind][0]}", kind == "colmap-bin"
     for what, number in NUMBERS.items():
+        if kind in OTHER_UNITS:
+            break
         # Below zero the polynomial is that of a mirror.
         if (kind.startswith("ocamcalib") and what == "negative") or (binary and what not in BINARY_NUMBERS):
             continue

@@ -48,6 +48,11 @@ FILES: dict[str, tuple[str, str, tuple[camera_models.CameraModel, ...]]] = {
     "mrcal": ("camera.cameramodel", "mrcal", (PINHOLE,)),
     "ocamcalib": ("calib_results.txt", "ocamcalib", (POLYNOMIAL,)),
     "ocamcalib-rig": ("ocam.yaml", "ocamcalib", (POLYNOMIAL, POLYNOMIAL)),
+    "anipose": ("calibration.toml", "anipose", (LENS, PINHOLE)),
+    "caliscope": ("camera_array.toml", "caliscope", (LENS, PINHOLE)),
+    "mc-calib": ("calibrated_cameras_data.yml", "mc-calib", (LENS, PINHOLE)),
+    "metashape": ("metashape.xml", "metashape", (LENS,)),
+    "opensfm": ("camera_models.json", "opensfm", (LENS, PINHOLE)),
     "ros": ("camera_info.yaml", "ros", (LENS,)),
 }
 """Kind of file -> its name, its format, its cameras."""
