@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.detect import PhotoCorners, detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
     from omnilines.pipelines.directions import PhotoDirections, directions
+    from omnilines.pipelines.export import SceneExport, export
     from omnilines.pipelines.frames import ChosenFrames, frames
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.options import SceneOptions
@@ -89,6 +90,7 @@ _HOMES = {
     "omnilines.pipelines.options": ("SceneOptions",),
     "omnilines.matching.options": ("MatchingOptions",),
     "omnilines.pipelines.adjust": ("adjust", "triangulate", "segments_of_arrays"),
+    "omnilines.pipelines.export": ("export", "SceneExport"),
     "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
     # A known truth -> photos, and what becomes of them.
     "omnilines.pipelines.render": ("render", "RenderOptions", "RenderedTargets", "RenderedScene"),
@@ -142,6 +144,7 @@ __all__ = [
     "RigCorners",
     "RigResult",
     "Scene",
+    "SceneExport",
     "SceneOptions",
     "SceneValidation",
     "Segments",
@@ -154,6 +157,7 @@ __all__ = [
     "detect_rig",
     "directions",
     "estimate_poses",
+    "export",
     "extract",
     "frames",
     "given_arcs",

@@ -32,7 +32,7 @@ from omnilines.progress import Cancelled
 from omnilines.records import ImagePoses, LengthUnit
 
 VIEWS, SIZE = 6, (400, 400)
-VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify".split()
+VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify export".split()
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,15 @@ def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
     assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").glob("[!.]*")}
     assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(scene.lines)
     assert "Stages" in scene.report(tmp_path / "report.html").read_text()
+
+
+def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_path: Path) -> None:
+    scene.save(tmp_path / "scene")
+    for given in (scene, tmp_path / "scene"):
+        for name in ("lines.dxf", "transforms.json"):
+            ol.export(given, tmp_path / ("memory" if given is scene else "folder") / name).save()
+    for name in ("lines.dxf", "transforms.json"):
+        assert (tmp_path / "memory" / name).read_bytes() == (tmp_path / "folder" / name).read_bytes()
 
 
 @pytest.mark.parametrize("verb", VERBS)

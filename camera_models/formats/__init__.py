@@ -38,6 +38,7 @@ FORMATS: tuple[FormatEntry, ...] = (
     FormatEntry("colmap", "camera_models.formats.colmap:Colmap", ("cameras.txt", "cameras.bin")),
     FormatEntry("mrcal", "camera_models.formats.mrcal:Mrcal", ("*.cameramodel",)),
     FormatEntry("opensfm", "camera_models.formats.opensfm:OpenSfM", ("*camera_models*.json", "cameras.json")),
+    FormatEntry("nerfstudio", "camera_models.formats.nerfstudio:Nerfstudio", ("*transforms*.json",)),
     FormatEntry("basalt", "camera_models.formats.basalt:Basalt", ("*.json",)),
     FormatEntry("caliscope", "camera_models.formats.caliscope:Caliscope", ("*camera_array*.toml",)),
     FormatEntry("anipose", "camera_models.formats.anipose:Anipose", ("*.toml",)),

@@ -1,4 +1,4 @@
-"""Commands on lines: reconstruct, adjust."""
+"""Commands on lines: reconstruct, adjust, export."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -214,3 +214,21 @@ def adjust(
         device=device,
     )
     _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+
+
+@app.command()
+def export(
+    scene: Annotated[Path, typer.Argument(help="Folder that reconstruct or adjust wrote.", metavar="SCENE", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
+    to_format: Annotated[
+        str | None, typer.Option("--to", help="dxf, glb, nerfstudio or limap, else told by the name of OUT.")
+    ] = None,
+    photos: Annotated[
+        Path | None, typer.Option("--photos", help="Folder of the photos, to which the frames of nerfstudio point.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio."""
+    from omnilines.commands.export import export as command
+
+    run(lambda progress: command(scene, out, to_format=to_format, photos=photos), as_json)

@@ -10,9 +10,9 @@ import numpy as np
 
 from omnilines import report
 from omnilines.adjustment.suspects import Suspect
+from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.least_squares import Outcome
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
-from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.pipelines.scene import FromPhotos, Scene
 from omnilines.records import Summary
 from omnilines.report.line_scene import (

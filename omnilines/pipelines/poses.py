@@ -19,6 +19,7 @@ from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
+from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
@@ -35,7 +36,6 @@ from omnilines.records import ImagePoses, LengthUnit
 
 SOURCES = ("sfm", "rig", "boards")
 SHEET = f"{PREFIX}WIDTHxHEIGHT"
-UNIT_KEY = "length_unit"
 """In the provenance of a scene's calibration.yaml, and in `--json`."""
 LEAST_PHOTOS = 3
 """For structure from motion."""

@@ -12,9 +12,9 @@ from camera_models.formats.calibration_data import RigCamera
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
+from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.poses import UNIT_KEY
 from omnilines.provenance import provenance
 from omnilines.records import Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families

@@ -52,6 +52,7 @@ FILES: dict[str, tuple[str, str, tuple[camera_models.CameraModel, ...]]] = {
     "caliscope": ("camera_array.toml", "caliscope", (LENS, PINHOLE)),
     "mc-calib": ("calibrated_cameras_data.yml", "mc-calib", (LENS, PINHOLE)),
     "metashape": ("metashape.xml", "metashape", (LENS,)),
+    "nerfstudio": ("transforms.json", "nerfstudio", (LENS,)),
     "opensfm": ("camera_models.json", "opensfm", (LENS, PINHOLE)),
     "ros": ("camera_info.yaml", "ros", (LENS,)),
 }

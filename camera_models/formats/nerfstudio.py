@@ -1,0 +1,115 @@
+"""Nerfstudio's transforms.json (also instant-ngp's): one camera at the top of the file, or the same one in every frame.
+
+    OPENCV             pinhole           fl_x fl_y cx cy k1 k2 p1 p2 k3
+    OPENCV_FISHEYE     opencv-fisheye    fl_x fl_y cx cy k1 k2 k3 k4
+    EQUIRECTANGULAR    equirectangular   fl_x = w / 2, fl_y = h
+
+The upper left corner of the image is (0, 0) there. Frames hold the poses of photos; a calibration has none.
+Nerfstudio documentation, "Data conventions".
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from camera_models._model import CameraModel
+from camera_models.errors import InputError
+from camera_models.formats.calibration_data import Calibration
+from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
+from camera_models.formats.forms import Form, listed
+from camera_models.formats.json_text import json_text, read_json
+from camera_models.formats.values import image_size as size_of
+from camera_models.formats.values import items, mapping, number, required, text
+
+_K = ("fx", "fy", "cx", "cy")
+_KEYS = {"fx": "fl_x", "fy": "fl_y"}
+_PINHOLE, _FISHEYE, _PANORAMA = "OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR"
+_OTHER_NAMES = {"PINHOLE": _PINHOLE, "SIMPLE_PINHOLE": _PINHOLE, "SIMPLE_RADIAL": _PINHOLE, "RADIAL": _PINHOLE}
+_CENTRE = 0.5
+"""Of the first pixel, in Nerfstudio."""
+_NO_PLACE = {_PINHOLE: ("k4",), _FISHEYE: ("p1", "p2"), _PANORAMA: ()}
+"""Terms that our model of a camera has not: they have to be 0."""
+_LENS = ("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x", "is_fisheye")
+FRAMES = "frames"
+
+
+class Nerfstudio(CalibrationFormat):
+    """transforms.json."""
+
+    NAME = "nerfstudio"
+    TITLE = "Nerfstudio"
+    SUFFIXES = (".json",)
+    TOGETHER = False
+    FORMS: ClassVar[tuple[Form, ...]] = (
+        Form(_PINHOLE, "pinhole", (*_K, "k1", "k2", "p1", "p2", "k3")),
+        Form(_FISHEYE, "opencv-fisheye", (*_K, "k1", "k2", "k3", "k4")),
+        Form(_PANORAMA, "equirectangular", ()),
+    )
+
+    def recognises(self, path: Path, head: str) -> bool:
+        """JSON with Nerfstudio's focal length, or the frames of instant-ngp."""
+        return path.suffix.lower() in self.SUFFIXES and any(key in head for key in ('"fl_x"', '"camera_angle_x"'))
+
+    def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
+        data = mapping(read_json(path), "the file")
+        frames = items(data.get(FRAMES) or [], FRAMES)
+        lenses = []
+        for index, frame in enumerate(frames):
+            lens = _lens_of(data) | _lens_of(mapping(frame, f"frame {index}"))
+            if lens not in lenses:
+                lenses.append(lens)
+        if len(lenses) > 1:
+            raise InputError(f"Frames of one camera were expected, found {len(lenses)} cameras; give the frames of one.")
+        camera = self._camera(lenses[0] if lenses else _lens_of(data), image_size)
+        beside = [key for key in data if key not in _LENS and (key != FRAMES or frames)]
+        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+
+    def _camera(self, lens: Mapping[str, Any], image_size: tuple[int, int] | None) -> CameraModel:
+        if "w" not in lens and "h" not in lens and image_size is not None:
+            size = image_size
+        else:
+            # Some tools write whole numbers as floats.
+            sides = [number(required(lens, key, "the file"), key) for key in ("w", "h")]
+            size = size_of([int(side) if side == int(side) else side for side in sides], "w, h")
+        given = text(lens.get("camera_model", _FISHEYE if lens.get("is_fisheye") is True else _PINHOLE), "camera_model")
+        form = self.form_named(_OTHER_NAMES.get(given, given), "the file")
+        beyond = [key for key in _NO_PLACE[form.name] if number(lens.get(key, 0.0), key) != 0]
+        if beyond:
+            raise InputError(
+                f"A camera {form.name} was expected without {listed(beyond)}, for which the camera model {form.model} has no "
+                "place; set these to 0 and process the photos again."
+            )
+        if form.name == _PANORAMA:
+            return form.camera([], size, "the file")
+        named = {key: number(lens.get(key, 0.0), key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
+        if "fl_x" not in lens and "camera_angle_x" in lens:
+            across = number(lens["camera_angle_x"], "camera_angle_x")
+            if not 0 < across < math.pi:
+                raise InputError(f"camera_angle_x must be an angle above 0 and below pi, found {across:g}; correct it.")
+            named["fx"] = 0.5 * size[0] / math.tan(0.5 * across)
+        else:
+            named["fx"] = number(required(lens, "fl_x", "the file"), "fl_x")
+        named["fy"] = number(lens.get("fl_y", named["fx"]), "fl_y")
+        for key, side in zip(("cx", "cy"), size, strict=True):
+            named[key] = number(lens.get(key, side / 2), key) - _CENTRE
+        return form.camera([named[key] for key in form.order or ()], size, "the file")
+
+    def _documents(self, path: Path, calibration: Calibration) -> Documents:
+        ((_, model),) = calibration.items()
+        return {path: json_text(self.lens(model) | {FRAMES: []})}
+
+    def lens(self, model: CameraModel) -> dict[str, Any]:
+        """The keys of a camera; raises InputError where the format does not hold it."""
+        form = self.exact_form(model)
+        width, height = model.image_size
+        keys: dict[str, Any] = {"camera_model": form.name, "w": width, "h": height}
+        if form.name == _PANORAMA:
+            return keys | {"fl_x": width / 2, "fl_y": float(height), "cx": width / 2, "cy": height / 2}
+        for ours, value in zip(form.order or (), form.values(model), strict=True):
+            keys[_KEYS.get(ours, ours)] = value + (_CENTRE if ours in ("cx", "cy") else 0.0)
+        return keys
+
+
+def _lens_of(keys: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in keys.items() if key in _LENS and value is not None}

@@ -1,0 +1,110 @@
+"""A scene of lines for other tools: `export`."""
+
+import fnmatch
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from camera_models import InputError
+from omnilines.files.dxf import write_dxf
+from omnilines.files.glb import write_glb
+from omnilines.files.limap import LIMAP_FILES, write_limap
+from omnilines.files.nerfstudio_scene import write_nerfstudio
+from omnilines.files.scene_folder import SCENE_TABLES, SceneTables, read_scene
+from omnilines.files.sets import claimed
+from omnilines.pipelines.scene import Scene
+
+
+class SceneFormat(NamedTuple):
+    """A format that scenes are written in."""
+
+    name: str
+    title: str
+    files: tuple[str, ...]
+    """Names that are written in this format, as shell patterns in lower case."""
+    write: Callable[..., tuple[str, ...]]
+    """(path, scene) -> what the format has no place for."""
+
+
+SCENE_FORMATS = (
+    SceneFormat("dxf", "DXF", ("*.dxf",), write_dxf),
+    SceneFormat("glb", "GLB", ("*.glb",), write_glb),
+    SceneFormat("nerfstudio", "Nerfstudio", ("*.json",), write_nerfstudio),
+    SceneFormat("limap", "LIMAP", ("*limap*",), write_limap),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneExport:
+    """A scene as a format will hold it. Nothing is written before `save`."""
+
+    scene: SceneTables
+    writer: SceneFormat
+    out: Path
+    photos: Path | None
+    """Folder of the photos, to which frames point."""
+    read: tuple[Path, ...]
+    """Files that the scene was read from."""
+
+    def save(self) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+        """Write the file or folder; the files, and what is lost or fitted. Raises InputError where the format does not hold the
+        scene, or a file cannot be written."""
+        out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
+        if self.writer.name == "limap":
+            with claimed(out, LIMAP_FILES, self.read, by="export limap") as folder:
+                lost = self.writer.write(folder, self.scene)
+            return tuple(out / name for name in LIMAP_FILES), lost
+        with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
+            lost = self.writer.write(out, self.scene, *self._way())
+        return (out,), lost
+
+    def _way(self) -> tuple[str, ...]:
+        """From a file of frames to the photos."""
+        if self.writer.name != "nerfstudio" or self.photos is None:
+            return ()
+        way = Path(os.path.relpath(os.path.abspath(self.photos), os.path.abspath(self.out.parent))).as_posix()
+        return ("" if way == "." else f"{way}/",)
+
+
+def export(
+    scene: str | Path | Scene, out: str | Path, *, to_format: str | None = None, photos: str | Path | None = None
+) -> SceneExport:
+    """A scene, or that of a folder that `reconstruct` or `adjust` wrote, for another tool. Nothing is written yet.
+
+    The format is told by the name of `out` (`lines.dxf`, `scene.glb`, `transforms.json`, a folder with limap in its name) unless
+    named: dxf, glb, nerfstudio or limap. `photos` is their folder, for nerfstudio: frames name photos relative to `out`.
+    Raises InputError where there is no such format, the folder holds no scene, or there is no such folder of photos.
+
+        >>> files, lost = ol.export("scene", "lines.dxf").save()
+        >>> [path.name for path in files]
+        ['lines.dxf']
+    """
+    path = Path(out)
+    writer = _format_of(path, to_format)
+    if photos is not None and writer.name != "nerfstudio":
+        raise InputError(f"`photos` is for nerfstudio, whose frames name them, found {writer.name}; leave it out.")
+    if photos is not None and not Path(photos).is_dir():
+        raise InputError(f"`photos` was expected to be the folder of the photos, found {photos}, which is none.")
+    if isinstance(scene, Scene):
+        return SceneExport(SceneTables(scene.cameras, scene.poses, scene.segments, scene.lines), writer, path, _path(photos), ())
+    folder = Path(scene)
+    return SceneExport(read_scene(folder), writer, path, _path(photos), tuple(folder / name for name in SCENE_TABLES))
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)
+
+
+def _format_of(out: Path, name: str | None) -> SceneFormat:
+    known = ", ".join(one.name for one in SCENE_FORMATS)
+    for one in SCENE_FORMATS:
+        if one.name == name or (name is None and any(fnmatch.fnmatchcase(out.name.lower(), pattern) for pattern in one.files)):
+            return one
+    if name is not None:
+        raise InputError(f"A format of scenes is one of {known}, found '{name}'; choose one of these.")
+    patterns = ", ".join(pattern for one in SCENE_FORMATS for pattern in one.files)
+    raise InputError(
+        f"A name that tells the format was expected ({patterns}), found '{out.name}'; name the format with `to_format`."
+    )

@@ -1,0 +1,180 @@
+"""Scenes for other tools, read again by the tools' own readers or by the rules of their documents."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import ezdxf
+import numpy as np
+import pytest
+import torch
+import trimesh
+from pylimap_scenes import PEERS
+
+import omnilines as ol
+from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Scaramuzza, save
+from camera_models.pose import Pose
+from omnilines.cli import main
+from omnilines.files import write_lines, write_poses, write_segments
+from omnilines.records import ImagePoses, Lines, Segments
+
+FAR_M = np.array([500_000.0, 5_400_000.0, 300.0])
+LENS, POLYNOMIAL = OpenCVFisheye.examples()[0], Scaramuzza.examples()[0]
+
+
+def scene(folder: Path, cameras: Calibration, images: int = 3) -> Path:
+    """Three known lines and one that is not, seen by photos that stand far from the origin."""
+    rng = np.random.default_rng(0)
+    ends = FAR_M + rng.normal(size=(4, 2, 3))
+    ends[2] = np.nan
+    unknown = np.full(4, np.nan)
+    status = ("ok", "weak", "too_few_views", "ok")
+    lines = Lines(("a b", "c", "d", "e"), ends, np.array([3, 2, 0, 2]), unknown, unknown, status)
+    turns = torch.as_tensor(rng.normal(size=(images, 3))), torch.as_tensor(FAR_M + rng.normal(size=(images, 3)))
+    poses = Pose.exp(torch.cat([turns[0], torch.zeros(images, 3)], -1))
+    poses = Pose(poses.rotation, -(poses.rotation @ turns[1][..., None])[..., 0])
+    names = tuple(f"in/{k}.png" for k in range(images))
+    of = tuple(list(cameras)[k % len(cameras)] for k in range(images))
+    image, track = np.array([0, 1, 2, 1, 0, 2, 1]), np.array([0, 0, 0, 1, 1, 3, -1])
+    segments = Segments(image, names, track, lines.tracks, rng.uniform(100, 500, (7, 2, 2)), cameras=of)
+    folder.mkdir()
+    save(folder / "calibration.yaml", cameras)
+    write_poses(folder / "poses.csv", ImagePoses(names, poses, of))
+    write_segments(folder / "segments.csv", segments)
+    write_lines(folder / "lines.csv", lines)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return scene(tmp_path / "scene", Calibration({"cam0": LENS}))
+
+
+def ends_of(folder: Path) -> np.ndarray:
+    lines = ol.read_lines(folder / "lines.csv")
+    return lines.ends_m[lines.known]
+
+
+def test_dxf_is_read_by_ezdxf(folder: Path, tmp_path: Path) -> None:
+    ((path,), lost) = ol.export(folder, tmp_path / "lines.dxf").save()
+    document = ezdxf.readfile(path)
+    assert not document.audit().errors
+    found = list(document.modelspace().query("LINE"))
+    assert [line.dxf.layer for line in found] == ["ok", "weak", "ok"]
+    np.testing.assert_array_equal([[line.dxf.start, line.dxf.end] for line in found], ends_of(folder))
+    assert "cameras and poses" in lost
+
+
+def test_glb_is_read_by_trimesh_upright_and_to_a_millimetre_far_from_the_origin(folder: Path, tmp_path: Path) -> None:
+    ((path,), _) = ol.export(folder, tmp_path / "scene.glb").save()
+    drawn = trimesh.load(path)
+    found = {}
+    for node in drawn.graph.nodes_geometry:
+        placed, name = drawn.graph.get(node)
+        found[node] = trimesh.transformations.transform_points(drawn.geometry[name].vertices, placed)
+    up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    wanted = ends_of(folder) @ up.T
+    for node, rows in (("lines ok", [0, 2]), ("lines weak", [1])):
+        ends = wanted[rows].reshape(-1, 3)
+        off = np.linalg.norm(found[node][:, None] - ends, axis=-1)
+        assert len(found[node]) == len(ends) and off.min(0).max() < 1e-3 and off.min(1).max() < 1e-3
+    assert len(found["camera centres"]) == 3
+
+
+@pytest.mark.parametrize("cameras", [{"cam0": LENS}, {"left": LENS, "right": Equirectangular([], (2048, 1024))}])
+def test_nerfstudio_frames_project_as_ours(cameras: dict, tmp_path: Path) -> None:
+    """By its documents: x right, y up, z backwards; pixels count from the corner of the image."""
+    folder = scene(tmp_path / "scene", Calibration(cameras))
+    (tmp_path / "photos").mkdir()
+    ((path,), _) = ol.export(folder, tmp_path / "transforms.json", photos=tmp_path / "photos").save()
+    data = json.loads(path.read_text())
+    poses = ol.read_poses(folder / "poses.csv")
+    assert [frame["file_path"] for frame in data["frames"]] == [f"photos/in/{k}.png" for k in range(3)]
+    for k, frame in enumerate(data["frames"]):
+        lens = data | frame
+        camera = list(cameras.values())[k % len(cameras)]
+        bearings = np.random.default_rng(k).normal([0, 0, 1.5], 1, (50, 3))
+        world = (poses.cam_from_world[k].inverse().transform(torch.as_tensor(bearings))).numpy()
+        seen = (world - np.array(frame["transform_matrix"])[:3, 3]) @ np.array(frame["transform_matrix"])[:3, :3]
+        x, y, z = (seen * [1, -1, -1]).T
+        if lens["camera_model"] == "EQUIRECTANGULAR":
+            across, down = np.arctan2(x, z) / np.pi, np.arctan2(y, np.hypot(x, z)) / np.pi
+        else:
+            r = np.hypot(x, y)
+            theta = np.arctan2(r, z)
+            scale = theta * (1 + sum(lens[f"k{n}"] * theta ** (2 * n) for n in range(1, 5))) / r
+            across, down = scale * x, scale * y
+        pixels = np.stack([lens["fl_x"] * across + lens["cx"], lens["fl_y"] * down + lens["cy"]], -1)
+        ours, valid = camera.project(bearings)
+        assert valid.mean() > 0.5
+        np.testing.assert_allclose(pixels[valid] - 0.5, ours[valid], atol=1e-5)
+
+
+def test_what_nerfstudio_does_not_hold_is_fitted_and_said(tmp_path: Path) -> None:
+    folder = scene(tmp_path / "scene", Calibration({"cam0": POLYNOMIAL}))
+    _, lost = ol.export(folder, tmp_path / "transforms.json").save()
+    assert any("cam0 (scaramuzza) fitted by" in one and "px RMS" in one for one in lost)
+
+
+def test_limap_files_hold_lines_segments_and_photos(folder: Path, tmp_path: Path) -> None:
+    ol.export(folder, tmp_path / "limap").save()
+    rows = (tmp_path / "limap" / "structures" / "lines3D.txt").read_text().splitlines()
+    assert rows[:2] == ["3", "1"] and rows[3:8] == ["3", "1 0", "2 0", "3 0", "-1.0"]
+    np.testing.assert_array_equal(np.array(rows[2].split(), dtype=float).reshape(2, 3), ends_of(folder)[0])
+    # The second segment of the second photo, and the second of the first.
+    assert rows[10:13] == ["2", "2 1", "1 1"]
+    segments = ol.read_segments(folder / "segments.csv")
+    photos = (tmp_path / "limap" / "structures" / "structures2d.txt").read_text().splitlines()
+    assert photos[:3] == ["3", "1", "0 2 0 0"]
+    first = np.array(photos[3].split(), dtype=float)
+    np.testing.assert_array_equal(first[:4], segments.endpoints_px[0].ravel() + 0.5)
+
+
+def test_limap_itself_reads_them(folder: Path, tmp_path: Path) -> None:
+    if not PEERS.is_file():
+        pytest.skip(f"LIMAP reads its files in an environment of its own, which is absent: {PEERS}; `make bench` installs it")
+    ol.export(folder, tmp_path / "limap").save()
+    script = (
+        "import sys, json, limap.scene as scene\n"
+        "whole = scene.HolisticReconstruction(); whole.read_text(sys.argv[1])\n"
+        "lines = whole.structure_recon.lines3D\n"
+        "ends = [[*map(float, lines[k].start), *map(float, lines[k].end)] for k in sorted(lines)]\n"
+        "print(json.dumps([ends, [len(lines[k].track.elements) for k in sorted(lines)]]))"
+    )
+    done = subprocess.run([PEERS, "-c", script, tmp_path / "limap"], capture_output=True, text=True, check=True)
+    ends, seen = json.loads(done.stdout.splitlines()[-1])
+    np.testing.assert_allclose(np.reshape(ends, (-1, 2, 3)), ends_of(folder), rtol=1e-15)
+    assert seen == [3, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            "{scene} {out}/lines.dwg",
+            "A name that tells the format was expected (*.dxf, *.glb, *.json, *limap*), found 'lines.dwg'",
+        ),
+        ("{scene} {out}/lines.dxf --to dwg", "A format of scenes is one of dxf, glb, nerfstudio, limap, found 'dwg'"),
+        ("{out} {out}/lines.dxf", "found no calibration.yaml in it"),
+        ("{scene} {out}/lines.dxf --photos {out}", "--photos is for nerfstudio"),
+        ("{scene} {out}/t.json --photos {out}/nowhere", "which is none"),
+        ("{scene} {scene}/lines.csv --to dxf", "lines.csv"),
+    ],
+)
+def test_what_cannot_be_exported_is_said(
+    arguments: str, said: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").mkdir()
+    before = sorted(path.name for path in folder.iterdir())
+    with pytest.raises(SystemExit) as stopped:
+        main(["export", *arguments.format(scene=folder, out=tmp_path / "out").split()])
+    assert stopped.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not list((tmp_path / "out").iterdir()) and sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_a_scene_without_poses_has_no_frames(folder: Path, tmp_path: Path) -> None:
+    table = folder / "poses.csv"
+    table.write_text(table.read_text().splitlines()[0] + "\n")
+    with pytest.raises(InputError, match=r"poses"):
+        ol.export(folder, tmp_path / "transforms.json").save()
