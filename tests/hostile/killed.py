@@ -1,6 +1,8 @@
 """Kills aimed at every moment of writing: what is found is the old set of results or the new one, whole, and a rerun mends it.
 
-    python -m hostile.killed COUNT      # from tests/; prints one line for each kill, exits with 1 where something was torn
+    python -m hostile.killed COUNT [COMMAND ...]      # from tests/
+
+One line for each kill; exits with 1 where something was torn.
 
 Everything is imported once; each run is a process forked from that, which kills itself at one of the moments of the writer.
 """
@@ -12,7 +14,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -129,18 +131,18 @@ def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Cal
     return count, failures
 
 
-def main(wanted: int) -> int:
-    """Spread a number of kills over the commands and their moments."""
+def main(wanted: int, names: Sequence[str]) -> int:
+    """Spread a number of kills over commands and their moments."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    each = -(-wanted // (2 * len(COMMANDS)))
+    each = -(-wanted // (2 * len(names)))
 
     def chosen(moments: int) -> list[int]:
         # The last ones are those at which results are moved; repeated where there are fewer moments than kills.
         return [(k + 1) * moments // each - 2 if 2 * each <= moments else k % moments for k in range(each)]
 
     total = failed = 0
-    for name in COMMANDS:
+    for name in names:
         with tempfile.TemporaryDirectory(prefix="killed-") as folder:
             count, failures = kills(name, Path(folder), chosen, lambda line: print(line, flush=True))
         total, failed = total + count, failed + failures
@@ -149,4 +151,4 @@ def main(wanted: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1])))
+    sys.exit(main(int(sys.argv[1]), sys.argv[2:] or list(COMMANDS)))
