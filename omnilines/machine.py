@@ -2,18 +2,51 @@
 
 import math
 import os
+import sys
 from pathlib import Path
 
 CONTROL_GROUP = Path("/sys/fs/cgroup")
+THREADS = "OMNILINES_THREADS"
+"""The most cores that may be used, where it is set."""
+POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""How torch, the linear algebra of NumPy and SciPy, and OpenCV are told a number of threads before they are imported."""
 
 
 def cores() -> int:
-    """Cores that the process may run on: of the machine, of its affinity (`taskset`) and of its control group's quota."""
-    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that the process may run on: of the machine, of its affinity (`taskset`), of its control group's quota and of
+    OMNILINES_THREADS."""
+    found = _seen()
     quota, _, period = _said(CONTROL_GROUP / "cpu.max").partition(" ")
     if quota.isdigit() and period.isdigit() and int(period) > 0:
         found = min(found, math.ceil(int(quota) / int(period)))
+    wanted = os.environ.get(THREADS, "")
+    if wanted.isascii() and wanted.isdigit() and int(wanted) > 0:
+        found = min(found, int(wanted))
     return max(1, found)
+
+
+def _seen() -> int:
+    """Cores that the system shows the process."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def agree_on_threads(wanted: int | None = None) -> None:
+    """All pools of threads of this process, and of those that it starts, get one number: `wanted`, at most `cores()`.
+
+    To be called before torch, NumPy and OpenCV are imported, which read the environment then; where torch and OpenCV are there
+    already they are told. Without `wanted` that is done where the process may use fewer cores than it sees (a container's
+    quota), which these pools do not ask for, and numbers that the user has set stay as they are.
+    """
+    if wanted is None and (any(os.environ.get(name) for name in POOLS) or cores() == _seen()):
+        return
+    if wanted is not None:
+        os.environ[THREADS] = str(wanted)
+    number = cores()
+    os.environ.update(dict.fromkeys(POOLS, str(number)))
+    if wanted is not None and "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(number)
+    if wanted is not None and "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(number)
 
 
 def available_bytes() -> int | None:

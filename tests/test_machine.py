@@ -1,6 +1,8 @@
 """What a container leaves of a machine: cores and memory."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -41,3 +43,43 @@ def test_photos_at_a_time_are_as_many_as_fit(tmp_path: Path, monkeypatch: pytest
     assert photos_at_once([large], 10**6) == 1
     monkeypatch.setattr(photos, "available_bytes", lambda: None)
     assert photos_at_once([small, large], 100) == 2
+
+
+TOLD = (
+    "import sys; from omnilines.cli import main\n"
+    "try: main(sys.argv[1:] + ['pattern', 'checkerboard:4x3:30mm', '--out', 'p.pdf'])\n"
+    "except SystemExit as end: assert not end.code, end.code\n"
+    "import cv2, os, torch; from omnilines.machine import POOLS, cores\n"
+    "print(cores(), torch.get_num_threads(), cv2.getNumThreads(), *{os.environ[name] for name in POOLS})"
+)
+
+
+@pytest.mark.parametrize("given", [("--threads", "1"), ("--threads", "2")], ids=" ".join)
+def test_torch_opencv_and_linear_algebra_use_as_many_threads_as_we(given: tuple[str, str], tmp_path: Path) -> None:
+    wanted = min(int(given[1]), machine.cores())
+    env = {name: value for name, value in os.environ.items() if name not in (*machine.POOLS, machine.THREADS)}
+    done = subprocess.run([sys.executable, "-c", TOLD, *given], cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == " ".join(4 * [str(wanted)])
+
+
+def test_numbers_that_the_user_has_set_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (*machine.POOLS, machine.THREADS):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    machine.agree_on_threads()
+    assert os.environ["OMP_NUM_THREADS"] == "3" and machine.POOLS[1] not in os.environ
+    monkeypatch.setenv(machine.THREADS, "1")
+    assert machine.cores() == 1
+
+
+def test_a_quota_is_told_to_the_pools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (*machine.POOLS, machine.THREADS):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setattr(machine, "CONTROL_GROUP", tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
+    machine.agree_on_threads()
+    assert not os.environ[machine.POOLS[0]]
+    (tmp_path / "cpu.max").write_text("400000 100000\n")
+    machine.agree_on_threads()
+    assert {os.environ[name] for name in machine.POOLS} == {"4"}

@@ -17,6 +17,7 @@ from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.notes import rows_shown, shortened, told
 from omnilines.cli.spelling import Application, with_flags
 from omnilines.compiled_cache import is_first_use, note_on_cache
+from omnilines.machine import agree_on_threads
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -74,8 +75,12 @@ def _root(
     show: Annotated[
         bool | None, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = None,
+    threads: Annotated[
+        int | None, typer.Option("--threads", help="Cores to use, before the command; all that the process may.", min=1)
+    ] = None,
 ) -> None:
     """Options of the command as a whole."""
+    agree_on_threads(threads)
 
 
 LONGEST_WORD = 300
