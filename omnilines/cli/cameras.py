@@ -1,4 +1,4 @@
-"""Commands on cameras: calibrate, convert, validate."""
+"""Commands on cameras: calibrate, convert, validate; doctor."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -216,5 +216,23 @@ def validate(
 
         options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
         return validate(out, pattern or TARGET, model, options, progress=progress)
+
+    run(command, as_json)
+
+
+@app.command()
+def doctor(
+    check: Annotated[
+        bool, typer.Option("--check/--no-check", help="Calibrate a rendered camera and rebuild a rendered room.")
+    ] = True,
+    as_json: Json = False,
+) -> None:
+    """What is installed, cores, caches, and a self-check of ten seconds."""
+
+    def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        from omnilines.commands.doctor import doctor as command
+
+        return command(check=check, progress=progress)
 
     run(command, as_json)
