@@ -214,6 +214,8 @@ class Summary:
     notes: tuple[str, ...] = field(default=())
     of_photos: bool = False
     """Whether there is a row for each photo, which a terminal shows the first of."""
+    verdict: str = ""
+    """What it comes to, in one or two sentences: how good the result is, and what limits it."""
 
 
 @dataclass(frozen=True)

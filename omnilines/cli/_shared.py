@@ -251,5 +251,7 @@ def _print_tables(result: "CommandResult") -> None:
         for check in result.checks:
             verdict = "holds" if check.holds else "DOES NOT HOLD"
             typer.echo(f"  {check.name:<{width}}  {figure(check.value, '.4g', check.unit)} (limit {check.limit:.4g})  {verdict}")
+    for verdict in filter(None, (summary.verdict for summary in result.summaries)):
+        typer.echo(printable(verdict))
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
 from omnilines.pages.board_curves import grid_curves_px
@@ -39,7 +40,8 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     )
     notes = result.notes if selection is None else (selection.reason, *result.notes)
     parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
-    summaries = [Summary("Calibration", rows, notes), Summary("Parameters ± one standard deviation", parameters)]
+    verdict = calibration_verdict(median, largest, (result.min_angle_deg, result.max_angle_deg), calibrated.next_views)
+    summaries = [Summary("Calibration", rows, notes, verdict=verdict), Summary("Parameters ± one standard deviation", parameters)]
     if result.board_terms:
         terms = tuple((name, with_sigma(value, result.board_sigma[name], ".3g")) for name, value in result.board_terms.items())
         summaries.append(Summary("Board ± one standard deviation", terms))
@@ -48,6 +50,18 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     if calibrated.next_views is not None:
         summaries.append(next_views_summary(calibrated.next_views))
     return tuple(summaries)
+
+
+def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[float, float], views: NextViews | None) -> str:
+    """How well the camera is known where there are data, and what limits that."""
+    if not math.isfinite(worst_px):
+        known = "How well the camera is known cannot be said from these photos."
+    else:
+        known = (
+            f"The camera is known to {figure(median_px, unit='px')} in the median and {figure(worst_px, unit='px')} at worst, "
+            f"from {reach_deg[0]:.0f} to {reach_deg[1]:.0f} degrees off axis."
+        )
+    return known if views is None or not views.limits else f"{known} {views.limits[0]}"
 
 
 def _parameter_text(result: CameraCalibration, name: str, value: float) -> str:

@@ -45,7 +45,7 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
-    summaries = [Summary("Calibration of the rig", rows, result.notes)]
+    summaries = [Summary("Calibration of the rig", rows, result.notes, verdict=_verdict(result))]
     cameras = tuple((member.name, _camera_text(member)) for member in result.members)
     summaries.append(Summary("Cameras: RMS px per point in the rig, alone; field of view", cameras))
     places = tuple((member.name, _place_text(member)) for member in result.members[1:])
@@ -85,6 +85,21 @@ def _place_text(member: RigMember) -> str:
     turn = math.degrees(float(np.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1].clip(0))))
     xyz = ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(centre, sigma, strict=True))
     return f"centre {xyz} m; turned by {angle:.3f} ± {figure(turn, '.2g')} degrees"
+
+
+def _verdict(result: RigCalibration) -> str:
+    """How well it is known where the cameras stand, and what holds the weakest of them."""
+    others = result.members[1:]
+    if not others:
+        return f"Only {result.members[0].name} could be calibrated: the other cameras share no view with it."
+    spread = [max(0.0, np.linalg.eigvalsh(centre_covariance(one.cam_from_rig, one.pose_covariance))[-1]) for one in others]
+    turn = [max(0.0, np.linalg.eigvalsh(one.pose_covariance[:3, :3])[-1]) for one in others]
+    least = others[int(np.argmax(spread))]
+    link = "" if result.weakest is None else f" The weakest link is {_names(result, result.weakest)}."
+    return (
+        f"{len(result.members)} cameras: each is known to stand within {figure(1e3 * math.sqrt(max(spread)), '.2g')} mm and "
+        f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least).{link}"
+    )
 
 
 def _clock_text(member: RigMember) -> str:

@@ -32,7 +32,21 @@ SHOWN_SUSPECTS = 5
 def scene_summary(scene: Scene) -> Summary:
     """The figures that people read first."""
     of_photos = scene.from_photos
-    return Summary("Line scene", *(_of_tables(scene) if of_photos is None else _of_photos(scene, of_photos)))
+    rows, notes = _of_tables(scene) if of_photos is None else _of_photos(scene, of_photos)
+    return Summary("Line scene", rows, notes, verdict=_verdict(scene))
+
+
+def _verdict(scene: Scene) -> str:
+    """How many lines there are and how well they are known, or why they are not to be trusted."""
+    doubts = [check.name for check in scene.checks if not check.holds]
+    if doubts:
+        return f"These lines are not to be trusted: {', '.join(doubts)} {'is' if len(doubts) == 1 else 'are'} beyond the limit."
+    lines = scene.lines
+    weak = sum(status == "weak" for status in lines.status)
+    sigma = scene.median_sigma_m()
+    known = "" if math.isnan(sigma) else f", known to {figure(sigma, '.2g', lines.unit.sign)} across in the median"
+    faint = f"; {weak} of them are weak" if weak else ""
+    return f"{int(lines.known.sum())} lines from {len(scene.poses)} photos{known}{faint}."
 
 
 def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
