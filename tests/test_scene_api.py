@@ -18,6 +18,7 @@ from omnilines.commands.resume import Stamp
 from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.files.fingerprint import content_hash, revision
 from omnilines.files.fingerprint import fingerprint as made_from
+from omnilines.pages.scene import scene_summary
 from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
 from omnilines.pipelines.arcs import PhotoArcs, extract
@@ -29,7 +30,7 @@ from omnilines.pipelines.rectify import rectify
 from omnilines.pipelines.render import RenderOptions, render_scene
 from omnilines.pipelines.scene import Scene
 from omnilines.progress import Cancelled
-from omnilines.records import ImagePoses, LengthUnit
+from omnilines.records import Check, ImagePoses, LengthUnit
 
 VIEWS, SIZE = 6, (400, 400)
 VERBS = "extract given_arcs estimate_poses reconstruct adjust triangulate segments_of_arrays rectify export".split()
@@ -81,6 +82,15 @@ def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
     assert {file.name for file in files} == {path.name for path in (tmp_path / "scene").glob("[!.]*")}
     assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(scene.lines)
     assert "Stages" in scene.report(tmp_path / "report.html").read_text()
+
+
+def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: Scene) -> None:
+    sigma_m = scene.median_sigma_m()
+    assert scene_summary(scene).verdict.startswith(
+        f"{int(scene.lines.known.sum())} lines from {VIEWS} photos, known to {sigma_m:.2g} m"
+    )
+    doubtful = replace(scene, checks=(Check("agreement", 2.0, 1.0, "px", False),))
+    assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
 
 
 def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_path: Path) -> None:
