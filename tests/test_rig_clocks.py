@@ -50,10 +50,10 @@ def test_the_path_has_the_derivatives_that_differences_have() -> None:
     base = Pose.exp(torch.randn(count, 6, generator=generator, dtype=torch.float64))
     rates = 0.1 * torch.randn(count, degree, 6, generator=generator, dtype=torch.float64)
     time_s = 0.07 * torch.randn(count, generator=generator, dtype=torch.float64)
-    times = ViewTimes(time_s, 0.066, degree, middle, torch.tensor([False, True]))
-    path, camera = BoardPath(rates, torch.tensor([0.0, 0.01], dtype=torch.float64)), torch.tensor([0, 1] * 3)
-    found = path_derivatives(base, rates, times.tau(path.offset_s, camera), times)
-    pose = pose_along(base, rates, times.tau(path.offset_s, camera), middle)
+    times = ViewTimes(time_s, 0.066, degree, middle, torch.tensor([False, True]), torch.tensor([False, False]))
+    path, camera = BoardPath(rates, torch.tensor([0.0, 0.01]).double(), torch.zeros(2).double()), torch.tensor([0, 1] * 3)
+    found = path_derivatives(base, rates, times.tau(path, camera), times)
+    pose = pose_along(base, rates, times.tau(path, camera), middle)
     step = 1e-6
     for k in range(6 * (1 + degree)):
         at = []
@@ -61,10 +61,10 @@ def test_the_path_has_the_derivatives_that_differences_have() -> None:
             moved, along = moved_run(
                 base, path, sign * torch.eye(6 * (1 + degree), dtype=torch.float64)[k].repeat(count, 1), middle
             )
-            at.append((pose_along(moved, along.rates, times.tau(path.offset_s, camera), middle) @ pose.inverse()).log())
+            at.append((pose_along(moved, along.rates, times.tau(path, camera), middle) @ pose.inverse()).log())
         assert torch.allclose(found.by_run[..., k], (at[0] - at[1]) / (2 * step), atol=1e-7)
     at = [
-        (pose_along(base, rates, times.tau(path.offset_s + tick, camera), middle) @ pose.inverse()).log()
+        (pose_along(base, rates, times.tau(replace(path, offset_s=path.offset_s + tick), camera), middle) @ pose.inverse()).log()
         for tick in (step, -step)
     ]
     assert torch.allclose(found.by_offset[..., 0], (at[0] - at[1]) / (2 * step), atol=1e-6)

@@ -22,8 +22,8 @@ from omnilines.calibration.rig.runs import Runs, find_runs
 from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.least_squares import Outcome, Solution, solve
 
-NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, which clocks are compared by"
-MISFIT = "more than half of its corners do not fit the rig, whose clocks were compared (wrong frame, detection or numbering)"
+NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, by which its motion is followed"
+MISFIT = "more than half of its corners are not where the board's motion takes them (wrong frame, detection or numbering)"
 ITERATIONS = 30
 DRAWS = 4
 """Of the motion of boards at rest: of many frames each tells nearly the same."""
@@ -32,7 +32,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class _Followed:
+class Followed:
     """A rig whose board is followed through runs."""
 
     data: RigData
@@ -40,6 +40,13 @@ class _Followed:
     solution: Solution[RigState]
     notes: tuple[str, ...]
     lost: tuple[int, ...]
+    """Views that do not fit."""
+
+    def outcome(self, before: RigOutcome, seen: SeenAlone) -> RigOutcome:
+        """The outcome `before` with this in its place."""
+        out = np.setdiff1d(np.fromiter(seen.cam_from_board, dtype=int), self.fit.views).tolist()
+        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(self.lost, MISFIT)
+        return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=lost)
 
 
 def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
@@ -54,15 +61,11 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
     if runs is None:
         return _said(outcome, _no_runs(outcome)) if asked else outcome
     while True:
-        found = _fit(replace(data, runs=runs), outcome, start, seen)
+        found = followed_fit(replace(data, runs=runs), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:
             return _said(outcome, STANDS_STILL)
-        out = np.setdiff1d(np.flatnonzero(posed), found.fit.views).tolist()
-        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(found.lost, MISFIT)
-        timed = replace(
-            outcome, data=found.data, fit=found.fit, solution=found.solution, notes=found.notes, reasons=lost, clock_notes=()
-        )
-        share = _moving_share(timed)
+        timed = replace(found.outcome(outcome, seen), clock_notes=())
+        share = moving_share(timed)
         timed = replace(timed, moving_share=share.clamp_min(limits.least_moving_share))
         sigma_s, moving = timed.offset_sigma_s, runs.free.copy()
         moving[runs.free] = (share > limits.least_moving_share).numpy()
@@ -149,12 +152,12 @@ def _with_and_without(timed: RigOutcome, runs: Runs) -> tuple[float, float]:
     return before, after
 
 
-def _moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
+def moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
     """`RigOutcome.moving_share`, from how well the clocks would seem to be known of a board at rest whose motion in each run is
     drawn from what its noise makes of it."""
     points, state = timed.fit.points.chosen(timed.fit.kept), timed.solution.state
     assert state.path is not None and timed.data.runs is not None
-    clocks = int(timed.data.runs.free.sum())
+    clocks = timed.data.ticking
     problem, generator = timed.data.problem(points), torch.Generator().manual_seed(0)
     covariance = timed.solution.eliminated_covariance()[:, 6:, 6:] * timed.factor.value
     used = torch.unique(points.frame[points.view])
@@ -169,7 +172,7 @@ def _moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
     return 1 - resting * timed.solution.kept_covariance().diagonal()[-clocks:]
 
 
-def _fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> _Followed | None:
+def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> Followed | None:
     """The rig of the views in runs; None where too few are left."""
     lost: tuple[int, ...] = ()
     while True:
@@ -184,7 +187,7 @@ def _fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -
             lost += tuple(more)
             continue
         data, fit, solution, notes = least_squares_rig(data, fit, loss)
-        return _Followed(data, fit, solution, notes, lost)
+        return Followed(data, fit, solution, notes, lost)
 
 
 def _chosen(data: RigData, outcome: RigOutcome, seen: SeenAlone, lost: tuple[int, ...]) -> Int[np.ndarray, " v"]:
@@ -208,7 +211,9 @@ def _begun(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone,
     board = torch.tensor([data.boards.index(int(b)) for b in data.views.part[posed]])
     poses = Pose.stack([seen.cam_from_board[int(v)] for v in posed])
     target = state.cam_from_rig[member].inverse() @ poses @ state.target_from_board[board].inverse()
-    offset_s, times = torch.as_tensor(runs.beside_s), runs.times(posed)
-    run = torch.as_tensor(runs.run[posed])
-    base, rates = followed(target, run, times.tau(offset_s, member), runs.count, runs.degree, times.middle_m)
-    return replace(state, models=start.models, rig_from_target=base, path=Path(rates, offset_s))
+    times, run, known = runs.times(posed, None), torch.as_tensor(runs.run[posed]), outcome.solution.state.path
+    offset_s = torch.as_tensor(runs.beside_s) if known is None else known.offset_s
+    delay_s = torch.zeros_like(offset_s) if data.readout is None else torch.as_tensor(data.readout.start_s)
+    clocks = Path(torch.zeros(runs.count, runs.degree, 6, dtype=torch.float64), offset_s, delay_s)
+    base, rates = followed(target, run, times.tau(clocks, member), runs.count, runs.degree, times.middle_m)
+    return replace(state, models=start.models, rig_from_target=base, path=replace(clocks, rates=rates))
