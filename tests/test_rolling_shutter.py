@@ -146,6 +146,11 @@ def test_frames_of_one_instant_are_not_called_rolling() -> None:
     corners = of_one(noisy(seen_in_rows(HandMotion(1), (0.0,), runs=8, **ONE), NOISE_PX, 1))
     plain = ol.calibrate(corners, MODELS[0].image_size, model="pinhole")
     assert plain.line_delay is None and not rolling_notes(plain.notes)
+
+
+@pytest.mark.full
+def test_none_is_estimated_where_there_is_none() -> None:
+    corners = of_one(noisy(seen_in_rows(HandMotion(1), (0.0,), runs=8, **ONE), NOISE_PX, 1))
     asked = ol.calibrate(corners, MODELS[0].image_size, model="pinhole", rolling_shutter=True).line_delay
     assert asked is not None and abs(asked.delay_s) < 4 * asked.sigma_s < 0.02 * DELAY_S
 

@@ -47,7 +47,8 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
-    summaries = [Summary("Calibration of the rig", rows, result.notes)]
+    title = "Calibration of the rig" if len(result.members) > 1 else "Calibration"
+    summaries = [Summary(title, rows, result.notes)]
     cameras = tuple((member.name, _camera_text(member)) for member in result.members)
     summaries.append(Summary("Cameras: RMS px per point in the rig, alone; field of view", cameras))
     places = tuple((member.name, _place_text(member)) for member in result.members[1:])
@@ -200,7 +201,8 @@ def _camera_data(member: RigMember, delays: Sequence[LineDelay]) -> dict[str, An
 
 def write_rig_page(result: RigResult, path: str | Path) -> Path:
     """Write the page of a rig and return its path."""
-    title = f"Calibration of a rig of {len(result.fit.members)} cameras"
+    count = len(result.fit.members)
+    title = f"Calibration of a rig of {count} cameras" if count > 1 else "Calibration of a camera by several boards"
     return report.write_report(path, title, rig_sections(result))
 
 

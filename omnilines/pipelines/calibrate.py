@@ -21,7 +21,7 @@ from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresh
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
-from omnilines.pipelines.line_delay import require_times, timed, with_line_delay
+from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
@@ -161,7 +161,7 @@ def calibrate(
             )
         corners = PhotoCorners.of_table(corners if isinstance(corners, Corners) else corners_of_views(corners), image_size)
     if options.rolling_shutter:
-        require_times(timed(corners).corners)
+        require_close(timed(corners).corners, options.clocks)
     found, result = _guided(corners, options, progress) if corners.photos else (corners, None)
     found = timed(found)
     notes = (*_gains(corners, found), *found.notes)

@@ -10,8 +10,9 @@ from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.rig.rolling import follow_closely
+from omnilines.calibration.rig.rolling import follow_closely, not_closely
 from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.thresholds import ClockThresholds
 from omnilines.files.frames import read_times
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import PhotoCorners
@@ -31,6 +32,17 @@ def require_times(corners: Corners) -> None:
         )
 
 
+def require_close(corners: Corners, limits: ClockThresholds) -> None:
+    """Raises InputError where the frames of one camera do not tell how its rows are read."""
+    require_times(corners)
+    if not follow_closely(_named(corners), limits):
+        raise InputError(not_closely(limits))
+
+
+def _named(corners: Corners) -> Corners:
+    return replace(corners, cameras=(CAMERA,) * len(corners.view_names))
+
+
 def timed(found: PhotoCorners) -> PhotoCorners:
     """With the times of photos that lie beside their `frames.csv`, where all are in it."""
     if found.corners.times_s is not None or found.photo_folder is None or not found.photos:
@@ -46,7 +58,7 @@ def with_line_delay(
 ) -> CameraCalibration:
     """The calibration with the line delay estimated, where options say so; else as it is, with a note where a rolling shutter is
     recognised. Raises InputError and GeometryError where it is asked for and frames do not tell."""
-    named = replace(found.corners, cameras=(CAMERA,) * len(found.corners.view_names))
+    named = _named(found.corners)
     if not options.rolling_shutter and not follow_closely(named, options.clocks):
         return result
     try:

@@ -123,6 +123,13 @@ def calibrate_rig(
     )
     seen = _seen_alone(outcome, start, posed, numbers)
     outcome = with_clocks(outcome, state, seen, asked=time_offsets)
+    if len(outcome.data.cameras) < len(start.cameras):
+        # Cameras whose clocks are not told are of the rig no more.
+        failures |= outcome.failures
+        singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
+        outcome = replace(outcome, failures=failures, singles=singles)
+        members = zip(start.cameras, start.models, strict=True)
+        state = replace(state, models=tuple(model for c, model in members if c in outcome.data.cameras))
     outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
     outcome = loosened(outcome, state, seen)
     return rig_result(without_unsupported_terms(outcome))

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.calibration.rig.fewer import without_members
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path, followed
@@ -60,6 +61,40 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
     runs = find_runs(data.views, data.cameras, posed, np.unique(data.board_m, axis=0).mean(0), limits)
     if runs is None:
         return _said(outcome, _no_runs(outcome)) if asked else outcome
+    apart = _out_of_runs(outcome, runs, posed)
+    if not apart:
+        return _compared(outcome, runs, start, seen, asked=asked)
+    left = [k for k in range(len(data.cameras)) if k not in apart]
+    why = [OUT_OF_RUNS.format(count) for count in apart.values()]
+    named = tuple(f"Camera {_name(outcome, k)}: {reason}." for k, reason in zip(apart, why, strict=True))
+    if len(left) < 2:
+        return replace(outcome, clock_notes=(*outcome.clock_notes, *named))
+    fewer = without_members(outcome, apart)
+    found = find_runs(fewer.data.views, fewer.data.cameras, posed, runs.middle_m, limits)
+    models = replace(start, models=tuple(start.models[k] for k in left))
+    told = fewer if found is None else _compared(fewer, found, models, seen, asked=asked)
+    if told.data.runs is None:
+        return replace(outcome, clock_notes=(*told.clock_notes, *named))
+    failures = {data.cameras[k]: reason for k, reason in zip(apart, why, strict=True)}
+    return replace(told, failures={**outcome.failures, **failures})
+
+
+OUT_OF_RUNS = (
+    "the board is seen in {} of its frames that are in runs of consecutive ones, which do not tell its clock, nor where it "
+    "stands beside cameras whose clocks differ; show it the board while the others see it move"
+)
+
+
+def _out_of_runs(outcome: RigOutcome, runs: Runs, posed: Bool[np.ndarray, " a"]) -> dict[int, int]:
+    """Members that are hardly in a run, with the number of their views that are."""
+    members = outcome.data.cameras
+    counts = [int((posed & (runs.run >= 0) & (runs.views.camera == c)).sum()) for c in members]
+    return {k: count for k, count in enumerate(counts) if count < outcome.thresholds.views.least_views}
+
+
+def _compared(outcome: RigOutcome, runs: Runs, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
+    """The outcome with the offsets that the runs tell; `with_clocks` of members that all are in runs."""
+    data, limits = outcome.data, outcome.thresholds.clocks
     while True:
         found = followed_fit(replace(data, runs=runs), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:

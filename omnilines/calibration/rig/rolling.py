@@ -7,17 +7,20 @@ of the noise, or what runs contradict each other by (`by_frames.py`) where that 
 bends, moves corners too, but not in every run as the board moves.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from camera_models import GeometryError, InputError
+from omnilines.calibration.intervals import stated_variance_px2
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.by_frames import spread_of_runs
 from omnilines.calibration.rig.clocks import Followed, followed_fit, moving_share
-from omnilines.calibration.rig.joint import Readout, RigData
+from omnilines.calibration.rig.joint import Readout, RigData, least_squares_rig
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.runs import Runs, find_runs
@@ -25,6 +28,7 @@ from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.thresholds import ClockThresholds
 from omnilines.least_squares import Outcome, solve
+from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
 
 ROWS, COLUMNS = 1, 0
@@ -40,7 +44,7 @@ def with_line_delays(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, a
     runs = _runs(outcome, seen)
     if runs is None:
         if asked:
-            raise InputError(_no_runs(outcome))
+            raise InputError(not_closely(outcome.thresholds.clocks))
         return outcome
     plain = followed_fit(replace(outcome.data, runs=runs), outcome, start, seen)
     if plain is None or plain.solution.outcome is Outcome.DEGENERATE:
@@ -53,7 +57,7 @@ def with_line_delays(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, a
         found = followed_fit(replace(outcome.data, runs=runs, readout=readout), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:
             return outcome
-        rolled = found.outcome(outcome, seen)
+        rolled = _reweighed(found, outcome).outcome(outcome, seen)
         least = outcome.thresholds.clocks.least_moving_share
         share = moving_share(rolled)
         rolled = replace(rolled, moving_share=share.clamp_min(least))
@@ -65,6 +69,29 @@ def with_line_delays(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, a
         outcome = replace(outcome, line_notes=(*outcome.line_notes, _untold(names))) if asked else outcome
         readout = replace(readout, free=readout.free & ~still)
     return outcome
+
+
+def _reweighed(found: Followed, outcome: RigOutcome) -> Followed:
+    """The same with the noise of each member's corners as it is once they are seen when they were: alone, with all rows of one
+    instant, cameras do not fit as well."""
+    data, fit, noise = found.data, found.fit, outcome.thresholds.noise
+    corners, points = data.views.corners, fit.points.chosen(fit.kept)
+    squares = found.solution.state.residual_px(points).mul(points.weight[:, None]).square().sum(-1)
+    camera = points.camera[points.view]
+    freedom = replace(outcome, data=data, fit=fit, solution=found.solution).freedom
+    sigma_px = []
+    for k, (c, before_px) in enumerate(zip(data.cameras, data.sigma_px, strict=True)):
+        own = camera == k
+        stated_px2 = stated_variance_px2(corners, data.views.camera[corners.view] == c, noise.corner_floor_px)
+        stated = None if stated_px2 is None else stated_px2 / before_px**2
+        share = freedom * float(own.to(torch.float64).mean())
+        factor = variance_factor(float(squares[own].sum()), max(1, round(share)), stated, noise.significance)
+        sigma_px.append(before_px * math.sqrt(factor.value))
+    weighed = replace(data, sigma_px=tuple(sigma_px))
+    points, views, rows = weighed.points(fit.views)
+    begun = replace(fit, points=points, problem=weighed.problem(points), views=views, rows=rows)
+    weighed, fit, solution, notes = least_squares_rig(weighed, begun, "cauchy" if outcome.rejects else "none")
+    return replace(found, data=weighed, fit=fit, solution=solution, notes=notes)
 
 
 def follow_closely(corners: Corners, limits: ClockThresholds) -> bool:
@@ -97,8 +124,8 @@ def _close(limits: ClockThresholds) -> ClockThresholds:
     return limits._replace(longest_gap_s=min(limits.longest_gap_s, limits.longest_gap_of_rows_s))
 
 
-def _no_runs(outcome: RigOutcome) -> str:
-    limits = outcome.thresholds.clocks
+def not_closely(limits: ClockThresholds) -> str:
+    """What is said where frames do not follow one another closely enough."""
     return (
         f"`rolling_shutter` follows the board through {limits.frames_of_run} consecutive frames in which it is seen, at most "
         f"{limits.longest_gap_of_rows_s:g} s apart; found none: give a video of a higher frame rate, or with the board in view "
