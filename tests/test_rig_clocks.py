@@ -8,6 +8,7 @@ import pytest
 import torch
 from clock_views import CAM_FROM_RIG, MODELS, HandMotion, noisy, seen_freely
 from rendered_video import write_video
+from rig_views import FISHEYE_220, PINHOLE
 
 import omnilines as ol
 from calib_patterns import pattern
@@ -18,6 +19,7 @@ from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.path import Path as BoardPath
 from omnilines.calibration.rig.path import ViewTimes, moved_run, path_derivatives, pose_along
 from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.views import views_of
 from omnilines.files import read_rig_corners, write_corners
 
 OFFSET_S = 0.0137
@@ -50,10 +52,10 @@ def test_the_path_has_the_derivatives_that_differences_have() -> None:
     base = Pose.exp(torch.randn(count, 6, generator=generator, dtype=torch.float64))
     rates = 0.1 * torch.randn(count, degree, 6, generator=generator, dtype=torch.float64)
     time_s = 0.07 * torch.randn(count, generator=generator, dtype=torch.float64)
-    times = ViewTimes(time_s, 0.066, degree, middle, torch.tensor([False, True]))
-    path, camera = BoardPath(rates, torch.tensor([0.0, 0.01], dtype=torch.float64)), torch.tensor([0, 1] * 3)
-    found = path_derivatives(base, rates, times.tau(path.offset_s, camera), times)
-    pose = pose_along(base, rates, times.tau(path.offset_s, camera), middle)
+    times = ViewTimes(time_s, 0.066, degree, middle, torch.tensor([False, True]), torch.tensor([False, False]))
+    path, camera = BoardPath(rates, torch.tensor([0.0, 0.01]).double(), torch.zeros(2).double()), torch.tensor([0, 1] * 3)
+    found = path_derivatives(base, rates, times.tau(path, camera), times)
+    pose = pose_along(base, rates, times.tau(path, camera), middle)
     step = 1e-6
     for k in range(6 * (1 + degree)):
         at = []
@@ -61,10 +63,10 @@ def test_the_path_has_the_derivatives_that_differences_have() -> None:
             moved, along = moved_run(
                 base, path, sign * torch.eye(6 * (1 + degree), dtype=torch.float64)[k].repeat(count, 1), middle
             )
-            at.append((pose_along(moved, along.rates, times.tau(path.offset_s, camera), middle) @ pose.inverse()).log())
+            at.append((pose_along(moved, along.rates, times.tau(path, camera), middle) @ pose.inverse()).log())
         assert torch.allclose(found.by_run[..., k], (at[0] - at[1]) / (2 * step), atol=1e-7)
     at = [
-        (pose_along(base, rates, times.tau(path.offset_s + tick, camera), middle) @ pose.inverse()).log()
+        (pose_along(base, rates, times.tau(replace(path, offset_s=path.offset_s + tick), camera), middle) @ pose.inverse()).log()
         for tick in (step, -step)
     ]
     assert torch.allclose(found.by_offset[..., 0], (at[0] - at[1]) / (2 * step), atol=1e-6)
@@ -103,6 +105,32 @@ def test_cameras_of_one_clock_and_boards_at_rest_claim_no_offset(tmp_path: Path)
     rested = calibrate_rig(noisy(seen_freely(Resting(2), (0.0, OFFSET_S), runs=6), NOISE_PX, 3), SETUPS, time_offsets=True)
     assert rested.members[1].time_offset_s is None and not told(rested)
     assert any("the board moves too little" in note for note in rested.notes)
+
+
+def test_a_camera_out_of_runs_is_named_and_the_others_are_compared() -> None:
+    """The first camera of the table sees the board in single instants alone."""
+    models = (PINHOLE, PINHOLE, FISHEYE_220)
+    beside = Pose.exp(torch.tensor([0.02, -0.1, 0.0, -0.15, 0.0, 0.02], dtype=torch.float64))
+    poses = Pose.stack([beside, CAM_FROM_RIG[0], CAM_FROM_RIG[1]])
+    seen = noisy(seen_freely(HandMotion(2), (0.0, 0.0, OFFSET_S), runs=10, models=models, cam_from_rig=poses), NOISE_PX, 1)
+    assert seen.cameras is not None and seen.frames is not None and seen.times_s is not None
+    numbers = [divmod(int(frame), 60) for frame in seen.frames]
+    kept = [k == 0 if run >= 5 else name != "cam0" for name, (run, k) in zip(seen.cameras, numbers, strict=True)]
+    views = np.flatnonzero(kept)
+    corners = replace(
+        views_of(seen, views, np.isin(seen.view, views)),
+        cameras=tuple(seen.cameras[v] for v in views),
+        frames=tuple(seen.frames[v] for v in views),
+        times_s=seen.times_s[views],
+    )
+    setups = {f"cam{c}": CameraSetup(model.image_size, model.NAME) for c, model in enumerate(models)}
+    result = calibrate_rig(corners, setups)
+    assert [member.name for member in result.members] == ["cam1", "cam2"] and list(result.left_out_alone) == ["cam0"]
+    assert "in 0 of its frames that are in runs of consecutive ones" in result.left_out["cam0"]
+    second = result.members[1]
+    assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
+    assert abs(second.time_offset_s - OFFSET_S) < 4 * second.time_offset_sigma_s < 1e-4
+    assert pose_error(result) < 28
 
 
 def test_what_has_no_times_is_refused() -> None:

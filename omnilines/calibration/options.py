@@ -30,6 +30,8 @@ class CalibrationOptions(CalibrationThresholds):
     """Whether the camera looks into a mirror (a0 < 0)."""
     refine_board: tuple[str, ...] = ()
     """What is estimated of the board: "aspect", and "flatness" (a quadratic bend) or "surface" (to the fourth degree)."""
+    rolling_shutter: bool = False
+    """Whether the line delay of each camera is estimated, from the board's motion in frames that follow one another closely."""
     searches: int = 3
     """Times at most that the camera is sent out for corners that were missed in its photos."""
 
@@ -76,6 +78,7 @@ class CalibrationFields(TypedDict, total=False):
     loss: str
     mirror: bool
     refine_board: tuple[str, ...]
+    rolling_shutter: bool
     searches: int
 
 

@@ -1,12 +1,13 @@
 """What `calibration.yaml` holds of a calibrated camera or rig."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from camera_models import Calibration, CameraEstimate
 from camera_models.formats.calibration_data import RigCamera, ViewRecord
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.single import CameraCalibration
 from omnilines.provenance import provenance
@@ -25,6 +26,7 @@ def calibration_record(result: CameraCalibration, mirror: bool, inputs: Mapping[
         sign_source=("mirror" if mirror else "assumed") if result.model.AXIS_SIGN_OPEN else None,
     )
     views = tuple(view_record(view) for view in result.views)
+    inputs = {**inputs, **_delays([result.line_delay])}
     if result.board_terms:
         # The poses of the views are those of this board.
         inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}
@@ -54,12 +56,21 @@ def rig_record(result: RigCalibration, inputs: Mapping[str, Any]) -> Calibration
     offsets = [
         f"{m.name}={m.time_offset_s:.9g}+-{m.time_offset_sigma_s:.2g}" for m in result.members if m.time_offset_s is not None
     ]
+    inputs = {**inputs, **_delays([member.line_delay for member in result.members])}
     if offsets:
         inputs = {**inputs, "time_offset_s": " ".join(offsets)}
     if result.board_terms:
         # Poses and corners are those of this board.
         inputs = {**inputs, "board": " ".join(f"{name}={value:.6g}" for name, value in result.board_terms.items())}
     return Calibration(models, estimates, rig if len(rig) > 1 else {}, views, provenance(inputs))
+
+
+def _delays(found: Sequence[LineDelay | None]) -> dict[str, str]:
+    """The line delays that the poses of the views hold, for people and for tools that read them."""
+    told = [
+        f"{delay.camera}={delay.delay_s:.6g}+-{delay.sigma_s:.2g} ({delay.order})" for delay in found if delay and delay.modelled
+    ]
+    return {"line_delay_s": " ".join(told)} if told else {}
 
 
 def view_record(view: ViewResult) -> ViewRecord:

@@ -25,6 +25,7 @@ from omnilines.calibration.diagnose import (
 )
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
@@ -75,6 +76,8 @@ class CameraCalibration:
     """Standard deviation of a corner per axis (root mean square) that the covariance rests on."""
     curved: bool = False
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
+    line_delay: LineDelay | None = None
+    """Of a rolling shutter that was recognised or estimated."""
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:

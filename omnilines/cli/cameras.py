@@ -82,6 +82,9 @@ def calibrate(
     time_offsets: Annotated[
         bool, typer.Option("--time-offsets", help="Of a rig of videos: estimate by how much each camera's clock is ahead.")
     ] = False,
+    rolling_shutter: Annotated[
+        bool, typer.Option("--rolling-shutter", help="Of videos: estimate how long after one row the next one is exposed.")
+    ] = False,
     split: SplitInto = None,
     settings: Settings = None,
     as_json: Json = False,
@@ -95,7 +98,9 @@ def calibrate(
     if given.named_cameras and not given.rig:
         raise InputError(f"`image_size` and `model` by camera count only {IN_RIG}; found one camera: name none.")
     terms = tuple(name.strip() for name in refine_board.split(",") if name.strip())
-    options = CalibrationOptions(degree=degree, coefficients=coefficients, loss=loss, mirror=mirror, refine_board=terms)
+    options = CalibrationOptions(
+        degree=degree, coefficients=coefficients, loss=loss, mirror=mirror, refine_board=terms, rolling_shutter=rolling_shutter
+    )
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

@@ -59,7 +59,7 @@ def _of_video(call: Call) -> bool:
 def _of_rig(call: Call) -> bool:
     from omnilines.pipelines.detect_rig import is_rig
 
-    return is_rig(call.values["photos"]) or call.has("split")
+    return is_rig(call.values["photos"]) or call.has("split") or "," in (call.values["pattern"] or "")
 
 
 def _of_board_photos(call: Call) -> bool:
@@ -82,7 +82,10 @@ def _refined(call: Call) -> bool:
     return "poses" in refine or "scene.refine" in call.given
 
 
-IN_RIG = "with a rig: a folder with one sub-folder per camera and equal file names, or a corners.csv with a column camera"
+IN_RIG = (
+    "with a rig (a folder with one sub-folder per camera and equal file names, or a corners.csv with a column camera) or several "
+    "patterns"
+)
 WITH_PHOTOS = "with photos, found `segments` without them"
 OF_SCENE = ("matching.", "posing.", "structure.", "rough_poses.", "rounds.", "kept_lines.", "frame.", "advice.")
 

@@ -14,6 +14,7 @@ from omnilines.commands.result import CommandResult
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.calibrate_rig import RigSetup
 from omnilines.pipelines.detect_rig import is_rig
+from omnilines.pipelines.line_delay import CAMERA
 from omnilines.progress import ProgressCallback
 
 
@@ -50,7 +51,12 @@ class CalibrationInputs:
 
     @property
     def rig(self) -> bool:
-        """Whether they are of several cameras."""
+        """Whether they are of several cameras, or of one that sees several boards."""
+        return self.several_cameras or "," in (self.pattern or "")
+
+    @property
+    def several_cameras(self) -> bool:
+        """Whether they are of several cameras, or a table of several boards."""
         return is_rig(self.photos) or self.split is not None
 
     @property
@@ -69,6 +75,8 @@ def calibrate_inputs(
     progress: ProgressCallback,
 ) -> CommandResult:
     """Calibrate from what is given and write the results into `out`; videos through their frames, which are written too."""
+    # Of one video too, a rolling shutter is told by frames that follow one another.
+    frames = replace(frames, follow=frames.follow or options.rolling_shutter)
     patterns = [text.strip() for text in (given.pattern or "").split(",")]
 
     def from_frames(command: Callable[[list[Path]], CommandResult], target: str) -> CommandResult:
@@ -85,7 +93,16 @@ def calibrate_inputs(
         if given.table is not None:
             return calibrate_rig_corners(given.table, given.image_sizes, out, setup, read=read, progress=progress)
         return from_frames(
-            lambda paths: calibrate_rig_photos(paths, patterns, out, setup, detection=detection, read=read, progress=progress),
+            lambda paths: calibrate_rig_photos(
+                paths,
+                patterns,
+                out,
+                setup,
+                camera=None if given.several_cameras else CAMERA,
+                detection=detection,
+                read=read,
+                progress=progress,
+            ),
             patterns[0],
         )
     options = replace(options, model=given.models.get("", options.model))

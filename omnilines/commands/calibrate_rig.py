@@ -22,19 +22,21 @@ def calibrate_rig_photos(
     out: Path,
     setup: RigSetup,
     *,
+    camera: str | None = None,
     detection: DetectionOptions = DetectionOptions(),
     read: Sequence[Path] = (),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate a rig from a folder with one sub-folder of photos per camera, or from these sub-folders; photos of the same name
-    are of the same instant.
+    are of the same instant. With `camera` all photos are of one camera of that name, which sees several boards.
 
     `read` are the files that the setup is from.
     Raises InputError or GeometryError with one sentence.
     """
     setup.require_photos()
     check_results(out, (*RIG_FILES, PAGE), [*folders, *read])
-    cameras = [path.name for path in (sorted(folders[0].iterdir()) if len(folders) == 1 else folders) if path.is_dir()]
+    inside = sorted(folders[0].iterdir()) if len(folders) == 1 and folders[0].is_dir() else folders
+    cameras = [path.name for path in inside if path.is_dir()] if camera is None else [camera]
     setup.require_cameras(cameras)
     perhaps = [name for name in cameras if setup.axis_sign_open(name)]
     found = detect_rig(
@@ -42,6 +44,7 @@ def calibrate_rig_photos(
         pattern_specs,
         mirrored=setup.options.mirror,
         perhaps_mirrored=perhaps,
+        camera=camera,
         options=detection,
         progress=progress,
     )

@@ -27,18 +27,20 @@ OPTIONAL = ("camera", "frame", "board", "id", "board_z_m", "sigma_px", "time_s")
 def read_corners(path: str | Path) -> Corners:
     """Corners of one camera, views in the order of first appearance.
 
-    `board_z_m` is 0 where the column is absent. Raises InputError naming file, line and column where a value is missing, is not
-    a finite number, a corner stands twice in a view, a view has two images, or the rows are of more than one camera.
+    `board_z_m` is 0 and `times_s` None where these columns are absent. Raises InputError naming file, line and column where a
+    value is missing, is not a finite number, a corner stands twice in a view, a view has two images or times, or the rows are of
+    more than one camera.
     """
     table = read_table(path, COLUMNS, OPTIONAL)
     if table.has("camera"):
         _require_one_camera(table)
     view, view_names = table.names("view")
-    return _corners(table, view, view_names)
+    times_s = _times(table, view, np.unique(view, return_index=True)[1]) if table.has("time_s") else None
+    return replace(_corners(table, view, view_names), times_s=times_s)
 
 
 def read_rig_corners(path: str | Path) -> Corners:
-    """Corners of a rig. Rows with the same view, camera and board are one view; `frames` and `times_s` are None where those
+    """Corners of a rig. Rows with the same view, camera and board are one view; `frames` and `times_s` are None where these
     columns are absent. Raises InputError as `read_corners`, and where a view has two frames or times."""
     table = read_table(path, COLUMNS, OPTIONAL)
     keys = [table.names(name) if table.has(name) else None for name in ("view", "camera", "board")]

@@ -24,6 +24,11 @@ class FrameOptions:
     frames_of_run: int = 5
     """Of the videos of a rig, so many consecutive frames are taken around each instant: they tell how the board moves, and with
     it how much earlier one camera began than another. 1: the instant alone."""
+    follow: bool = False
+    """Whether such runs are taken of one video too: they tell its rolling shutter (`calibrate` with `rolling_shutter`)."""
+    moving_runs: int = 10
+    """Of one video of a target, runs around the instants that move most, of those that were looked at, that are looked at for a
+    rolling shutter and not taken; 0: none."""
     longest_run_s: float = 1.0
     """Runs that would last longer, of videos of a low rate, are not taken: they do not tell that."""
     most_runs: int = 24

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
@@ -45,6 +46,9 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     if result.board_terms:
         terms = tuple((name, with_sigma(value, result.board_sigma[name], ".3g")) for name, value in result.board_terms.items())
         summaries.append(Summary("Board ± one standard deviation", terms))
+    if result.line_delay is not None and result.line_delay.modelled:
+        row = ("line delay", f"{result.line_delay.text}, {result.line_delay.order}")
+        summaries.append(Summary("Rolling shutter ± one standard deviation", (row,)))
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
     if calibrated.next_views is not None:
@@ -111,6 +115,7 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
         ],
         "notes": list(result.notes),
         "next_views": None if calibrated.next_views is None else next_views_data(calibrated.next_views),
+        "line_delay": line_delay_data(result.line_delay),
     }
     if result.board_terms:
         data["board"] = {name: {"value": v, "sigma": result.board_sigma[name]} for name, v in result.board_terms.items()}
@@ -132,6 +137,13 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
             ],
         }
     return data
+
+
+def line_delay_data(delay: LineDelay | None) -> dict[str, Any] | None:
+    """Of a rolling shutter; None where none was recognised."""
+    if delay is None:
+        return None
+    return {"value_s": delay.delay_s, "sigma_s": delay.sigma_s, "order": delay.order, "modelled": delay.modelled}
 
 
 def _or_none(value: float) -> float | None:

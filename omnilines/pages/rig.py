@@ -1,6 +1,7 @@
 """What the calibration of a rig tells: figures for tables and `--json`, and the sections of its report."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ from jaxtyping import Float
 from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.calibration.single import CameraCalibration
-from omnilines.pages.calibration import board_curves, projection_curve, supported_circle_px
+from omnilines.pages.calibration import board_curves, line_delay_data, projection_curve, supported_circle_px
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_rig import RigResult
@@ -45,7 +47,8 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
-    summaries = [Summary("Calibration of the rig", rows, result.notes, verdict=_verdict(result))]
+    title = "Calibration of the rig" if len(result.members) > 1 else "Calibration"
+    summaries = [Summary(title, rows, result.notes, verdict=_verdict(result))]
     cameras = tuple((member.name, _camera_text(member)) for member in result.members)
     summaries.append(Summary("Cameras: RMS px per point in the rig, alone; field of view", cameras))
     places = tuple((member.name, _place_text(member)) for member in result.members[1:])
@@ -55,6 +58,9 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
     clocks = tuple((member.name, _clock_text(member)) for member in result.members if member.time_offset_s is not None)
     if clocks:
         summaries.append(Summary(f"Clocks ahead of that of {result.members[0].name} ± one standard deviation", clocks))
+    rolling = tuple((delay.camera, f"{delay.text}, {delay.order}") for delay in result.line_delays if delay.modelled)
+    if rolling:
+        summaries.append(Summary("Rolling shutters: line delay ± one standard deviation", rolling))
     if len(result.boards) > 1:
         boards = tuple((name, _board_text(result, k)) for k, name in enumerate(result.boards))
         summaries.append(Summary(f"Boards in the frame of {result.boards[0]} ± one standard deviation", boards))
@@ -91,7 +97,8 @@ def _verdict(result: RigCalibration) -> str:
     """How well it is known where the cameras stand, and what holds the weakest of them."""
     others = result.members[1:]
     if not others:
-        return f"Only {result.members[0].name} could be calibrated: the other cameras share no view with it."
+        alone = f"Only {result.members[0].name} could be calibrated: {', '.join(result.left_out)} share no view with it."
+        return alone if result.left_out else ""
     spread = [max(0.0, np.linalg.eigvalsh(centre_covariance(one.cam_from_rig, one.pose_covariance))[-1]) for one in others]
     turn = [max(0.0, np.linalg.eigvalsh(one.pose_covariance[:3, :3])[-1]) for one in others]
     least = others[int(np.argmax(spread))]
@@ -137,7 +144,7 @@ def rig_data(calibrated: RigResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
     result = calibrated.fit
     return {
-        "cameras": {member.name: _camera_data(member) for member in result.members},
+        "cameras": {member.name: _camera_data(member, result.line_delays) for member in result.members},
         "left_out": dict(result.left_out),
         "next_views": {name: next_views_data(views) for name, views in calibrated.next_views.items()},
         "rms_px_per_axis": result.rms_px_per_axis,
@@ -182,7 +189,7 @@ def rig_data(calibrated: RigResult) -> dict[str, Any]:
     }
 
 
-def _camera_data(member: RigMember) -> dict[str, Any]:
+def _camera_data(member: RigMember, delays: Sequence[LineDelay]) -> dict[str, Any]:
     pose = member.cam_from_rig
     return {
         "model": member.model.NAME,
@@ -204,12 +211,14 @@ def _camera_data(member: RigMember) -> dict[str, Any]:
         },
         "time_offset_s": member.time_offset_s,
         "time_offset_sigma_s": member.time_offset_sigma_s,
+        "line_delay": line_delay_data(next((found for found in delays if found.camera == member.name), None)),
     }
 
 
 def write_rig_page(result: RigResult, path: str | Path) -> Path:
     """Write the page of a rig and return its path."""
-    title = f"Calibration of a rig of {len(result.fit.members)} cameras"
+    count = len(result.fit.members)
+    title = f"Calibration of a rig of {count} cameras" if count > 1 else "Calibration of a camera by several boards"
     return report.write_report(path, title, rig_sections(result))
 
 

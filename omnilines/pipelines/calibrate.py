@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError, save
 from omnilines.calibration.duplicates import duplicate_views
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record
@@ -20,6 +21,7 @@ from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresh
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
+from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
@@ -47,6 +49,11 @@ class CalibrationResult:
     def next_views(self) -> NextViews | None:
         """What limits the calibration, and what to shoot next; None where nothing was estimated."""
         return next_views_of(self.fit, self.found.corners, self.found.photos, self.found.pattern, self.shooting)
+
+    @property
+    def line_delay(self) -> LineDelay | None:
+        """Of a rolling shutter that was recognised or estimated."""
+        return self.fit.line_delay
 
     @property
     def camera(self) -> CameraModel:
@@ -126,7 +133,9 @@ def calibrate(
     `corners` are what `detect` found: then the camera leads to corners and photos that were missed, and is calibrated anew, until
     nothing is gained. Or they are a table, as `read_corners` returns it, or by view two arrays, points of the board (n, 3) in
     metres and pixels (n, 2); then `image_size` (width, height) is needed. Fields of the options may be given by name:
-    `model="auto"` fits all camera models and takes the one that predicts held-out views best.
+    `model="auto"` fits all camera models and takes the one that predicts held-out views best. Where frames follow one another
+    closely (of a video, or a table with `times_s`) a rolling shutter is recognised, which a note says; with `rolling_shutter` its
+    line delay is estimated with all else, and the pose of a view is that at the instant of its middle row.
 
     Raises InputError for options out of range, corners outside the image and too few views, and GeometryError where the data
     cannot determine the camera.
@@ -151,14 +160,20 @@ def calibrate(
                 "give (width, height)."
             )
         corners = PhotoCorners.of_table(corners if isinstance(corners, Corners) else corners_of_views(corners), image_size)
+    if options.rolling_shutter:
+        require_close(timed(corners).corners, options.clocks)
     found, result = _guided(corners, options, progress) if corners.photos else (corners, None)
+    found = timed(found)
     notes = (*_gains(corners, found), *found.notes)
     selection = None
     if options.model == AUTO:
         selection, options, result = _selected(found, options, progress)
     if result is None:
         result = _fitted(found, options, progress)
-    result = with_remarks(result, _remarks(found, result, options.duplicates))
+    result = with_line_delay(found, result, options, progress)
+    # Frames that follow one another are alike, and are meant to be.
+    duplicates = None if options.rolling_shutter else options.duplicates
+    result = with_remarks(result, _remarks(found, result, duplicates))
     result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
     return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection, options.shooting)
 
@@ -262,11 +277,15 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _remarks(found: PhotoCorners, result: CameraCalibration, duplicates: DuplicateThresholds) -> dict[str, tuple[str, ...]]:
-    """What the photos and the table of corners say of single views: blur, and views that show the same as another."""
+def _remarks(
+    found: PhotoCorners, result: CameraCalibration, duplicates: DuplicateThresholds | None
+) -> dict[str, tuple[str, ...]]:
+    """What the photos and the table of corners say of single views: blur and, unless that is None, views that show the same as
+    another."""
     names: Sequence[str] = found.corners.view_names
     remarks: dict[str, list[str]] = {name: [remark] for name, remark in zip(names, found.remarks, strict=False) if remark}
-    for first, later in duplicate_views(found.corners, result.rms_px_per_axis, duplicates):
+    alike = () if duplicates is None else duplicate_views(found.corners, result.rms_px_per_axis, duplicates)
+    for first, later in alike:
         remarks.setdefault(names[later], []).append(
             f"it shows the board where {names[first]} does, to within the noise: a duplicate counts twice and adds little"
         )

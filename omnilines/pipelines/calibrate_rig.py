@@ -26,6 +26,7 @@ from omnilines.files import write_corners
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect_rig import RigCorners, require_all_named
+from omnilines.pipelines.line_delay import require_times
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
@@ -213,7 +214,8 @@ def calibrate_rig(
     camera. `models` are those of single cameras, by name; fields of the options, of all cameras, may be given by name. Several
     boards are "fixed" to each other, "known" (their coordinates have one frame) or "moving" by themselves. `start` are known
     cameras by name to begin from; `hold` holds their parameters. Where frames have times (of videos, or a table's `times_s`) and
-    the cameras contradict each other, the offset of each camera's clock is estimated; with `time_offsets` always.
+    the cameras contradict each other, the offset of each camera's clock is estimated; with `time_offsets` always. With
+    `rolling_shutter` the line delay of each camera is estimated too; the pose of a view is then that at its middle row.
 
     Raises InputError for options that do not fit, and GeometryError where no two cameras hang together or the data leave the rig
     open.
@@ -242,6 +244,8 @@ def calibrate_rig(
             "`time_offsets` compares cameras by when their frames were taken, found no times; give videos, or a table with a "
             "column time_s."
         )
+    if setup.options.rolling_shutter:
+        require_times(corners.corners)
     found, result = corners, _fitted(corners, setup, progress)
     again = searched_with_rig(found, result, progress)
     if again is not None:
@@ -268,6 +272,7 @@ def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> R
         seen_from_front=found.seen_from_front,
         refine_board=setup.options.refine_board,
         time_offsets=setup.time_offsets,
+        rolling_shutter=setup.options.rolling_shutter,
         thresholds=setup.options,
         callback=tell,
     )

@@ -156,8 +156,10 @@ def shared_frames(photos: Sequence[Photo]) -> tuple[str, ...]:
 
 
 def frame_of(name: PurePosixPath) -> str:
-    """The instant of a photo: its path within its camera's folder without the ending; where the file's name begins or ends with
-    that of the folder (left/left01.png), without that."""
+    """The instant of a photo: its path within its camera's folder, if it is in one, without the ending; where the file's name
+    begins or ends with that of the folder (left/left01.png), without that."""
+    if len(name.parts) < 2:
+        return name.stem
     camera, inside = name.parts[0], PurePosixPath(*name.parts[1:])
     stem = inside.stem
     if re.search("[a-zA-Z]", camera):
@@ -172,14 +174,17 @@ def detect_rig(
     *,
     mirrored: bool = False,
     perhaps_mirrored: Sequence[str] | None = None,
+    camera: str | None = None,
     options: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
 
     `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them;
-    those of the same name are of the same instant. Where no tag is read in the photos of a camera among `perhaps_mirrored` (by
-    default of any), they are read as mirror images; with `mirrored` all are. Raises InputError where no camera sees a target.
+    those of the same name are of the same instant. With `camera` all are of one camera of that name, which sees several targets
+    that are fixed to one another, such as the faces of a cube. Where no tag is read in the photos of a camera among
+    `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are. Raises InputError where no
+    camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> found.image_sizes, found.corners.frames[:2]
@@ -187,10 +192,10 @@ def detect_rig(
     """
     specs = [patterns] if isinstance(patterns, str) else patterns
     boards = [parse_pattern(text) for text in specs]
-    by_camera = _by_camera(photos)
+    by_camera = _by_camera(photos, camera)
     several = len(boards) > 1
     found: list[CameraCorners] = []
-    notes = list(_mismatches(by_camera))
+    notes = [] if camera is not None else list(_mismatches(by_camera))
     every = [photo for own in by_camera.values() for photo in own]
     for k, board in enumerate(boards):
         # Of several boards each may show the tags of another.
@@ -198,14 +203,14 @@ def detect_rig(
             board, every, any_tags=not several, mirrored=mirrored, options=options, progress=progress
         )
         notes += [otherwise] if otherwise else []
-    for camera, own in by_camera.items():
-        perhaps = perhaps_mirrored is None or camera in perhaps_mirrored
+    for name, own in by_camera.items():
+        perhaps = perhaps_mirrored is None or name in perhaps_mirrored
         for board in boards:
             try:
                 looked = _look(own, board, perhaps, mirrored, options, progress)
-                found.append(CameraCorners(camera, looked))
+                found.append(CameraCorners(name, looked))
             except InputError as error:
-                notes.append(f"Camera {camera}: {error}")
+                notes.append(f"Camera {name}: {error}")
     folder = Path(photos) if isinstance(photos, str | Path) else None if isinstance(photos, Mapping) else photo_folder(every)
     if not found:
         where = "" if folder is None else f" in {folder}"
@@ -222,8 +227,12 @@ def detect_rig(
     )
 
 
-def _by_camera(photos: str | Path | Sequence[str | Path] | Mapping[str, Photos]) -> dict[str, list[Photo]]:
-    """The photos of each camera, whose name stands before theirs."""
+def _by_camera(photos: str | Path | Sequence[str | Path] | Mapping[str, Photos], camera: str | None) -> dict[str, list[Photo]]:
+    """The photos of each camera, whose name stands before theirs; all of one `camera` where that is given."""
+    if camera is not None:
+        if isinstance(photos, Mapping):
+            raise InputError("`camera` was expected with the photos of one, found photos by camera; leave it out.")
+        return {camera: list(find_photos([photos] if isinstance(photos, str | Path) else photos))}
     if isinstance(photos, Mapping):
         return {
             camera: [replace(photo, name=f"{camera}/{photo.name}") for photo in photos_of(own)] for camera, own in photos.items()
@@ -258,7 +267,10 @@ def corners_of_cameras(
         np.array([times_s[image] for image in images]) if times_s.keys() >= set(images) else None,
     )
     sizes = {item.camera: item.found.image_size for item in found}
-    skipped = tuple(replace(view, camera=item.camera) for item in found for view in item.found.skipped)
+    # A photo that shows another of the boards is not skipped.
+    skipped = tuple(
+        replace(view, camera=item.camera) for item in found for view in item.found.skipped if view.image not in images
+    )
     return RigCorners(corners, sizes, skipped=skipped, cameras=tuple(found), times_s=times_s)
 
 

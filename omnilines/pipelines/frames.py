@@ -23,6 +23,7 @@ from omnilines.footage.stillness import Instant, Look, spaced, stillest
 from omnilines.pipelines.detect import corner_table
 from omnilines.pipelines.instants import Lens, instants_of, lenses_of
 from omnilines.pipelines.recognise import as_printed
+from omnilines.pipelines.rolling_frames import moving_runs, rolling_note
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 GUIDE = "scaramuzza"
@@ -91,7 +92,8 @@ def frames(
 
     Of every short stretch the stillest sharp instant is looked at closely. With a `pattern`, its corners are found and a camera
     is calibrated from all of them: those instants are taken that together determine the cameras best, whose blur and distortion
-    by motion (rolling shutter) count as noise. Without one, those are taken between which the scene has moved.
+    by motion (rolling shutter) count as noise. Without one, those are taken between which the scene has moved. Of one video of a
+    target a few runs of moving frames are looked at too: a rolling shutter that they show is named in the notes.
 
     Videos of the same rate and length belong together frame by frame, others by time from their beginning, unless the motion in
     them says that one began earlier. Of several videos of a target the frames just before and after each instant are taken too:
@@ -118,23 +120,28 @@ def frames(
         target, otherwise = as_printed(target, first, any_tags=True, mirrored=mirrored, options=detection, progress=progress)
         notes = () if otherwise is None else (otherwise,)
     instants, told = instants_of(lenses, options, progress)
-    looked = _Search(lenses, target, mirrored, detection).looked(_still(lenses, instants, options))
+    search, still = _Search(lenses, target, mirrored, detection), _still(lenses, instants, options)
+    run = 1 if target is None else _run_frames(sources, options)
+    moving = [] if target is None or run > 1 else moving_runs(still, instants, options)
+    looked, followed = search.looked_and_followed(still, moving)
     if not looked:
         raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
     if target is None:
         return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes + told)
-    run = _run_frames(sources, options)
     most = options.most_of_target if run == 1 else min(options.most_of_target, options.most_runs)
     chosen = _of_target(lenses, looked, target, most)
     rows = _with_runs(chosen, instants, run) if run > 1 else chosen.rows
-    return replace(chosen, rows=rows, notes=notes + told + chosen.notes)
+    rolling = rolling_note(
+        [(_image(lenses, 0, one), one.seen[0], one.time_s[0]) for one in followed], target, lenses[0].image_size
+    )
+    return replace(chosen, rows=rows, notes=notes + told + chosen.notes + rolling)
 
 
 def _run_frames(videos: Sequence[Video], options: FrameOptions) -> int:
     """How many consecutive frames are taken around each instant."""
     slowest = min(video.frames_per_s for video in videos)
     lasts_s = (options.frames_of_run - 1) / slowest
-    return options.frames_of_run if len(videos) > 1 and lasts_s <= options.longest_run_s else 1
+    return options.frames_of_run if (len(videos) > 1 or options.follow) and lasts_s <= options.longest_run_s else 1
 
 
 def _still(lenses: Sequence[Lens], instants: Sequence[Instant], options: FrameOptions) -> list[Instant]:
@@ -190,6 +197,15 @@ class _Search:
         while batch := list(itertools.islice(pictures, 2 * (os.cpu_count() or 1))):
             found += on_all_cores(self._closely, batch, "looking at frames", silent)
         return found
+
+    def looked_and_followed(
+        self, instants: Sequence[Instant], followed: Sequence[Instant]
+    ) -> tuple[list[_Looked], list[_Looked]]:
+        """What is found in some instants, and in others among which some of them may be."""
+        every = sorted({*instants, *followed}, key=lambda one: one.index)
+        found = {one.index: one for one in self.looked(every)}
+        looked, moving = ([found[one.index] for one in some if one.index in found] for some in (instants, followed))
+        return looked, moving
 
     def _closely(self, shown: tuple[Instant, tuple[np.ndarray, ...]]) -> _Looked:
         instant, pictures = shown

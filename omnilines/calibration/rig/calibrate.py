@@ -24,6 +24,7 @@ from omnilines.calibration.rig.loose import loosened
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.rolling import with_line_delays
 from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.start import (
     RigStart,
@@ -56,6 +57,7 @@ def calibrate_rig(
     seen_from_front: bool = False,
     refine_board: tuple[str, ...] = (),
     time_offsets: bool = False,
+    rolling_shutter: bool = False,
     thresholds: CalibrationThresholds = CalibrationThresholds(),
     callback: Callable[[str, Progress], None] | None = None,
 ) -> RigCalibration:
@@ -65,9 +67,11 @@ def calibrate_rig(
     of each board (by default that its coordinates may form a lattice), `seen_from_front` that the coordinates are those of the
     printed side, so that they tell a mirror from a lens. `refine_board` names what is estimated of the board
     (`options.REFINABLE`), which is one board then. Of views with times the clocks of the cameras are compared where the cameras
-    contradict each other, with `time_offsets` always. `callback` is told the stage and its progress.
+    contradict each other, with `time_offsets` always. Rolling shutters are recognised in views with times; with `rolling_shutter`
+    the line delays are estimated. `callback` is told the stage and its progress.
 
-    Raises InputError for a malformed table, and GeometryError where no two cameras hang together or the data leave the rig open.
+    Raises InputError for a malformed table, or with `rolling_shutter` for one without frames that follow one another closely, and
+    GeometryError where no two cameras hang together or the data leave the rig open.
     """
     views = RigViews.of(corners, tuple(cameras), relation)
     if refine_board and len(views.boards) > 1:
@@ -119,6 +123,14 @@ def calibrate_rig(
     )
     seen = _seen_alone(outcome, start, posed, numbers)
     outcome = with_clocks(outcome, state, seen, asked=time_offsets)
+    if len(outcome.data.cameras) < len(start.cameras):
+        # Cameras whose clocks are not told are of the rig no more.
+        failures |= outcome.failures
+        singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
+        outcome = replace(outcome, failures=failures, singles=singles)
+        members = zip(start.cameras, start.models, strict=True)
+        state = replace(state, models=tuple(model for c, model in members if c in outcome.data.cameras))
+    outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
     outcome = loosened(outcome, state, seen)
     return rig_result(without_unsupported_terms(outcome))
 

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.calibration.rig.fewer import without_members
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path, followed
@@ -22,8 +23,8 @@ from omnilines.calibration.rig.runs import Runs, find_runs
 from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.least_squares import Outcome, Solution, solve
 
-NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, which clocks are compared by"
-MISFIT = "more than half of its corners do not fit the rig, whose clocks were compared (wrong frame, detection or numbering)"
+NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, by which its motion is followed"
+MISFIT = "more than half of its corners are not where the board's motion takes them (wrong frame, detection or numbering)"
 ITERATIONS = 30
 DRAWS = 4
 """Of the motion of boards at rest: of many frames each tells nearly the same."""
@@ -32,7 +33,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class _Followed:
+class Followed:
     """A rig whose board is followed through runs."""
 
     data: RigData
@@ -40,6 +41,13 @@ class _Followed:
     solution: Solution[RigState]
     notes: tuple[str, ...]
     lost: tuple[int, ...]
+    """Views that do not fit."""
+
+    def outcome(self, before: RigOutcome, seen: SeenAlone) -> RigOutcome:
+        """The outcome `before` with this in its place."""
+        out = np.setdiff1d(np.fromiter(seen.cam_from_board, dtype=int), self.fit.views).tolist()
+        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(self.lost, MISFIT)
+        return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=lost)
 
 
 def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
@@ -53,16 +61,46 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
     runs = find_runs(data.views, data.cameras, posed, np.unique(data.board_m, axis=0).mean(0), limits)
     if runs is None:
         return _said(outcome, _no_runs(outcome)) if asked else outcome
+    apart = _out_of_runs(outcome, runs, posed)
+    if not apart:
+        return _compared(outcome, runs, start, seen, asked=asked)
+    left = [k for k in range(len(data.cameras)) if k not in apart]
+    why = [OUT_OF_RUNS.format(count) for count in apart.values()]
+    named = tuple(f"Camera {_name(outcome, k)}: {reason}." for k, reason in zip(apart, why, strict=True))
+    if len(left) < 2:
+        return replace(outcome, clock_notes=(*outcome.clock_notes, *named))
+    fewer = without_members(outcome, apart)
+    found = find_runs(fewer.data.views, fewer.data.cameras, posed, runs.middle_m, limits)
+    models = replace(start, models=tuple(start.models[k] for k in left))
+    told = fewer if found is None else _compared(fewer, found, models, seen, asked=asked)
+    if told.data.runs is None:
+        return replace(outcome, clock_notes=(*told.clock_notes, *named))
+    failures = {data.cameras[k]: reason for k, reason in zip(apart, why, strict=True)}
+    return replace(told, failures={**outcome.failures, **failures})
+
+
+OUT_OF_RUNS = (
+    "the board is seen in {} of its frames that are in runs of consecutive ones, which do not tell its clock, nor where it "
+    "stands beside cameras whose clocks differ; show it the board while the others see it move"
+)
+
+
+def _out_of_runs(outcome: RigOutcome, runs: Runs, posed: Bool[np.ndarray, " a"]) -> dict[int, int]:
+    """Members that are hardly in a run, with the number of their views that are."""
+    members = outcome.data.cameras
+    counts = [int((posed & (runs.run >= 0) & (runs.views.camera == c)).sum()) for c in members]
+    return {k: count for k, count in enumerate(counts) if count < outcome.thresholds.views.least_views}
+
+
+def _compared(outcome: RigOutcome, runs: Runs, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
+    """The outcome with the offsets that the runs tell; `with_clocks` of members that all are in runs."""
+    data, limits = outcome.data, outcome.thresholds.clocks
     while True:
-        found = _fit(replace(data, runs=runs), outcome, start, seen)
+        found = followed_fit(replace(data, runs=runs), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:
             return _said(outcome, STANDS_STILL)
-        out = np.setdiff1d(np.flatnonzero(posed), found.fit.views).tolist()
-        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(found.lost, MISFIT)
-        timed = replace(
-            outcome, data=found.data, fit=found.fit, solution=found.solution, notes=found.notes, reasons=lost, clock_notes=()
-        )
-        share = _moving_share(timed)
+        timed = replace(found.outcome(outcome, seen), clock_notes=())
+        share = moving_share(timed)
         timed = replace(timed, moving_share=share.clamp_min(limits.least_moving_share))
         sigma_s, moving = timed.offset_sigma_s, runs.free.copy()
         moving[runs.free] = (share > limits.least_moving_share).numpy()
@@ -149,12 +187,12 @@ def _with_and_without(timed: RigOutcome, runs: Runs) -> tuple[float, float]:
     return before, after
 
 
-def _moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
+def moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
     """`RigOutcome.moving_share`, from how well the clocks would seem to be known of a board at rest whose motion in each run is
     drawn from what its noise makes of it."""
     points, state = timed.fit.points.chosen(timed.fit.kept), timed.solution.state
     assert state.path is not None and timed.data.runs is not None
-    clocks = int(timed.data.runs.free.sum())
+    clocks = timed.data.ticking
     problem, generator = timed.data.problem(points), torch.Generator().manual_seed(0)
     covariance = timed.solution.eliminated_covariance()[:, 6:, 6:] * timed.factor.value
     used = torch.unique(points.frame[points.view])
@@ -169,7 +207,7 @@ def _moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
     return 1 - resting * timed.solution.kept_covariance().diagonal()[-clocks:]
 
 
-def _fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> _Followed | None:
+def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> Followed | None:
     """The rig of the views in runs; None where too few are left."""
     lost: tuple[int, ...] = ()
     while True:
@@ -184,7 +222,7 @@ def _fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -
             lost += tuple(more)
             continue
         data, fit, solution, notes = least_squares_rig(data, fit, loss)
-        return _Followed(data, fit, solution, notes, lost)
+        return Followed(data, fit, solution, notes, lost)
 
 
 def _chosen(data: RigData, outcome: RigOutcome, seen: SeenAlone, lost: tuple[int, ...]) -> Int[np.ndarray, " v"]:
@@ -208,7 +246,9 @@ def _begun(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone,
     board = torch.tensor([data.boards.index(int(b)) for b in data.views.part[posed]])
     poses = Pose.stack([seen.cam_from_board[int(v)] for v in posed])
     target = state.cam_from_rig[member].inverse() @ poses @ state.target_from_board[board].inverse()
-    offset_s, times = torch.as_tensor(runs.beside_s), runs.times(posed)
-    run = torch.as_tensor(runs.run[posed])
-    base, rates = followed(target, run, times.tau(offset_s, member), runs.count, runs.degree, times.middle_m)
-    return replace(state, models=start.models, rig_from_target=base, path=Path(rates, offset_s))
+    times, run, known = runs.times(posed, None), torch.as_tensor(runs.run[posed]), outcome.solution.state.path
+    offset_s = torch.as_tensor(runs.beside_s) if known is None else known.offset_s
+    delay_s = torch.zeros_like(offset_s) if data.readout is None else torch.as_tensor(data.readout.start_s)
+    clocks = Path(torch.zeros(runs.count, runs.degree, 6, dtype=torch.float64), offset_s, delay_s)
+    base, rates = followed(target, run, times.tau(clocks, member), runs.count, runs.degree, times.middle_m)
+    return replace(state, models=start.models, rig_from_target=base, path=replace(clocks, rates=rates))

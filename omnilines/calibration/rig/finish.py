@@ -38,7 +38,7 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     kept[fit.rows] = fit.kept.numpy()
     found = _links(outcome, residual, kept, poses)
     weakest = weakest_link(found, count)
-    terms, clocks = solution.state.shape.free.shape[1], 0 if data.runs is None else int(data.runs.free.sum())
+    terms, clocks = solution.state.shape.free.shape[1], len(_free_delays(data)) + len(_free_clocks(data))
     first, last = parameters + 6 * (count - 1), len(covariance) - terms - clocks
     free = covariance[first:last, first:last]
     boards = torch.zeros(len(data.boards), 6, 6, dtype=torch.float64)
@@ -73,6 +73,7 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last : last + terms].sqrt().tolist(), strict=True)),
         iterations=solution.iterations,
         notes=rig_notes(outcome, members, weakest, left_out),
+        line_delays=outcome.line_delays,
     )
 
 
@@ -98,7 +99,12 @@ def _column_names(outcome: RigOutcome) -> list[str]:
     if data.views.tied is None:
         names += [f"{twist} of board {data.views.boards[b]}" for b in data.boards[1:] for twist in TWIST_NAMES]
     names += [f"{term} of the board" for term in data.shape.free_names]
+    names += [f"the line delay of {cameras[k]}" for k in _free_delays(data)]
     return names + [f"the time offset of {cameras[k]}" for k in _free_clocks(data)]
+
+
+def _free_delays(data: RigData) -> list[int]:
+    return [] if data.readout is None else np.flatnonzero(data.readout.free).tolist()
 
 
 def _free_clocks(data: RigData) -> list[int]:
@@ -116,7 +122,7 @@ def _targets(outcome: RigOutcome, covariance: Float[Tensor, "r e e"]) -> tuple[n
         instant=points.instant[first],
         frame=points.frame[first],
         board=points.board[first],
-        times=None if data.runs is None else data.runs.times(outcome.fit.views[first]),
+        times=None if data.runs is None else data.runs.times(outcome.fit.views[first], None),
     )
     along = state.along(some)
     if along is None:
@@ -152,6 +158,7 @@ def _covariance(outcome: RigOutcome, kept: Float[Tensor, "q q"]) -> tuple[tuple[
     if data.views.tied is None:
         names += [f"{data.views.boards[b]}.{name}" for b in data.boards[1:] for name in TWIST_NAMES]
     names += [f"board.{name}" for name in data.shape.free_names]
+    names += [f"{cameras[k]}.line_delay_s" for k in _free_delays(data)]
     names += [f"{cameras[k]}.time_offset_s" for k in _free_clocks(data)]
     rest = len(names) - sum(len(basis) for basis in data.bases)
     spread = torch.block_diag(*data.bases, torch.eye(rest, dtype=torch.float64))
@@ -214,6 +221,7 @@ def _members(
                 interval_95=linear_intervals(model.parameters, covariance[low:high, low:high], sigmas).numpy(),
                 time_offset_s=float(state.path.offset_s[k]) if k in clocks and state.path is not None else None,
                 time_offset_sigma_s=math.sqrt(float(covariance[clocks[k], clocks[k]])) if k in clocks else None,
+                line_delay=next((found for found in outcome.line_delays if found.camera == name and found.modelled), None),
             )
         )
         low = high

@@ -24,6 +24,20 @@ TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
+class Readout:
+    """In which order the images of the members are read."""
+
+    axis: Int[np.ndarray, " m"]
+    """1: row by row, from top to bottom with a positive line delay; 0: column by column, from left to right."""
+    middle_px: Float[np.ndarray, " m"]
+    """Of the image along that axis."""
+    start_s: Float[np.ndarray, " m"]
+    """Line delays from which fits begin."""
+    free: Bool[np.ndarray, " m"]
+    """Members whose line delay is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
 class RigData:
     """The members of a rig, their corners as the rig numbers them, and how good these are."""
 
@@ -45,6 +59,14 @@ class RigData:
     """What is known of the own motion of every view of the table; None where cameras see the board at one pose."""
     runs: Runs | None = None
     """Runs of frames through which the board is followed; None where cameras have one clock."""
+    readout: Readout | None = None
+    """How images are read where line delays are estimated; None where all rows are taken to be of one instant."""
+
+    @property
+    def ticking(self) -> int:
+        """Kept columns of time, which are the last ones: line delays, then offsets of clocks."""
+        delays = 0 if self.readout is None else int(self.readout.free.sum())
+        return delays + (0 if self.runs is None else int(self.runs.free.sum()))
 
     @property
     def block(self) -> Int[np.ndarray, " a"]:
@@ -69,7 +91,11 @@ class RigData:
         rows = np.flatnonzero(place[corners.view] >= 0)
         rows = rows[np.argsort(place[corners.view[rows]], kind="stable")]
         camera = member[views.camera[ordered]]
-        sigma = np.array(self.sigma_px)[camera[place[corners.view[rows]]]] * self.relative[rows]
+        of_row = camera[place[corners.view[rows]]]
+        sigma = np.array(self.sigma_px)[of_row] * self.relative[rows]
+        row_px, order = None, self.readout
+        if order is not None:
+            row_px = torch.as_tensor(corners.pixels[rows, order.axis[of_row]] - order.middle_px[of_row])
         points = RigPoints(
             view=torch.as_tensor(place[corners.view[rows]]),
             board_m=torch.as_tensor(self.board_m[rows]),
@@ -80,7 +106,8 @@ class RigData:
             frame=torch.as_tensor(self.block[ordered]),
             board=torch.as_tensor(part[views.part[ordered]]),
             motion=None if self.motion is None else replace(self.motion, sigma=self.motion.sigma[torch.as_tensor(ordered)]),
-            times=None if self.runs is None else self.runs.times(ordered),
+            times=None if self.runs is None else self.runs.times(ordered, None if order is None else order.free),
+            row_px=row_px,
         )
         return points, ordered, rows
 

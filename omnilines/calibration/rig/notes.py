@@ -26,7 +26,10 @@ def rig_notes(
     """What a person should know of a rig, the most important first."""
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
     offsets = offsets_note(outcome)
-    notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.notes]
+    notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.line_notes]
+    sizes = {member.name: member.model.image_size for member in members}
+    notes += [f"Camera {delay.camera}: {delay.note(sizes[delay.camera])}" for delay in outcome.line_delays]
+    notes += outcome.notes
     views, doubt = outcome.data.views, outcome.thresholds.doubt
     notes += size_notes(torch.as_tensor(views.corners.board_m), doubt)
     if weakest is not None:

@@ -30,5 +30,6 @@ def one_camera(result: RigCalibration, member: RigMember) -> tuple[CameraCalibra
         {},
         member.interval_95,
         member.rms_px_per_axis,
+        line_delay=member.line_delay,
     )
     return single, views_of(result.corners, views, rows)

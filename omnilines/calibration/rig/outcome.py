@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
-from omnilines.calibration.rig.by_frames import spread_of_frames
+from omnilines.calibration.rig.by_frames import spread_of_frames, spread_of_runs
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.shutters import Shutters
@@ -48,10 +49,14 @@ class RigOutcome:
     clock_notes: tuple[str, ...] = ()
     """What else is said of the cameras' clocks, where they were compared."""
     moving_share: Float[Tensor, " k"] | None = None
-    """Of what is known of each clock that is estimated, the share that the board's motion tells: as if by chance the rest is told
-    by the noise of its poses, which makes boards at rest seem to move."""
+    """Of what is known of each line delay and offset of a clock that is estimated, the share that the board's motion tells: as if
+    by chance the rest is told by the noise of its poses, which makes boards at rest seem to move."""
     clock_rms_px: tuple[float, float] = (math.nan, math.nan)
     """Per point, with the clocks as frames are put together and as estimated."""
+    line_delays: tuple[LineDelay, ...] = ()
+    """Rolling shutters that were recognised or estimated."""
+    line_notes: tuple[str, ...] = ()
+    """What else is said of them."""
 
     @property
     def freedom(self) -> int:
@@ -94,19 +99,25 @@ class RigOutcome:
         """Of the kept columns of the problem by the noise of the corners, as the residuals show it, and the motion of the board
         where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
         jackknife: a column that is less certain by it is taken to be so."""
-        covariance = self.solution.kept_covariance() * self.factor.value
-        clocks = 0 if self.data.runs is None else int(self.data.runs.free.sum())
-        if clocks and self.moving_share is not None:
+        covariance, ticking = self.solution.kept_covariance() * self.factor.value, self.data.ticking
+        if ticking and self.moving_share is not None:
             surer = torch.ones(len(covariance), dtype=torch.float64)
-            surer[-clocks:] = self.moving_share
+            surer[-ticking:] = self.moving_share
             covariance = covariance / (surer[:, None] * surer).sqrt()
-        if self.shutters is None:
-            return covariance
         points = self.fit.points.chosen(self.fit.kept)
-        spread = spread_of_frames(self.data, points, self.solution.state)
+        if self.shutters is not None:
+            frames = spread_of_frames(self.data, points, self.solution.state)
+            spread = None if frames is None else frames.diagonal()
+        elif self.data.readout is not None:
+            spread = spread_of_runs(self.data, points, self.solution.state)
+        else:
+            return covariance
         if spread is None:
             return covariance
-        wider = (spread.diagonal() / covariance.diagonal().clamp_min(1e-300)).clamp_min(1.0).sqrt()
+        wider = (spread / covariance.diagonal().clamp_min(1e-300)).clamp_min(1.0).sqrt()
+        if self.shutters is None:
+            # What runs contradict each other in is how the board moves within a frame.
+            wider[:-ticking] = 1.0
         return wider[:, None] * covariance * wider
 
     @cached_property

@@ -7,6 +7,9 @@ along a polynomial of the rig frame and the board turns about it by a rotation v
 
 Camera c has the clock t_c = t + offset_c, so that its frame of the time t_c shows the board at tau = (t_c - offset_c) / unit. Of
 as many frames as coefficients and no offset these are the poses of the frames, each by itself: offsets are all that is added.
+
+The time of a frame is that of its middle row. Where camera c has a rolling shutter, a corner that is seen y rows below the middle
+is seen line_delay_c y later (O. Ait-Aider et al. 2006); y is where it is found, so that nothing has to be solved for it.
 """
 
 from dataclasses import dataclass, replace
@@ -31,10 +34,15 @@ class ViewTimes:
     """Of the board, in its own frame."""
     free: Bool[Tensor, " c"]
     """Whether the offset of each camera is estimated; that of the first is 0."""
+    delayed: Bool[Tensor, " c"]
+    """Whether the line delay of each camera is estimated."""
+    row_px: Float[Tensor, " v"] | None = None
+    """How far beyond the middle of the image, in the order in which it is read; None for whole views."""
 
-    def tau(self, offset_s: Float[Tensor, " c"], camera: Int[Tensor, " v"]) -> Float[Tensor, " v"]:
-        """Of every view, of these cameras with these offsets."""
-        return (self.time_s - offset_s[camera]) / self.unit_s
+    def tau(self, path: "Path", camera: Int[Tensor, " v"]) -> Float[Tensor, " v"]:
+        """Of every view, of these cameras with the clocks of a path."""
+        since = self.time_s - path.offset_s[camera]
+        return (since if self.row_px is None else since + path.line_delay_s[camera] * self.row_px) / self.unit_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +52,8 @@ class Path:
     rates: Float[Tensor, "runs degree 6"]
     """Of each power of tau (rotation_rad, translation_m)."""
     offset_s: Float[Tensor, " c"]
+    line_delay_s: Float[Tensor, " c"]
+    """From one row of the image to the next; 0 where all are of one instant."""
 
 
 @dataclass(frozen=True, eq=False)

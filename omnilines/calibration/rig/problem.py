@@ -10,7 +10,8 @@ Where the board moves between the shutters of the cameras, each view has a small
 known beforehand to be zero within some standard deviations. It is eliminated within its view (`rig/own_motion.py`).
 
 Where cameras have clocks of their own, the eliminated blocks are the paths of the board in runs of frames (`rig/path.py`), and
-the offsets of the clocks are kept, last of all.
+the offsets of the clocks are kept, last of all. Where rows are read one after the other (a rolling shutter), each corner sees the
+board at an instant of its own on its path; the line delays stand before the offsets.
 """
 
 from collections.abc import Sequence
@@ -24,9 +25,10 @@ from torch import Tensor
 from camera_models import CameraModel
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
+from omnilines.calibration.rig.local_columns import LocalColumns
 from omnilines.calibration.rig.own_motion import Moved, OwnMotion, motion_pose, without_motion
 from omnilines.calibration.rig.path import Path, PathDerivatives, ViewTimes, moved_run, path_derivatives, pose_along
-from omnilines.least_squares import CellLinearisation, CellPart, Cells, KeptGroup, Structure
+from omnilines.least_squares import CellLinearisation, Cells, KeptGroup, Structure
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,26 @@ class RigPoints:
     """What is known of each view's own motion of the board; None where cameras see the same."""
     times: ViewTimes | None = None
     """When views were taken; None where cameras have one clock."""
+    row_px: Float[Tensor, " n"] | None = None
+    """How far each corner lies beyond the middle of its image, in the order in which that is read; None where frames are of one
+    instant. The time of a view is then that of the middle."""
+
+    @cached_property
+    def by_corner(self) -> "RigPoints":
+        """Every corner as a view of its own, at its own time; without the views' own motion."""
+        assert self.times is not None and self.row_px is not None
+        view, number = self.view, torch.arange(len(self.view))
+        times = replace(self.times, time_s=self.times.time_s[view], row_px=self.row_px)
+        return replace(
+            self,
+            view=number,
+            camera=self.camera[view],
+            instant=self.instant[view],
+            frame=self.frame[view],
+            board=self.board[view],
+            motion=None,
+            times=times,
+        )
 
     @cached_property
     def parts(self) -> tuple[RigPart, ...]:
@@ -82,7 +104,14 @@ class RigPoints:
 
     def chosen(self, rows: Tensor) -> "RigPoints":
         """Some of the corners; views and frames keep their numbers."""
-        return replace(self, view=self.view[rows], board_m=self.board_m[rows], pixels=self.pixels[rows], weight=self.weight[rows])
+        return replace(
+            self,
+            view=self.view[rows],
+            board_m=self.board_m[rows],
+            pixels=self.pixels[rows],
+            weight=self.weight[rows],
+            row_px=None if self.row_px is None else self.row_px[rows],
+        )
 
 
 @dataclass(frozen=True)
@@ -108,41 +137,49 @@ class RigState:
         base = self.rig_from_target[points.frame]
         if points.times is None or self.path is None:
             return base
-        return pose_along(
-            base, self.path.rates[points.frame], points.times.tau(self.path.offset_s, points.camera), points.times.middle_m
-        )
+        return pose_along(base, self.path.rates[points.frame], points.times.tau(self.path, points.camera), points.times.middle_m)
 
     def along(self, points: RigPoints) -> PathDerivatives | None:
         """How the target of every view follows the paths and clocks; None where cameras have one clock."""
         if points.times is None or self.path is None:
             return None
         base, rates = self.rig_from_target[points.frame], self.path.rates[points.frame]
-        return path_derivatives(base, rates, points.times.tau(self.path.offset_s, points.camera), points.times)
+        return path_derivatives(base, rates, points.times.tau(self.path, points.camera), points.times)
+
+    def _shared(self, points: RigPoints) -> Pose:
+        return self.cam_from_rig[points.camera] @ self.target(points) @ self.target_from_board[points.board]
 
     def cam_from_board(self, points: RigPoints) -> Pose:
         """Of every view."""
-        shared = self.cam_from_rig[points.camera] @ self.target(points) @ self.target_from_board[points.board]
+        if points.motion is None or self.moved is None:
+            return self._shared(points)
+        return self._shared(points) @ motion_pose(self.moved, points.motion)
+
+    def cam_from_corner_board(self, points: RigPoints) -> Pose:
+        """Of every corner: where its board is when it is seen."""
+        if points.row_px is None:
+            return self.cam_from_board(points)[points.view]
+        shared = self._shared(points.by_corner)
         if points.motion is None or self.moved is None:
             return shared
-        return shared @ motion_pose(self.moved, points.motion)
+        return shared @ motion_pose(self.moved, points.motion)[points.view]
 
     def residual_px(self, points: RigPoints) -> Float[Tensor, "n 2"]:
         """Projected minus observed pixel."""
-        seen = _placed(self.cam_from_board(points), points, self.shape)
+        seen = _placed(self.cam_from_corner_board(points), points, self.shape)
         parts = [self.models[part.camera].project(seen[slice(*part.rows)])[0] for part in points.parts]
         return torch.cat(parts) - points.pixels
 
 
 def _placed(cam_from_board: Pose, points: RigPoints, shape: BoardShape) -> Float[Tensor, "n 3"]:
     """Corners in the frames of their cameras."""
-    rotation, translation = cam_from_board.rotation[points.view], cam_from_board.translation[points.view]
-    return (rotation @ shape.place(points.board_m)[..., None])[..., 0] + translation
+    return (cam_from_board.rotation @ shape.place(points.board_m)[..., None])[..., 0] + cam_from_board.translation
 
 
 class RigProblem:
     """Kept are, in this order: the intrinsics of each camera along the columns of its basis (none: held), the poses of the
-    cameras but the first, those of the boards that are free, the terms of the board's shape that are free, the offsets of the
-    clocks that are free."""
+    cameras but the first, those of the boards that are free, the terms of the board's shape that are free, the line delays and
+    the offsets of the clocks that are free."""
 
     def __init__(
         self,
@@ -156,8 +193,9 @@ class RigProblem:
         self.points, self.bases, self.free_terms = points, tuple(bases), shape.free
         self.free_boards = boards - 1 if free_boards else 0
         self.estimated = [c for c, basis in enumerate(self.bases) if basis.shape[1]]
-        clocks = torch.zeros(0) if points.times is None else points.times.free
-        self.free_clocks = torch.nonzero(clocks).flatten()
+        none = torch.zeros(len(self.bases), dtype=torch.bool)
+        self.delayed = torch.nonzero(none if points.times is None else points.times.delayed).flatten()
+        self.free_clocks = torch.nonzero(none if points.times is None else points.times.free).flatten()
         groups = [KeptGroup(torch.where(points.camera == c, 0, -1), 1, self.bases[c].shape[1]) for c in self.estimated]
         if len(self.bases) > 1:
             groups.append(KeptGroup(points.camera - 1, len(self.bases) - 1, 6))
@@ -167,10 +205,11 @@ class RigProblem:
         if not shape.plain:
             groups.append(KeptGroup(torch.zeros_like(points.board), 1, shape.free.shape[1]))
         self._shape_group = len(groups) - 1
-        if len(self.free_clocks):
-            place = torch.full((len(self.bases),), -1)
-            place[self.free_clocks] = torch.arange(len(self.free_clocks))
-            groups.append(KeptGroup(place[points.camera], len(self.free_clocks), 1))
+        for members in (self.delayed, self.free_clocks):
+            if len(members):
+                place = torch.full((len(self.bases),), -1)
+                place[members] = torch.arange(len(members))
+                groups.append(KeptGroup(place[points.camera], len(members), 1))
         width = 6 if points.times is None else 6 * (1 + points.times.degree)
         self.structure = Structure(points.frame, frames, width, tuple(groups))
         self._last: tuple[RigState, CellLinearisation, tuple[Moved, ...]] | None = None
@@ -204,54 +243,58 @@ class RigProblem:
         A left perturbation of the target's pose is one of the board's by the adjoint of cam_from_rig, and one of the board on the
         target by that of cam_from_rig rig_from_target.
         """
-        points = self.points
-        cam_from_target = state.cam_from_rig[points.camera] @ state.target(points)
-        along = state.along(points)
-        cam_from_board = state.cam_from_board(points)
+        points, each = self.points, self.points.row_px is not None
+        posed = points.by_corner if each else points
+        cam_from_target, along = state.cam_from_rig[posed.camera] @ state.target(posed), state.along(posed)
+        cam_from_board = state.cam_from_corner_board(points)
         seen = _placed(cam_from_board, points, state.shape)
         on_rig, on_target = adjoint(state.cam_from_rig), adjoint(cam_from_target)
+        delay_group, clock_group = self._time_groups
         residual, parts = [], []
         for part, cells in zip(points.parts, points.cells, strict=True):
-            camera, (first, last), (low, high) = part.camera, part.views, part.rows
-            place, weight, basis = seen[low:high], points.weight[low:high, None, None], self.bases[camera]
+            camera, rows = part.camera, slice(*part.rows)
+            poses = rows if each else slice(*part.views)
+            place, weight, basis = seen[rows], points.weight[rows, None, None], self.bases[camera]
             pixels, _, by_point, by_parameter = state.models[camera].project_with_jacobians(place)
-            residual.append((pixels - points.pixels[low:high]) * weight[..., 0])
+            residual.append((pixels - points.pixels[rows]) * weight[..., 0])
             by_point = by_point * weight
             # Row by row, -J [X]x is the cross product of X and J.
             by_turn = torch.linalg.cross(place[:, None].expand_as(by_point), by_point)
-            columns = [by_turn, by_point, (by_parameter @ basis) * weight]
-            count, q, terms = last - first, basis.shape[1], self.free_terms.shape[1]
-            if terms:
-                own = slice(low, high)
-                bent = state.shape.by_terms(points.board_m[own]) @ self.free_terms
-                columns.append(by_point @ (cam_from_board.rotation[points.view[own]] @ bent))
-            local, width = torch.cat(columns, -1), 6 + q + terms
-            pose = torch.eye(width, 6, dtype=torch.float64).expand(count, -1, -1)
-            kept = []
-            if q:
-                intrinsics = torch.eye(width, dtype=torch.float64)[:, 6 : 6 + q].expand(count, -1, -1)
-                kept.append((self.estimated.index(camera), intrinsics))
+            local = LocalColumns(cells, torch.cat([by_turn, by_point], -1))
+            if basis.shape[1]:
+                local.by_block(self.estimated.index(camera), (by_parameter @ basis) * weight)
             if camera:
-                kept.append((len(self.estimated), pose))
+                alike = torch.eye(6, dtype=torch.float64).expand(cells.count, -1, -1)
+                local.through_pose(len(self.estimated), alike, each=False)
             if part.other_board and self.free_boards:
-                kept.append((self._board_group, pose @ on_target[first:last]))
-            if terms:
-                shape = torch.eye(width, dtype=torch.float64)[:, 6 + q :].expand(count, -1, -1)
-                kept.append((self._shape_group, shape))
-            by_target = pose @ on_rig[camera]
-            if along is not None and bool((self.free_clocks == camera).any()):
-                kept.append((len(self.structure.groups) - 1, by_target @ along.by_offset[first:last]))
-            by_block = by_target if along is None else by_target @ along.by_run[first:last]
-            parts.append(CellPart(cells, local, by_block, tuple(kept)))
+                local.through_pose(self._board_group, on_target[poses], each=each)
+            if self.free_terms.shape[1]:
+                bent = state.shape.by_terms(points.board_m[rows]) @ self.free_terms
+                local.by_block(self._shape_group, by_point @ (cam_from_board.rotation[rows] @ bent))
+            if along is None:
+                local.through_pose(None, on_rig[camera].expand(cells.count, -1, -1), each=False)
+            else:
+                by_offset = on_rig[camera] @ along.by_offset[poses]
+                if points.row_px is not None and bool((self.delayed == camera).any()):
+                    local.through_pose(delay_group, -by_offset * points.row_px[rows, None, None], each=each)
+                if bool((self.free_clocks == camera).any()):
+                    local.through_pose(clock_group, by_offset, each=each)
+                local.through_pose(None, on_rig[camera] @ along.by_run[poses], each=each)
+            parts.append(local.part())
         return CellLinearisation(torch.cat(residual), tuple(parts))
+
+    @property
+    def _time_groups(self) -> tuple[int, int]:
+        """Numbers of the groups of the line delays and of the offsets, where there are any."""
+        last = len(self.structure.groups) - 1
+        return (last - 1 if len(self.free_clocks) else last), last
 
     def retract(self, state: RigState, kept: Tensor, eliminated: Tensor) -> RigState:
         """Parameters move along their columns, poses by exp(delta) T."""
         sizes = [self.bases[c].shape[1] for c in self.estimated]
-        terms = self.free_terms.shape[1]
-        clocks = len(self.free_clocks)
+        terms, ticking = self.free_terms.shape[1], len(self.delayed) + len(self.free_clocks)
         *cameras, poses, boards, bent, ticks = kept.split(
-            [*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards, terms, clocks]
+            [*sizes, 6 * (len(self.bases) - 1), 6 * self.free_boards, terms, ticking]
         )
         models = list(state.models)
         for c, step in zip(self.estimated, cameras, strict=True):
@@ -271,7 +314,9 @@ class RigProblem:
         if self.points.times is None or state.path is None:
             return Pose.exp(step) @ state.rig_from_target, state.path
         target, path = moved_run(state.rig_from_target, state.path, step, self.points.times.middle_m)
-        return target, replace(path, offset_s=path.offset_s.index_add(0, self.free_clocks, ticks))
+        delays, offsets = ticks[: len(self.delayed)], ticks[len(self.delayed) :]
+        offset_s = path.offset_s.index_add(0, self.free_clocks, offsets)
+        return target, replace(path, offset_s=offset_s, line_delay_s=path.line_delay_s.index_add(0, self.delayed, delays))
 
     def _own_step(self, state: RigState, kept: Tensor, eliminated: Tensor) -> Float[Tensor, "v 6"]:
         """How each view's own motion follows a step of all else."""

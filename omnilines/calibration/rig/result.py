@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.single import CameraCalibration
 from omnilines.records import Corners, ViewResult
@@ -43,6 +44,8 @@ class RigMember:
     """How far its clock is ahead of that of the first camera; None where that was not estimated."""
     time_offset_sigma_s: float | None = None
     """One standard deviation."""
+    line_delay: LineDelay | None = None
+    """Of its rolling shutter; None where that was not estimated."""
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -87,6 +90,8 @@ class RigCalibration:
     """One standard deviation of each board term that was estimated."""
     iterations: int
     notes: tuple[str, ...]
+    line_delays: tuple[LineDelay, ...] = ()
+    """Rolling shutters that were recognised or estimated."""
 
     @property
     def board_terms(self) -> dict[str, float]:

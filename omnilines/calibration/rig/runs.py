@@ -47,11 +47,12 @@ class Runs:
         """Half the length of a run."""
         return 0.5 * self.degree * self.gap_s
 
-    def times(self, views: Int[np.ndarray, " v"]) -> ViewTimes:
-        """Of some views, all of which are in a run."""
+    def times(self, views: Int[np.ndarray, " v"], delayed: Bool[np.ndarray, " m"] | None) -> ViewTimes:
+        """Of some views, all of which are in a run; `delayed` are members whose line delay is estimated."""
         since = self.time_s[views] - self.middle_s[self.run[views]]
         middle, free = torch.as_tensor(self.middle_m), torch.as_tensor(self.free)
-        return ViewTimes(torch.as_tensor(since), self.unit_s, self.degree, middle, free)
+        rolling = torch.zeros_like(free) if delayed is None else torch.as_tensor(delayed)
+        return ViewTimes(torch.as_tensor(since), self.unit_s, self.degree, middle, free, rolling)
 
 
 def find_runs(
