@@ -58,9 +58,7 @@ class FoundDirections:
     @property
     def tilt_rad(self) -> float | None:
         """Angle between the photo's up and the world's."""
-        if self.cam_from_world is None:
-            return None
-        return math.acos(min(max(float(self.cam_from_world[:, 2] @ UP), -1.0), 1.0))
+        return None if self.cam_from_world is None else tilt_of(self.cam_from_world[:, 2])
 
 
 @dataclass(frozen=True)
@@ -173,15 +171,33 @@ def _found(arcs: FoundArcs, model: CameraModel, wanted: Wanted, options: Directi
         if frame is None:
             return FoundDirections(arcs, (), Meeting.none(len(arcs)))
         return FoundDirections(arcs, ("x", "y", "z"), frame.axes, frame.cam_from_world, frame.covariance)
-    meeting = meeting_directions(circles, options)
     if wanted is Wanted.ALL:
+        meeting = meeting_directions(circles, options)
         return FoundDirections(arcs, tuple(str(k + 1) for k in range(len(meeting))), meeting)
-    upright = vertical_direction(meeting.direction, meeting.members, UP[None], options.upright)
-    if upright is None:
+    vertical = vertical_of(circles, options)
+    if vertical is None:
         return FoundDirections(arcs, (), Meeting.none(len(arcs)))
-    turned = np.cross(upright.up, np.eye(3))
-    covariance = turned.T @ meeting.covariance[upright.family] @ turned
-    return FoundDirections(arcs, ("up",), meeting.only(upright.family, upright.up), level_axes(RIGHT, upright.up).T, covariance)
+    up = vertical.direction[0]
+    return FoundDirections(arcs, ("up",), vertical, level_axes(RIGHT, up).T, turn_covariance(up, vertical.covariance[0]))
+
+
+def vertical_of(circles: Circles, options: DirectionsOptions = DirectionsOptions()) -> Meeting | None:
+    """The vertical alone, upwards, of a photo that is held about upright; None where none stands out or it is not clear which."""
+    meeting = meeting_directions(circles, options)
+    upright = vertical_direction(meeting.direction, meeting.members, UP[None], options.upright)
+    return None if upright is None else meeting.only(upright.family, upright.up)
+
+
+def turn_covariance(up: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Of the rotation vector that goes with a unit vector of this covariance, without error about it."""
+    moves = np.cross(up, np.eye(3))
+    turned: Float[np.ndarray, "3 3"] = moves.T @ covariance @ moves
+    return turned
+
+
+def tilt_of(up: Float[np.ndarray, "3"]) -> float:
+    """Angle (rad) between the photo's up and a unit vector that is up in the camera frame."""
+    return math.acos(min(max(float(up @ UP), -1.0), 1.0))
 
 
 def circles_of(arcs: FoundArcs, model: CameraModel) -> Circles:
