@@ -15,7 +15,7 @@ from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
-from omnilines.files.sets import claimed
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
@@ -129,6 +129,14 @@ class PhotoDirections:
                 write_poses(out / POSES, self.poses)
                 write_covariance(out / COVARIANCE, self.poses)
         return tuple(out / name for name in self.file_names)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one self-contained HTML file; its path."""
+        from omnilines.pages.directions import directions_sections
+        from omnilines.report import write_report
+
+        with claimed_page(path):
+            return write_report(path, "Directions", directions_sections(self))
 
 
 def directions(
