@@ -1,7 +1,7 @@
 """Directions in which the lines of each photo meet, gravity, and Manhattan frames: `directions`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models import CameraModel, InputError
+from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
@@ -193,7 +193,24 @@ def vertical_of(circles: Circles, options: DirectionsOptions = DirectionsOptions
     """The vertical alone, upwards, of a photo that is held about upright; None where none stands out or it is not clear which."""
     meeting = meeting_directions(circles, options)
     upright = vertical_direction(meeting.direction, meeting.members, UP[None], options.upright)
-    return None if upright is None else meeting.only(upright.family, upright.up)
+    return None if upright is None or upright.family is None else meeting.only(upright.family, upright.up)
+
+
+def world_verticals(
+    found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration, options: DirectionsOptions, progress: ProgressCallback
+) -> Float[np.ndarray, "m 3"]:
+    """Where up is in the world by the vertical that each photo with a pose shows, of those that show one."""
+    row = {name: k for k, name in enumerate(poses.images)}
+    posed = [one for one in found if one.photo.name in row]
+
+    def look(one: FoundArcs) -> Meeting | None:
+        """The vertical of one photo."""
+        return vertical_of(circles_of(one, cameras[one.camera]), options)
+
+    verticals = zip(posed, on_all_cores(look, posed, "finding the vertical", progress), strict=True)
+    rotation = poses.cam_from_world.rotation.numpy()
+    ups = [one.direction[0] @ rotation[row[arcs.photo.name]] for arcs, one in verticals if one is not None]
+    return np.array(ups).reshape(-1, 3)
 
 
 def turn_covariance(up: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
