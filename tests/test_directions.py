@@ -53,13 +53,6 @@ def places(count: int, fov_deg: float, rng: np.random.Generator) -> np.ndarray:
     return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine], -1)
 
 
-def joined(parts: list[Circles]) -> Circles:
-    return Circles(
-        *(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in
-          (("normal", 0), ("middle", 0), ("noise", 1), ("ends", 1)))
-    )  # fmt: skip
-
-
 def world(
     axes: np.ndarray, each: int, clutter: int, rng: np.random.Generator, fov_deg: float = 120.0, stray_rad: float = 0.0
 ) -> Circles:
@@ -72,7 +65,7 @@ def world(
         parts.append(arcs_along(way, middle, rng, np.exp(rng.normal(-7.5, 0.5, len(middle)))))
     middle = places(clutter, fov_deg, rng)
     parts.append(arcs_along(rng.normal(size=(clutter, 3)), middle, rng, 5e-4))
-    return joined(parts)
+    return Circles.joined(parts)
 
 
 @pytest.mark.parametrize("fov_deg", [40.0, 120.0, 190.0, 359.0])
@@ -92,7 +85,7 @@ def test_fragments_of_two_lines_are_no_direction() -> None:
         start, end = unit(rng.normal(size=(2, 3)) + np.array([0, 0, 3.0]))
         middle = unit(start + np.linspace(0, 0.9, 25)[:, None] * (end - start))
         parts.append(arcs_along(np.broadcast_to(end - start, middle.shape), middle, rng, 2e-4, 0.01 + 0.005 * k))
-    circles = joined(parts)
+    circles = Circles.joined(parts)
     assert 2.0 <= line_weights(circles, math.radians(0.5)).sum() < 3.5
     assert len(meeting_directions(circles)) == 0
 
@@ -181,7 +174,7 @@ def test_arcs_without_a_circle_and_those_that_hold_the_direction_are_of_none() -
     through = arcs_along(np.array([[1.0, 0.2, 0.0]]), unit(np.array([[1e-3, 2e-4, 1.0]])), rng, 2e-4)
     point = np.broadcast_to(unit(np.array([0.3, 0.2, 1.0])), (1, 2, 3)).copy()
     dot = Circles.of_arcs(point, np.ones((1, 2, 3, 2)), np.broadcast_to(np.eye(2), (1, 2, 2, 2)).copy())
-    found = meeting_directions(joined([circles, through, dot]))
+    found = meeting_directions(Circles.joined([circles, through, dot]))
     assert len(found) == 1 and (found.direction_of[:40] == 0).all() and (found.direction_of[40:] == -1).all()
     assert largest_sigma(found.covariance)[0] < 1e-3
 
@@ -226,6 +219,11 @@ def test_command_writes_directions_arcs_and_rotations(room: Path, tmp_path: Path
     counts = {name: sum(f"{true.images[0]},{name}," in row for row in arcs) for name in "xyz"}
     assert list(counts.values()) == [one["arcs"] for one in data["photos"][1]["directions"]]
     assert all((tmp_path / "out" / "pictures" / f"{Path(name).stem}.jpg").stat().st_size > 1000 for name in true.images)
+    page = (tmp_path / "out" / "report.html").read_text()
+    verdict = page[page.index("A Manhattan frame") :].partition("</p>")[0]
+    assert verdict.startswith("A Manhattan frame stands out from chance in 2 of 3 photos, known to 0.0")
+    assert page.count('<figure class="photo">') == 3 and page.count(f'<th scope="row">{true.images[0]}</th>') == 3
+    assert '<th scope="row">noise.png</th><td>none</td>' in page and "noise.png: no Manhattan frame" in page
 
 
 def test_command_tells_the_vertical_alone(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

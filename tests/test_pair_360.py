@@ -16,6 +16,7 @@ from camera_models.formats.calibration_data import RigCamera
 from omnilines.cli import main
 from omnilines.evaluation.scene import aligned_ends, scene_scores
 from omnilines.files import read_lines, read_poses
+from omnilines.files.levels import read_levels
 from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.scenes import build_scene, eye, render_photo, scene_poses
 
@@ -105,6 +106,19 @@ def test_both_lenses_become_one_panorama(room: Path, tmp_path: Path, capsys: pyt
     assert not half[60:200, :20].any() and whole[60:200, :20].any()
     assert run("rectify", folders / "left", *given[2:], "--distance-m", "0", "--out", tmp_path / "no") == 2
     assert "--distance-m was expected above 0" in " ".join(capsys.readouterr().err.split())
+
+
+def test_lines_of_both_lenses_turn_the_panorama_level(room: Path, tmp_path: Path) -> None:
+    given = ["rectify", room / "both", "--calibration", room / "rig.yaml", "--view", "panorama", "--size", "512x256"]
+    assert run(*given, "--split", ",".join(NAMES), "--upright", "--out", tmp_path) == 0
+    rows = read_levels(tmp_path / "upright.csv")
+    assert [row.image for row in rows] == ["view00.png", "view01.png"]
+    models = twin_lenses("double-sphere", 400)
+    middle = axis_from_rig(models, mounts()) @ scene_poses(build_scene("room", 1), 2, 1, models[0])
+    for row, rotation in zip(rows, middle.rotation.numpy(), strict=True):
+        up = row.view_from_camera @ rotation[:, 2]
+        assert np.abs(up - [0, -1, 0]).max() < 2e-3
+        assert row.tilt_rad == pytest.approx(math.acos(-rotation[1, 2]), abs=2e-3) and row.arcs > 20
 
 
 @pytest.mark.full

@@ -1,6 +1,7 @@
 """Unit and frame of a scene whose poses leave them open: metres by a known distance, z up, and nothing else changed by either."""
 
 import json
+import math
 import re
 import shutil
 
@@ -17,6 +18,8 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines import poses as _poses
 from omnilines.pipelines.frame import (
+    BY_PHOTOS,
+    UNDECIDED,
     KnownDistance,
     distance_and_sigma,
     parse_known_distance,
@@ -28,7 +31,7 @@ from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import line_families
-from omnilines.structure.upright import vertical_family
+from omnilines.structure.upright import agreed_up, vertical_family
 
 VIEWS, SIZE, SEED = 6, (400, 400), 4
 UNIT_M = 1.7
@@ -46,8 +49,10 @@ def room(tmp_path_factory):
     return folder
 
 
-def framed(lines, poses, families, source, unit, known):
-    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, options=SceneOptions())
+def framed(lines, poses, families, source, unit, known, verticals=()):
+    ups = np.reshape(verticals, (-1, 3))
+    options = SceneOptions()
+    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, verticals=lambda: ups, options=options)
 
 
 def found_by_sfm(room) -> PhotoPoses:
@@ -256,6 +261,47 @@ def test_a_frame_that_was_given_is_left_and_a_scene_without_a_clear_vertical_say
     lying = framed(lines, ImagePoses(poses.images, rolled), families, "sfm", LengthUnit.METRES, None)
     assert "No family of parallel lines is clearly vertical" in lying.notes[-1]
     np.testing.assert_array_equal(lying.lines.ends_m, lines.ends_m)
+
+
+def test_photos_tell_up_where_families_do_not():
+    """By the vertical that each shows by itself, if most of them agree."""
+    lines, poses = a_scene(1)
+    families = line_families(lines)
+    turns = torch.eye(3).double()[torch.tensor([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 1, 2], [1, 2, 0]])]
+    rolled = ImagePoses(poses.images, Pose(turns @ poses.cam_from_world.rotation, poses.cam_from_world.translation))
+    up = vertical_family(families, poses.cam_from_world).up
+    seen = up + 2e-3 * np.random.default_rng(0).normal(size=(5, 3))
+    seen[1] = families.direction[np.abs(families.direction @ up).argmin()]
+    seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
+    frame = framed(lines, rolled, families, "sfm", LengthUnit.METRES, None, seen)
+    assert frame.up == (0.0, 0.0, 1.0) and frame.notes == (BY_PHOTOS,)
+    before, after = (scene.ends_m[:, 1] - scene.ends_m[:, 0] for scene in (lines, frame.lines))
+    np.testing.assert_allclose(after[:, 2], before @ up, atol=4e-3 * np.abs(before).max())
+    for disagreeing in (seen[:1], np.concatenate([seen[:2], -seen[:1]]), seen[1::-1]):
+        frame = framed(lines, rolled, families, "sfm", LengthUnit.METRES, None, disagreeing)
+        assert frame.notes == (UNDECIDED,) and (frame.lines.ends_m == lines.ends_m).all()
+
+
+def test_up_is_that_of_lines_or_photos_whichever_is_known_better():
+    lines, poses = a_scene(1)
+    families = line_families(lines)
+    by_lines = vertical_family(families, poses.cam_from_world)
+    level = families.direction[np.abs(families.direction @ by_lines.up).argmin()]
+    rng = np.random.default_rng(1)
+
+    def up_with(sigma, tilted=0.0):
+        seen = by_lines.up + tilted * level + sigma * rng.normal(size=(6, 3))
+        seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
+        return seen, framed(lines, poses, families, "sfm", LengthUnit.METRES, None, seen)
+
+    def vertical(frame):
+        return np.abs(frame.families.direction[by_lines.family])
+
+    seen, frame = up_with(0.1 * by_lines.sigma_rad, 1e-3)
+    assert agreed_up(seen).sigma_rad == pytest.approx(0.1 * by_lines.sigma_rad / np.sqrt(6), rel=0.7)
+    assert 7e-4 < math.acos(vertical(frame)[2]) < 1.3e-3 and frame.notes == ()
+    for seen, frame in (up_with(20 * by_lines.sigma_rad, 1e-3), up_with(0.1 * by_lines.sigma_rad, 0.2)):
+        assert vertical(frame)[2] == pytest.approx(1, abs=1e-9), seen
 
 
 def test_two_photos_lying_on_their_side_of_five_do_not_turn_the_scene():

@@ -121,6 +121,10 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "without `orthogonal`",
         ),
     ),
+    "rectify": (
+        Rule(("extraction.", "directions."), lambda call: call.has("upright"), "with `upright`"),
+        Rule(("directions.tried_axes",), lambda call: False, "in `directions` with `orthogonal`"),
+    ),
     "scene": (Rule(("texture_m", "textured"), lambda call: call.has("textures"), "with `textures`"),),
     "reconstruct": (
         Rule(("mask", "extraction."), lambda call: not call.has("segments"), "without `segments`: arcs are not looked for then"),

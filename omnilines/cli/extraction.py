@@ -9,7 +9,9 @@ from omnilines.cli._shared import Json, Out, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
+    from omnilines.extraction import ExtractionOptions
     from omnilines.progress import ProgressCallback
+    from omnilines.structure.options import DirectionsOptions
 
 ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
 
@@ -61,14 +63,8 @@ def directions(
     """Find the directions in which the lines of each photo meet -> directions.csv, rotations where asked for, pictures."""
     from omnilines.commands.directions import directions as command
     from omnilines.commands.frames import with_frames
-    from omnilines.options import with_settings
-    from omnilines.pipelines.arcs import SHORT_ARCS
-    from omnilines.structure.options import DirectionsOptions
 
-    of_arcs = [setting for setting in settings or () if setting.startswith("extraction.")]
-    others = [setting for setting in settings or () if setting not in of_arcs]
-    extraction = with_settings(SHORT_ARCS, of_arcs, "extraction.")
-    options = with_settings(DirectionsOptions(), others, "directions.")
+    extraction, options = arcs_and_directions(settings)
 
     def found(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
@@ -81,3 +77,14 @@ def directions(
         )  # fmt: skip
 
     run(found, as_json)
+
+
+def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions, DirectionsOptions]":
+    """How arcs are found, and the directions in which they meet, as `--set` says."""
+    from omnilines.options import with_settings
+    from omnilines.pipelines.arcs import SHORT_ARCS
+    from omnilines.structure.options import DirectionsOptions
+
+    of_arcs = [setting for setting in settings or () if setting.startswith("extraction.")]
+    others = [setting for setting in settings or () if setting not in of_arcs]
+    return with_settings(SHORT_ARCS, of_arcs, "extraction."), with_settings(DirectionsOptions(), others, "directions.")

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Mirror, Out, Seed, Size, SplitInto, app, parse_size, render_app, run
+from omnilines.cli._shared import Json, Mirror, Out, Seed, Settings, Size, SplitInto, app, parse_size, render_app, run
+from omnilines.cli.extraction import arcs_and_directions
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -77,19 +78,25 @@ def rectify(
         float | None,
         typer.Option("--distance-m", help="Of a rig: how far away what its cameras see together is (far), metres."),
     ] = None,
+    upright: Annotated[
+        bool, typer.Option("--upright", help="Turn photos level by the vertical that their lines show; --yaw-deg is from there.")
+    ] = False,
     split: SplitInto = None,
+    settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Perspective, cylindrical, panoramic or cube views of photos, with their calibration and poses; a rig is one camera."""
     from omnilines.commands.frames import with_frames
     from omnilines.commands.rectify import rectify as command
 
+    extraction, options = arcs_and_directions(settings)
     image_size = None if size is None else parse_size(size, "--size")
 
     def views_of(paths: Sequence[Path], progress: "ProgressCallback") -> "CommandResult":
         return command(
             paths, calibration, out, view=view, poses=poses, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
-            pitch_deg=pitch_deg, distance_m=distance_m, progress=progress,
+            pitch_deg=pitch_deg, distance_m=distance_m, upright=upright, extraction=extraction, options=options,
+            progress=progress,
         )  # fmt: skip
 
     run(

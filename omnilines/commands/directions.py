@@ -1,4 +1,4 @@
-"""omnilines directions: photos + calibration -> directions.csv, arcs.csv, poses.csv and pictures."""
+"""omnilines directions: photos + calibration -> directions.csv, arcs.csv, poses.csv, report.html and pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from omnilines.pipelines.directions import directions as pipeline
 from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
 
-PICTURES = "pictures"
+PICTURES, REPORT = "pictures", "report.html"
 
 
 def directions(
@@ -46,11 +46,13 @@ def directions(
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
     turns = (POSES, COVARIANCE) if orthogonal or vertical else ()
-    check_results(out, [DIRECTIONS, ARCS, *turns, *pictures], read)
+    check_results(out, [DIRECTIONS, ARCS, REPORT, *turns, *pictures], read)
     arcs = extract(refs, cameras, mask=keep, options=extraction, progress=progress)
     found = pipeline(arcs, orthogonal=orthogonal, vertical=vertical, options=options, progress=progress)
-    with claimed(out, [*found.file_names, *pictures], read, by="directions") as folder:
+    with claimed(out, [*found.file_names, *pictures, REPORT], read, by="directions") as folder:
         files = (*found.save(folder), *write_direction_pictures(folder / PICTURES, found, progress))
+        progress("writing the report", 0, 0)
+        page = found.report(folder / REPORT)
     return CommandResult(
         (directions_summary(found),),
         directions_data(found),
@@ -58,4 +60,5 @@ def directions(
         warnings=arcs.notes,
         details=found.details,
         photos=len(refs),
+        report=page,
     )

@@ -1,23 +1,29 @@
 """omnilines rectify: photos resampled into perspective, cylindrical, panoramic and cube views, with their cameras and poses."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from camera_models import load
 from omnilines.commands.result import CommandResult
+from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
 from omnilines.files.colmap_scene import check_colmap_folder
-from omnilines.files.folders import check_output_folder
+from omnilines.files.folders import check_output_folder, check_results
 from omnilines.files.orientation import turned_otherwise
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
-from omnilines.pipelines.rectify import COLMAP_VIEWS, RectifiedViews
+from omnilines.pipelines.arcs import SHORT_ARCS
+from omnilines.pipelines.rectify import COLMAP_VIEWS, LEVELS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
+from omnilines.pipelines.upright import Level
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail, Summary
+from omnilines.structure.options import DirectionsOptions
 
 
 def rectify(
@@ -32,9 +38,13 @@ def rectify(
     yaw_deg: float = 0.0,
     pitch_deg: float = 0.0,
     distance_m: float | None = None,
+    upright: bool = False,
+    extraction: ExtractionOptions = SHORT_ARCS,
+    options: DirectionsOptions = DirectionsOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Write views of photos (PNG) into `out`, with calibration.yaml and, where poses are given, poses.csv of the views.
+    """Write views of photos (PNG) into `out`, with calibration.yaml, where poses are given poses.csv of the views, and of upright
+    ones upright.csv: how each is turned.
 
     Perspective and cube views with poses are also written as a COLMAP text model, in the folder `colmap`. Raises InputError as
     `pipelines.rectify.rectify` does.
@@ -47,20 +57,24 @@ def rectify(
     check_output_folder(folder)
     if table is not None and view in COLMAP_VIEWS:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
-    inputs = {"calibration": calibration, "poses": poses, "view": view, **asked}
+    read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
+    if upright:
+        check_results(folder, ["calibration.yaml", LEVELS], read)
+    inputs: dict[str, Any] = {"calibration": calibration, "poses": poses, "view": view, **asked}
+    if upright:
+        inputs |= {"upright": True, "extraction": extraction, "directions": options}
     made = pipeline(
         refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg,
-        distance_m=distance_m, inputs=inputs,
+        distance_m=distance_m, upright=upright, extraction=extraction, options=options, inputs=inputs, progress=progress,
     )  # fmt: skip
-    read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
     with claimed(folder, made.file_names, read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)
     turned = tuple(Detail.of(name, reason) for name, reason in turned_otherwise(refs).items()) if len(cameras) == 1 else ()
-    return replace(result, details=turned, photos=len(refs))
+    return replace(result, details=(*turned, *made.left_out), photos=len(refs))
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:
-    camera, shown = made.camera, made.shown_share
+    camera, shown, levels = made.camera, made.shown_share, _levels(made)
     covered = float(np.mean(list(shown.values())))
     rows = (
         ("view", made.view),
@@ -78,7 +92,29 @@ def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> Comm
         "photos": len(made.photos),
         "views": [one.name for one in made.views],
         "shown_share": covered,
+        "upright": [
+            {
+                "view": name,
+                "tilt_deg": math.degrees(level.tilt_rad),
+                "sigma_deg": math.degrees(level.sigma_rad),
+                "arcs": level.arcs,
+            }
+            for name, level in levels.items()
+        ],
     }
-    empty = sorted({face or made.view for (_, face), share in shown.items() if share == 0})
+    empty = sorted({one.target.name or made.view for one in made.views if shown[one.name] == 0})
     warnings = tuple(f"The photos show nothing of the view '{name}'; it is black." for name in empty)
-    return CommandResult((Summary("Views", rows),), data, files=files, warnings=warnings)
+    turned = tuple((name, _row(level)) for name, level in levels.items())
+    upright = (Summary("Upright", turned, (), of_photos=True),) if turned else ()
+    return CommandResult((Summary("Views", rows), *upright), data, files=files, warnings=warnings)
+
+
+def _levels(made: RectifiedViews) -> dict[str, Level]:
+    """By the file of the first view of each photo, or instant, that was turned upright."""
+    alike = {id(one.level): (one.name, one.level) for one in reversed(made.views) if one.level is not None}
+    return dict(reversed(alike.values()))
+
+
+def _row(level: Level) -> str:
+    turn, sigma = math.degrees(level.tilt_rad), math.degrees(level.sigma_rad)
+    return f"turned by {turn:.2f} degrees, known to {sigma:.2g}, by {level.arcs} arcs"

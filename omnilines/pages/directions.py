@@ -1,4 +1,4 @@
-"""Directions of photos: figures for tables and `--json`, and pictures of the photos with the arcs of each direction."""
+"""Directions of photos: figures for tables and `--json`, the report, and pictures with the arcs of each direction."""
 
 import math
 from pathlib import Path
@@ -11,9 +11,10 @@ from jaxtyping import UInt8
 
 from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
 from omnilines.pipelines.arcs import FoundArcs
-from omnilines.pipelines.directions import FoundDirections, PhotoDirections
+from omnilines.pipelines.directions import FoundDirections, PhotoDirections, Wanted
 from omnilines.progress import ProgressCallback
 from omnilines.records import Summary
+from omnilines.report import Section, pictures_section, table_section
 
 
 def directions_summary(found: PhotoDirections) -> Summary:
@@ -21,6 +22,51 @@ def directions_summary(found: PhotoDirections) -> Summary:
     rows = tuple((one.arcs.photo.name, _row(one)) for one in found.photos)
     some = sum(len(one) > 0 for one in found.photos)
     return Summary("Directions", rows, (f"a {found.wanted.value} in {some} of {len(rows)} photos",), of_photos=True)
+
+
+def directions_verdict(found: PhotoDirections) -> str:
+    """What was found, in one sentence."""
+    some = [one for one in found.photos if len(one)]
+    count = f"{len(some)} of {len(found.photos)} photos"
+    if not some:
+        return f"No {found.wanted.value} stands out from chance in any of {len(found.photos)} photos."
+    sigma = math.degrees(float(np.median(np.concatenate([one.meeting.sigma_rad for one in some]))))
+    tilts = [math.degrees(tilt) for one in some if (tilt := one.tilt_rad) is not None]
+    tilted = f"; they are tilted by {np.median(tilts):.2g} degrees (median), {max(tilts):.2g} at most" if tilts else ""
+    each = [len(one) for one in some]
+    what = f"A {found.wanted.value} stands" if found.wanted is not Wanted.ALL else f"{_range(each)} directions of lines stand"
+    return f"{what} out from chance in {count}, known to {sigma:.2g} degrees (median){tilted}."
+
+
+def _range(counts: list[int]) -> str:
+    return str(counts[0]) if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+
+
+def directions_sections(found: PhotoDirections) -> list[Section]:
+    """The sections of report.html: the verdict, a table of the directions of each photo, and the photos with their arcs."""
+    of_photo = {one.arcs.photo.name: one for one in found.photos}
+    head = ("Photo", "Direction", "#x", "#y", "#z", "#Its sigma (°)", "#Arcs", "#Arcs of the photo", "#Stray (°)", "#Tilt (°)")
+    rows = [row for one in found.photos for row in (_table_rows(one) or [(one.arcs.photo.name, "none", *[""] * 8)])]
+    text = (
+        "Unit vectors of the camera frame (x right, y down, z forward), with their largest standard deviation. Stray is by how "
+        "much lines differ from their direction beyond what the noise of their arcs explains, one figure for all of a photo."
+    )
+    said = "Arcs in the colours of their directions, grey for none; a ring where a direction, or the one opposite, is seen."
+    return [
+        table_section("Directions", head, rows, (directions_verdict(found), text), [one.text for one in found.details]),
+        pictures_section(list(of_photo), lambda name: draw_directions(found, of_photo[name]), said, "Photos"),
+    ]
+
+
+def _table_rows(one: FoundDirections) -> list[tuple[str, ...]]:
+    """A row for each direction; what is said of the photo as a whole stands in its first."""
+    tilt = "" if one.tilt_rad is None else f"{math.degrees(one.tilt_rad):.2f}"
+    whole = (f"{len(one.arcs):,}", f"{math.degrees(one.meeting.stray_rad):.2g}", tilt)
+    each = zip(one.names, one.meeting.direction.tolist(), np.degrees(one.meeting.sigma_rad), one.meeting.members, strict=True)
+    return [
+        (one.arcs.photo.name, name, *(f"{c:.4f}" for c in xyz), f"{sigma:.2g}", f"{arcs:,}", *(("", "", "") if k else whole))
+        for k, (name, xyz, sigma, arcs) in enumerate(each)
+    ]
 
 
 def _row(one: FoundDirections) -> str:

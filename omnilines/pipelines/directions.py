@@ -1,7 +1,7 @@
 """Directions in which the lines of each photo meet, gravity, and Manhattan frames: `directions`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models import CameraModel, InputError
+from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
-from omnilines.files.sets import claimed
+from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
@@ -58,9 +58,7 @@ class FoundDirections:
     @property
     def tilt_rad(self) -> float | None:
         """Angle between the photo's up and the world's."""
-        if self.cam_from_world is None:
-            return None
-        return math.acos(min(max(float(self.cam_from_world[:, 2] @ UP), -1.0), 1.0))
+        return None if self.cam_from_world is None else tilt_of(self.cam_from_world[:, 2])
 
 
 @dataclass(frozen=True)
@@ -132,6 +130,14 @@ class PhotoDirections:
                 write_covariance(out / COVARIANCE, self.poses)
         return tuple(out / name for name in self.file_names)
 
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one self-contained HTML file; its path."""
+        from omnilines.pages.directions import directions_sections
+        from omnilines.report import write_report
+
+        with claimed_page(path):
+            return write_report(path, "Directions", directions_sections(self))
+
 
 def directions(
     arcs: PhotoArcs,
@@ -173,15 +179,50 @@ def _found(arcs: FoundArcs, model: CameraModel, wanted: Wanted, options: Directi
         if frame is None:
             return FoundDirections(arcs, (), Meeting.none(len(arcs)))
         return FoundDirections(arcs, ("x", "y", "z"), frame.axes, frame.cam_from_world, frame.covariance)
-    meeting = meeting_directions(circles, options)
     if wanted is Wanted.ALL:
+        meeting = meeting_directions(circles, options)
         return FoundDirections(arcs, tuple(str(k + 1) for k in range(len(meeting))), meeting)
-    upright = vertical_direction(meeting.direction, meeting.members, UP[None], options.upright)
-    if upright is None:
+    vertical = vertical_of(circles, options)
+    if vertical is None:
         return FoundDirections(arcs, (), Meeting.none(len(arcs)))
-    turned = np.cross(upright.up, np.eye(3))
-    covariance = turned.T @ meeting.covariance[upright.family] @ turned
-    return FoundDirections(arcs, ("up",), meeting.only(upright.family, upright.up), level_axes(RIGHT, upright.up).T, covariance)
+    up = vertical.direction[0]
+    return FoundDirections(arcs, ("up",), vertical, level_axes(RIGHT, up).T, turn_covariance(up, vertical.covariance[0]))
+
+
+def vertical_of(circles: Circles, options: DirectionsOptions = DirectionsOptions()) -> Meeting | None:
+    """The vertical alone, upwards, of a photo that is held about upright; None where none stands out or it is not clear which."""
+    meeting = meeting_directions(circles, options)
+    upright = vertical_direction(meeting.direction, meeting.members, UP[None], options.upright)
+    return None if upright is None or upright.family is None else meeting.only(upright.family, upright.up)
+
+
+def world_verticals(
+    found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration, options: DirectionsOptions, progress: ProgressCallback
+) -> Float[np.ndarray, "m 3"]:
+    """Where up is in the world by the vertical that each photo with a pose shows, of those that show one."""
+    row = {name: k for k, name in enumerate(poses.images)}
+    posed = [one for one in found if one.photo.name in row]
+
+    def look(one: FoundArcs) -> Meeting | None:
+        """The vertical of one photo."""
+        return vertical_of(circles_of(one, cameras[one.camera]), options)
+
+    verticals = zip(posed, on_all_cores(look, posed, "finding the vertical", progress), strict=True)
+    rotation = poses.cam_from_world.rotation.numpy()
+    ups = [one.direction[0] @ rotation[row[arcs.photo.name]] for arcs, one in verticals if one is not None]
+    return np.array(ups).reshape(-1, 3)
+
+
+def turn_covariance(up: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Of the rotation vector that goes with a unit vector of this covariance, without error about it."""
+    moves = np.cross(up, np.eye(3))
+    turned: Float[np.ndarray, "3 3"] = moves.T @ covariance @ moves
+    return turned
+
+
+def tilt_of(up: Float[np.ndarray, "3"]) -> float:
+    """Angle (rad) between the photo's up and a unit vector that is up in the camera frame."""
+    return math.acos(min(max(float(up @ UP), -1.0), 1.0))
 
 
 def circles_of(arcs: FoundArcs, model: CameraModel) -> Circles:

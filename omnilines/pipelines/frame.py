@@ -5,12 +5,13 @@ two photos gives metres; the families of parallel lines, and photos that were ta
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from camera_models import InputError
 from camera_models.pose import Pose
@@ -19,10 +20,15 @@ from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import LARGEST_M, ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import Families
-from omnilines.structure.upright import photos_up, upright_from_world, vertical_family
+from omnilines.structure.upright import agreed_up, better_known, photos_up, upright_from_world, vertical_family
 
 SFM = "sfm"
 """The source whose poses are in the frame of a photo."""
+UNDECIDED = (
+    "No family of parallel lines is clearly vertical, and the photos by themselves do not agree on a vertical: the world is "
+    "the frame of the first photo."
+)
+BY_PHOTOS = "No family of lines is clearly vertical: up is the vertical that most photos show by themselves."
 
 
 @dataclass(frozen=True)
@@ -119,11 +125,13 @@ def scene_frame(
     source: str,
     unit: LengthUnit,
     known: KnownDistance | None,
+    verticals: Callable[[], Float[np.ndarray, "m 3"]],
     options: SceneOptions,
 ) -> SceneFrame:
     """Lines and poses in metres where a distance is known, and upright where the frame was that of a photo (sfm).
 
-    `source` and `unit` are those of `PhotoPoses`. Under a turn and a scale of the world a pose keeps the perturbation of its own
+    `source` and `unit` are those of `PhotoPoses`; `verticals` finds where up is in the world by the lines of each photo alone;
+    it is asked where the world is turned upright. Under a turn and a scale of the world a pose keeps the perturbation of its own
     camera, whose translation is scaled, and a line its chart: S is turned from the left and perturbed from the right, and phi
     compares two lengths.
     """
@@ -136,12 +144,16 @@ def scene_frame(
     elif unit is LengthUnit.OPEN:
         notes += (_open(source),)
     upright = vertical_family(families, poses.cam_from_world, options.structure.upright)
+    if source == SFM:
+        by_lines = upright
+        upright = better_known(by_lines, agreed_up(verticals(), options.structure.upright), options.structure.upright)
+        notes += (BY_PHOTOS,) if by_lines is None and upright is not None else ()
     up = photos_up(poses.cam_from_world) if upright is None else upright.up
     if source == SFM and upright is not None:
         turn = upright_from_world(families, upright, poses.cam_from_world, options.structure.upright)
         up = np.array([0.0, 0.0, 1.0])
     elif source == SFM:
-        notes += ("No family of parallel lines is clearly vertical: the world is the frame of the first photo.",)
+        notes += (UNDECIDED,)
     elif (upright is None and source == "table") or up[2] > math.cos(options.frame.z_up_rad):
         up = np.array([0.0, 0.0, 1.0])
     return SceneFrame(

@@ -16,6 +16,7 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import PhotoArcs, calibration_of
 from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
@@ -30,6 +31,7 @@ from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Check, Detail, ImagePoses, Segments
 from omnilines.structure.families import line_families
+from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
 
 
@@ -132,8 +134,10 @@ def _scene(
     progress("looking for parallel lines", 0, 0)
     lines, poses = found.scene.lines, found.scene.poses
     families = line_families(lines, options.structure.families)
+    sought = DirectionsOptions(upright=options.structure.upright)
     frame = scene_frame(
-        lines, poses, families, source=posed.source, unit=posed.unit, known=distance, options=options
+        lines, poses, families, source=posed.source, unit=posed.unit, known=distance,
+        verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     found = replace(found, scene=replace(found.scene, lines=frame.lines, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)

@@ -1,17 +1,18 @@
 """Photos resampled into perspective, cylindrical, panoramic and cube views, with their cameras and poses: `rectify`.
 
-Of a rig without poses, the photos of one instant become one view, from the middle of the rig.
+Of a rig without poses, the photos of one instant become one view, from the middle of the rig. Photos may be turned level by the
+vertical that their lines show.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import UInt
+from jaxtyping import Float, UInt
 
 from camera_models import Calibration, CameraModel, InputError, load, save
 from camera_models.blending import BlendedGrid, axis_from_rig, blended, blended_grid
@@ -19,17 +20,22 @@ from camera_models.formats.forms import listed
 from camera_models.pose import Pose
 from camera_models.resampling import SamplingGrid, sampling_grid
 from camera_models.views import View, axis_from_camera, views
+from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo, PhotoRef, Photos, photos_of, write_png, write_poses
 from omnilines.files.colmap_scene import COLMAP_FILES, check_colmap_folder, write_colmap_scene
 from omnilines.files.folders import written
+from omnilines.files.levels import LevelRow, read_levels, write_levels
 from omnilines.files.sets import claimed, settle
-from omnilines.pipelines.arcs import calibration_of, cameras_of_photos
+from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos
 from omnilines.pipelines.detect_rig import frame_of
+from omnilines.pipelines.upright import Level, Levels, levels_of
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
-from omnilines.records import ImagePoses
+from omnilines.records import Detail, ImagePoses
+from omnilines.structure.options import DirectionsOptions
 
+LEVELS = "upright.csv"
 COLMAP_VIEWS = ("perspective", "cube")
 """Of which a COLMAP model is written."""
 
@@ -45,6 +51,9 @@ class OneView:
     cameras: tuple[str, ...]
     """Of the photos."""
     target: View
+    """Turned from the optical axis, or from level."""
+    level: Level | None = None
+    """By which the photos are turned upright, where that was asked for."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +65,14 @@ class RectifiedViews:
     views: tuple[OneView, ...]
     camera: CameraModel
     """Of all views."""
-    grids: Mapping[tuple[tuple[str, ...], str], BlendedGrid] = field(repr=False)
-    """Of each camera, or cameras, and face."""
+    grids: "Grids" = field(repr=False)
+    """Where the pixels of each view lie in its photos."""
     poses: ImagePoses | None = None
     """Of the views, by name, where those of the photos were given."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What the views were made from."""
+    left_out: tuple[Detail, ...] = ()
+    """Photos that show no vertical, or cannot be used, where upright views were asked for."""
 
     def __len__(self) -> int:
         return len(self.views)
@@ -72,9 +83,9 @@ class RectifiedViews:
         return provenance(self.inputs)
 
     @property
-    def shown_share(self) -> dict[tuple[tuple[str, ...], str], float]:
-        """Share of a view that the photos of a camera, or of several, show, by cameras and face."""
-        return {key: grid.shown_share for key, grid in self.grids.items()}
+    def shown_share(self) -> dict[str, float]:
+        """Share of each view that its photos show, by its name."""
+        return {one.name: self.grids.shown_share(one) for one in self.views}
 
     def pixels(self, progress: ProgressCallback = silent) -> Iterator[tuple[str, UInt[np.ndarray, "h w *channels"]]]:
         """Name and pixels of every view; what the photo does not show is black. Raises InputError where a photo is none."""
@@ -84,19 +95,24 @@ class RectifiedViews:
         for k, one in enumerate(self.views):
             if one.photos != read:
                 read, images = one.photos, [photo.read() for photo in one.photos]
-            yield one.name, blended(images, self.grids[one.cameras, one.target.name])
+            yield one.name, blended(images, self.grids.of(one))
             progress("resampling photos", k + 1, len(self.views))
 
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
-        """Write the views (PNG), calibration.yaml and, where poses are known, poses.csv and for perspective views a COLMAP model
-        into a folder, which is made; the files written. Raises InputError where the folder holds parts of another model."""
+        """Write the views (PNG), calibration.yaml, of upright views upright.csv and, where poses are known, poses.csv and for
+        perspective views a COLMAP model into a folder, which is made; the files written. Raises InputError where the folder holds
+        parts of another model."""
         if self._colmap:
             check_colmap_folder(Path(folder) / "colmap", [photo.name for photo in self.photos])
         photos = [photo.path for photo in self.photos if isinstance(photo, PhotoRef)]
-        with claimed(folder, self.file_names, photos, by="rectify", kept=self.views_that_stay(folder)) as out:
+        stay = self.views_that_stay(folder)
+        levels = self._levels(Path(folder), stay)
+        with claimed(folder, self.file_names, photos, by="rectify", kept=stay) as out:
             for name, pixels in self.pixels(progress):
                 write_png(out / name, pixels)
             save(out / "calibration.yaml", Calibration({self.view: self.camera}, provenance=self.provenance))
+            if self._upright:
+                write_levels(out / LEVELS, levels)
             if self.poses is not None:
                 write_poses(out / "poses.csv", self.poses)
             if self._colmap and self.poses is not None:
@@ -108,7 +124,20 @@ class RectifiedViews:
         """Of what `save` writes."""
         poses = ("poses.csv",) if self.poses is not None else ()
         colmap = tuple(f"colmap/{name}" for name in COLMAP_FILES) if self._colmap else ()
-        return (*(one.name for one in self.views), "calibration.yaml", *poses, *colmap)
+        levels = (LEVELS,) if self._upright else ()
+        return (*(one.name for one in self.views), "calibration.yaml", *levels, *poses, *colmap)
+
+    @property
+    def _upright(self) -> bool:
+        return any(one.level is not None for one in self.views)
+
+    def _levels(self, folder: Path, stay: Sequence[str]) -> list[LevelRow]:
+        """How upright views are turned: these, and those of an earlier run that stay."""
+        own = [_level_row(one, one.level, self.grids) for one in self.views if one.level is not None]
+        if LEVELS not in stay:
+            return own
+        names = {one.name for one in self.views}
+        return [*(row for row in read_levels(folder / LEVELS) if row.image in stay and row.image not in names), *own]
 
     @property
     def _colmap(self) -> bool:
@@ -124,7 +153,37 @@ class RectifiedViews:
         if (earlier.NAME, earlier.image_size) != (self.camera.NAME, self.camera.image_size):
             return ()
         same = torch.equal(earlier.parameters, self.camera.parameters)
-        return tuple(name for name in written(folder) if same and Path(name).suffix == ".png")
+        return tuple(name for name in written(folder) if same and (Path(name).suffix == ".png" or name == LEVELS))
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Where the pixels of views lie in their photos: one grid for all that look through the same cameras at the same face; of
+    upright views, each of which is turned by itself, one is made when it is asked for."""
+
+    cameras: Calibration
+    distance_m: float | None
+    """Of what has no parallax in the photos of a rig, which are taken together; None for photos by themselves."""
+    known: dict[tuple[tuple[str, ...], str], BlendedGrid] = field(default_factory=dict)
+    shown: dict[str, float] = field(default_factory=dict)
+
+    def of(self, one: OneView) -> BlendedGrid:
+        """The grid of a view."""
+        key = (one.cameras, one.target.name)
+        grid = self.known[key] if key in self.known and one.level is None else self._made(one)
+        if one.level is None:
+            self.known[key] = grid
+        self.shown[one.name] = grid.shown_share
+        return grid
+
+    def shown_share(self, one: OneView) -> float:
+        """Share of a view that its photos show."""
+        return self.shown[one.name] if one.name in self.shown else self.of(one).shown_share
+
+    def _made(self, one: OneView) -> BlendedGrid:
+        if self.distance_m is not None:
+            return _rig_grid(self.cameras, one, self.distance_m)
+        return BlendedGrid.of(_grid(self.cameras[one.cameras[0]], one.target))
 
 
 def rectify(
@@ -138,17 +197,26 @@ def rectify(
     yaw_deg: float = 0.0,
     pitch_deg: float = 0.0,
     distance_m: float | None = None,
+    upright: bool = False,
+    extraction: ExtractionOptions = SHORT_ARCS,
+    options: DirectionsOptions = DirectionsOptions(),
     inputs: Mapping[str, Any] | None = None,
+    progress: ProgressCallback = silent,
 ) -> RectifiedViews:
     """Perspective, cylindrical, panorama or cube views of photos, and where they look from.
 
     `view`, `size` (px), `fov_deg`, `yaw_deg` and `pitch_deg` are those of `camera_models.views.views`. Of several cameras, the
     poses say which one a photo is of; they must name every photo. Photos of a rig without poses, in folders named like its
     cameras, are taken together: those of one file name become one view from the middle of the rig, blended where two cameras
-    look equally much that way; what lies at `distance_m` (default: far away) is without parallax there. `inputs` is what the
-    views say that they were made from.
+    look equally much that way; what lies at `distance_m` (default: far away) is without parallax there.
 
-    Raises InputError on photos, poses and options that are not what they have to be.
+    With `upright` the vertical is found in the lines of each photo, or of the photos of a rig at one instant, and views look
+    along the ground, upright, before they are turned by `yaw_deg` and `pitch_deg`. Photos in which no vertical stands out are in
+    `left_out`. `extraction` and `options` are how arcs and directions are found. `inputs` is what the views say that they were
+    made from.
+
+    Raises InputError on photos, poses and options that are not what they have to be, GeometryError where upright views are asked
+    for and no photo shows the vertical.
 
         >>> views = ol.rectify("room/", ol.load("room/calibration.yaml"), "cube", size=(100, 100))
         >>> len(views), {pixels.shape for _, pixels in views.pixels()}
@@ -165,22 +233,45 @@ def rectify(
     else:
         of_photo = _cameras_of_photos(found, cameras, table)
         groups = {photo.name: {of_photo[photo.name]: photo} for photo in found}
+    levels = Levels({}, ())
+    if upright:
+        axes = {name: _axis_from_rig_camera(cameras, name) if together else axis_from_camera(cameras[name]) for name in cameras}
+        levels = levels_of(groups, cameras, axes, extraction=extraction, options=options, progress=progress)
+        groups = {name: own for name, own in groups.items() if name in levels.found}
     made = tuple(
-        OneView(_file_name(name, target.name), tuple(own.values()), tuple(own), target)
+        OneView(_file_name(name, target.name), tuple(own.values()), tuple(own), _levelled(target, level), level)
         for name, own in groups.items()
+        for level in [levels.found.get(name)]
         for target in targets
     )
-    grids = {}
-    for one in made:
-        if (key := (one.cameras, one.target.name)) not in grids:
-            grids[key] = (
-                _rig_grid(cameras, one, math.inf if distance_m is None else distance_m)
-                if together
-                else BlendedGrid.of(_grid(cameras[one.cameras[0]], one.target))
-            )
+    grids = Grids(cameras, None if not together else math.inf if distance_m is None else distance_m)
+    if not upright:
+        for one in made:
+            grids.of(one)
     its = None if table is None else _poses_of_views(view, cameras, table, made)
-    asked = {"view": view, "fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "distance_m": distance_m}
-    return RectifiedViews(view, tuple(found), made, targets[0].camera, grids, its, asked if inputs is None else inputs)
+    asked: dict[str, Any] = {
+        "view": view,
+        "fov_deg": fov_deg,
+        "yaw_deg": yaw_deg,
+        "pitch_deg": pitch_deg,
+        "distance_m": distance_m,
+    }
+    if upright:
+        asked |= {"upright": True, "extraction": extraction, "directions": options}
+    given = asked if inputs is None else inputs
+    return RectifiedViews(view, tuple(found), made, targets[0].camera, grids, its, given, levels.left_out)
+
+
+def _levelled(target: View, level: Level | None) -> View:
+    return target if level is None else replace(target, view_from_axis=target.view_from_axis @ level.level_from_axis)
+
+
+def _level_row(one: OneView, level: Level, grids: Grids) -> LevelRow:
+    """How an upright view is turned: of a rig, from its first camera."""
+    first = one.cameras[0] if grids.distance_m is None else next(iter(grids.cameras.rig))
+    turn = one.target.view_from_axis @ level.level_from_axis.T
+    covariance = turn @ level.covariance @ turn.T
+    return LevelRow(one.name, _turn(grids.cameras[first], one.target), covariance, level.tilt_rad, level.arcs)
 
 
 def _instants(photos: Sequence[Photo], camera_of: Mapping[str, str]) -> dict[str, dict[str, Photo]]:
@@ -198,11 +289,20 @@ def _instants(photos: Sequence[Photo], camera_of: Mapping[str, str]) -> dict[str
 
 
 def _rig_grid(cameras: Calibration, one: OneView, distance_m: float) -> BlendedGrid:
+    chosen = [list(cameras.rig).index(name) for name in one.cameras]
+    return blended_grid(one.target, [cameras[name] for name in one.cameras], _cam_from_axis(cameras)[chosen], distance_m)
+
+
+def _cam_from_axis(cameras: Calibration) -> Pose:
+    """The cameras of a rig from the frame that its views are turned in."""
     mounted = [cameras.rig[name].cam_from_rig for name in cameras.rig]
     whole = Pose(torch.stack([pose.rotation for pose in mounted]), torch.stack([pose.translation for pose in mounted]))
-    axis = axis_from_rig([cameras[name] for name in cameras.rig], whole)
-    chosen = [list(cameras.rig).index(name) for name in one.cameras]
-    return blended_grid(one.target, [cameras[name] for name in one.cameras], whole[chosen] @ axis.inverse(), distance_m)
+    return whole @ axis_from_rig([cameras[name] for name in cameras.rig], whole).inverse()
+
+
+def _axis_from_rig_camera(cameras: Calibration, name: str) -> Float[np.ndarray, "3 3"]:
+    turn: Float[np.ndarray, "3 3"] = _cam_from_axis(cameras).rotation[list(cameras.rig).index(name)].numpy().T
+    return turn
 
 
 def _cameras_of_photos(photos: Sequence[Photo], cameras: Calibration, table: ImagePoses | None) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments,
 from omnilines.report.numbers import figure
 from omnilines.report.page import Section
 from omnilines.report.photos import photos_section
+from omnilines.report.tables import table
 
 SHOWN_LINES = 300
 """Rows of the table of lines; more are in the file."""
@@ -64,7 +65,7 @@ def stage_section(stages: Sequence[StageCount], title: str = "Stages") -> Sectio
     if empty is not None:
         most = max(empty.dropped, key=lambda item: item[1], default=("nothing came to it", 0))[0]
         said = Markup("<p>Nothing is left after the stage <strong>{}</strong>: {}.</p>\n").format(empty.stage, most)
-    return Section(title, said + _table(("Stage", "#Kept", "#Dropped", "Why"), rows))
+    return Section(title, said + table(("Stage", "#Kept", "#Dropped", "Why"), rows))
 
 
 def photo_arcs_section(photos: Sequence[PhotoCount], title: str = "Arcs of every photo") -> Section:
@@ -83,7 +84,7 @@ def photo_arcs_section(photos: Sequence[PhotoCount], title: str = "Arcs of every
         "as have to see a line. A photo that loses far more arcs than the others before they are confirmed has a wrong pose, or "
         "sees what no other does.</p>\n"
     )
-    return Section(title, text + _table(head, rows))
+    return Section(title, text + table(head, rows))
 
 
 def families_section(families: FamiliesLike, title: str = "Parallel lines") -> Section:
@@ -122,12 +123,10 @@ def families_section(families: FamiliesLike, title: str = "Parallel lines") -> S
     pairs = zip(families.right_angles.tolist(), degrees(families.angle_rad), degrees(families.angle_sigma_rad), strict=True)
     right = [(f"{a} and {b}", f"{angle:.3f}", f"{sigma:.2g}") for (a, b), angle, sigma in pairs]
     below = (
-        Markup("<h3>At right angles</h3>\n") + _table(("Families", "#Angle (°)", "#Its sigma (°)"), right)
-        if right
-        else Markup("")
+        Markup("<h3>At right angles</h3>\n") + table(("Families", "#Angle (°)", "#Its sigma (°)"), right) if right else Markup("")
     )
     none = Markup("") if right else Markup("<p>No two families are at a right angle within their uncertainty.</p>\n")
-    return Section(title, intro + _table(head, rows) + below + none)
+    return Section(title, intro + table(head, rows) + below + none)
 
 
 def line_table_section(lines: Lines, covariance_file: str | None = "covariance.npz", title: str = "Lines") -> Section:
@@ -165,7 +164,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
         "#Sigma of direction (°)",
         "#RMS (px)",
     )
-    return Section(title, text + Markup(".</p>\n") + _table(head, rows))
+    return Section(title, text + Markup(".</p>\n") + table(head, rows))
 
 
 def line_photos_section(
@@ -234,19 +233,3 @@ def _direction_sigma_rad(lines: Lines) -> Float[np.ndarray, " n"]:
     finite = np.isfinite(part).all((1, 2))
     largest = np.linalg.eigvalsh(np.where(finite[:, None, None], part, 0.0))[:, -1]
     return np.where(finite, np.sqrt(largest.clip(0)), np.nan)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:
-    """A table whose first column names the row; columns with # before their title hold numbers."""
-    number = [title.startswith("#") for title in head]
-    kind = [Markup(' class="number"') if n else Markup("") for n in number]
-    titles = Markup("").join(
-        Markup('<th scope="col"{}>{}</th>').format(k, title.removeprefix("#")) for k, title in zip(kind, head, strict=True)
-    )
-    body = Markup("")
-    for first, *others in rows:
-        cells = Markup("").join(Markup("<td{}>{}</td>").format(k, cell) for k, cell in zip(kind[1:], others, strict=True))
-        body += Markup('<tr><th scope="row">{}</th>{}</tr>\n').format(first, cells)
-    return Markup('<div class="scroll">\n<table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</div>\n').format(
-        titles, body
-    )

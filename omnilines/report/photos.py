@@ -3,7 +3,7 @@
 import base64
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -54,10 +54,23 @@ def photos_section(
         if curve.image in by_image:
             by_image[curve.image].append(curve)
     folder = pathlib.Path(photo_folder)
-    return Section(title, lambda allowed_bytes: _render(folder, by_image, allowed_bytes))
+    return Section(title, lambda allowed_bytes: _render(lambda name: _read(folder / name), by_image, allowed_bytes))
 
 
-def _render(folder: pathlib.Path, by_image: dict[str, list[Polyline]], allowed_bytes: int) -> Markup:
+def pictures_section(
+    names: Sequence[str], drawn: Callable[[str], UInt8[np.ndarray, "h w 3"]], said: str, title: str = "Pictures"
+) -> Section:
+    """Photos with what was found drawn over them already, under a sentence that says what is to be seen; `drawn` makes that of a
+    photo. They are scaled and compressed to the page's limit, as those of `photos_section`."""
+    return Section(title, lambda allowed_bytes: _render(drawn, {name: [] for name in names}, allowed_bytes, said))
+
+
+def _render(
+    read: Callable[[str], UInt8[np.ndarray, "h w 3"] | None],
+    by_image: dict[str, list[Polyline]],
+    allowed_bytes: int,
+    said: str | None = None,
+) -> Markup:
     names = list(by_image)
     places = max(1, allowed_bytes // _SMALLEST_SHARE_BYTES)
     chosen = names if len(names) <= places else [names[k] for k in np.linspace(0, len(names) - 1, places).round().astype(int)]
@@ -65,7 +78,7 @@ def _render(folder: pathlib.Path, by_image: dict[str, list[Polyline]], allowed_b
     left = allowed_bytes - sum(len(name.encode()) + 100 for name in names)
     photos = []
     for k, name in enumerate(chosen):
-        pixels = _read(folder / name)
+        pixels = read(name)
         if pixels is None:
             left_out[name] = "it cannot be read"
             continue
@@ -76,7 +89,7 @@ def _render(folder: pathlib.Path, by_image: dict[str, list[Polyline]], allowed_b
         photos.append(photo)
         left -= _size_bytes(photo)
     ordered = [(name, left_out[name]) for name in names if name in left_out]
-    return fragment("photos", photos=photos, left_out=ordered, total=len(names))
+    return fragment("photos", photos=photos, left_out=ordered, total=len(names), said=said)
 
 
 def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
@@ -102,7 +115,7 @@ def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyl
             scaled = cv2.resize(pixels, (shown, max(1, round(height * shown / width))), interpolation=cv2.INTER_AREA)
         uri = "data:image/jpeg;base64," + base64.b64encode(jpeg_of(scaled, quality)).decode("ascii")
         scale = "" if shown == width else f", shown {shown} px wide"
-        caption = f"{width} × {height} px{scale}; {points:,} observed points, {len(model):,} curves"
+        caption = f"{width} × {height} px{scale}" + (f"; {points:,} observed points, {len(model):,} curves" if curves else "")
         photo = _Photo(name, (width, height), uri, caption, model, observed)
         if _size_bytes(photo) <= share_bytes:
             return photo

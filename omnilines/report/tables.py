@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,31 @@ from omnilines.report.page import Section, fragment
 def summary_section(*summaries: Summary, title: str = "Summary") -> Section:
     """Tables of named figures, each under its own title, with their notes."""
     return Section(title, fragment("summary", summaries=summaries, title=title))
+
+
+def table_section(
+    title: str, head: Sequence[str], rows: Sequence[Sequence[Any]], said: Sequence[str] = (), notes: Sequence[str] = ()
+) -> Section:
+    """A table as `table` makes it, with paragraphs above and notes below."""
+    above = Markup("").join(Markup("<p>{}</p>\n").format(one) for one in said)
+    below = Markup("").join(Markup("<li>{}</li>\n").format(note) for note in notes)
+    return Section(title, above + table(head, rows) + (Markup('<ul class="notes">\n{}</ul>\n').format(below) if notes else ""))
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:
+    """A table whose first column names the row; columns with # before their title hold numbers."""
+    number = [title.startswith("#") for title in head]
+    kind = [Markup(' class="number"') if n else Markup("") for n in number]
+    titles = Markup("").join(
+        Markup('<th scope="col"{}>{}</th>').format(k, title.removeprefix("#")) for k, title in zip(kind, head, strict=True)
+    )
+    body = Markup("")
+    for first, *others in rows:
+        cells = Markup("").join(Markup("<td{}>{}</td>").format(k, cell) for k, cell in zip(kind[1:], others, strict=True))
+        body += Markup('<tr><th scope="row">{}</th>{}</tr>\n').format(first, cells)
+    return Markup('<div class="scroll">\n<table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</div>\n').format(
+        titles, body
+    )
 
 
 def checks_section(checks: tuple[Check, ...], title: str = "Checks") -> Section:

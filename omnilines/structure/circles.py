@@ -17,6 +17,7 @@ and its mean by chance is at most 1, whatever the noise. No arc reaches the dire
 the ratio 0.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,20 @@ class Circles:
     def rows(self, chosen: Int[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Circles":
         """Some of them."""
         return Circles(self.normal[chosen], self.middle[chosen], self.noise[:, chosen], self.ends[:, chosen])
+
+    def turned(self, rotation: Float[np.ndarray, "3 3"]) -> "Circles":
+        """The same in a frame that X' = rotation X leads to."""
+        return Circles(self.normal @ rotation.T, self.middle @ rotation.T, self.noise @ rotation.T, self.ends @ rotation.T)
+
+    @staticmethod
+    def joined(parts: Sequence["Circles"]) -> "Circles":
+        """Those of several photos, in one frame."""
+        return Circles(
+            np.concatenate([part.normal for part in parts]),
+            np.concatenate([part.middle for part in parts]),
+            np.concatenate([part.noise for part in parts], 1),
+            np.concatenate([part.ends for part in parts], 1),
+        )
 
     @property
     def sigma_rad(self) -> Float[np.ndarray, " n"]:

@@ -6,7 +6,7 @@ may lie on their side.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,15 +22,48 @@ from omnilines.structure.options import UprightOptions
 class Upright:
     """The vertical of a scene, or of one photo."""
 
-    family: int
-    """The vertical one of the directions."""
+    family: int | None
+    """The vertical one of the directions; None where up is known otherwise."""
     up: Float[np.ndarray, "3"]
     """Unit vector that points up, in the frame of the directions."""
+    sigma_rad: float | None = None
+    """Standard deviation of it, in each of two directions, where that is known."""
 
 
 def photos_up(cam_from_world: Pose) -> Float[np.ndarray, "3"]:
-    """The direction (unit) that is up in the median photo: -y of its camera, Weiszfeld's median over the photos."""
-    ups = -cam_from_world.rotation[:, 1].numpy()
+    """The direction (unit) that is up in the median photo: -y of its camera."""
+    return _median(-cam_from_world.rotation[:, 1].numpy())
+
+
+def agreed_up(ups: Float[np.ndarray, "m 3"], options: UprightOptions = UprightOptions()) -> Upright | None:
+    """What more than half of the photos, and two at least, say is up, with its standard deviation by how far they differ.
+
+    `ups` are the verticals that each shows by itself, brought into the world. None where they do not agree to `horizontal_rad`.
+    """
+    if len(ups) < 2:
+        return None
+    near = ups[ups @ _median(ups) >= math.cos(options.horizontal_rad)]
+    if len(near) < max(2, len(ups) // 2 + 1):
+        return None
+    up = _median(near)
+    apart2 = float(np.square(near - up).sum()) / (2 * (len(near) - 1))
+    return Upright(None, up, math.sqrt(apart2 / len(near)))
+
+
+def better_known(
+    by_lines: Upright | None, by_photos: Upright | None, options: UprightOptions = UprightOptions()
+) -> Upright | None:
+    """The vertical of the scene: that of the photos where the lines have none, or know it less well and do not contradict."""
+    if by_lines is None or by_photos is None:
+        return by_photos if by_lines is None else by_lines
+    agree = float(by_lines.up @ by_photos.up) >= math.cos(options.horizontal_rad)
+    of_photos, of_lines = by_photos.sigma_rad, by_lines.sigma_rad
+    surer = of_photos is not None and of_lines is not None and of_photos < of_lines
+    return by_photos if agree and surer else by_lines
+
+
+def _median(ups: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "3"]:
+    """Weiszfeld's median of unit vectors, as one."""
     middle = ups.mean(0)
     for _ in range(50):
         weight = 1.0 / np.maximum(np.linalg.norm(ups - middle, axis=-1), 1e-9)
@@ -41,7 +74,10 @@ def photos_up(cam_from_world: Pose) -> Float[np.ndarray, "3"]:
 
 def vertical_family(families: Families, cam_from_world: Pose, options: UprightOptions = UprightOptions()) -> Upright | None:
     """The family that is vertical, and its upper side; None where the photos do not tell (`vertical_direction`)."""
-    return vertical_direction(families.direction, families.members, -cam_from_world.rotation[:, 1].numpy(), options)
+    found = vertical_direction(families.direction, families.members, -cam_from_world.rotation[:, 1].numpy(), options)
+    if found is None or found.family is None:
+        return found
+    return replace(found, sigma_rad=float(families.sigma_rad[found.family]))
 
 
 def vertical_direction(

@@ -62,6 +62,8 @@ IDLE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("board", ("--data", "IN/corners.csv", "--pattern", BOARD)),
     ("board", ("--triangulation", "svd", "--bandwidth", "0.1")),
     ("rectify", ("--view", "cube", "--fov-deg", "100")),
+    ("rectify", ("--set", "directions.tried_rad=0.01")),
+    ("rectify", ("--upright", "--set", "directions.tried_axes=4")),
     ("directions", ("--set", "directions.tried_axes=4")),
     ("directions", ("--vertical", "--set", "directions.tried_axes=5")),
     ("directions", ("--orthogonal", "--set", "directions.max_directions=4")),
