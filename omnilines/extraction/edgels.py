@@ -6,7 +6,7 @@ two colours of equal brightness counts like any other.
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
+from jaxtyping import Bool, Float32, Int, Int32, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
