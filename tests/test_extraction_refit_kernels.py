@@ -6,6 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from test_extraction_kernels import FISHEYE, drawn, some_points
 
 from omnilines.extraction.arcs import Arcs, arcs_of_ends
@@ -274,6 +275,15 @@ def test_a_bend_is_where_two_circles_leave_least() -> None:
         np.testing.assert_allclose(found, plain_bend(plain), rtol=1e-5)
 
 
+def step_left(profile: np.ndarray, blur_px: float) -> float:
+    """Weighted squares of a profile that a level, a blurred step and its slope leave, by NumPy's least squares."""
+    weight = np.exp(-0.25 * (OFFSETS_PX / OPTIONS.refit.taper_px) ** 2)
+    slope = np.exp(-0.5 * (OFFSETS_PX / blur_px) ** 2)
+    design = np.stack([np.ones_like(slope), ndtr(OFFSETS_PX / blur_px), slope], -1) * weight[:, None]
+    explained = design @ np.linalg.lstsq(design, weight * profile, rcond=None)[0]
+    return float(((weight * profile - explained) ** 2).sum())
+
+
 def plain_refit(picture: Picture, edgels: Edgels, at: Samples, arc: int, low: float, high: float) -> dict | None:
     """The figures of one arc; None where it is lost."""
     rows = slice(at.starts[arc], at.starts[arc + 1])
@@ -299,7 +309,7 @@ def plain_refit(picture: Picture, edgels: Edgels, at: Samples, arc: int, low: fl
     step, strength = np.einsum("nc,nck->nk", steady, grey), (steady**2).sum(-1) + 1e-6
     filters = [step_filters(taper) for taper in (OPTIONS.refit.taper_px, OPTIONS.refit.wide_taper_px)]
     mean = step[support].sum(0)
-    blur = int(np.argmin([((mean @ one[1:]) ** 2).sum() for one in filters[0]]))
+    blur = int(np.argmin([step_left(mean, blur_px) for blur_px in BLURS_PX]))
     narrow, wide = (Places(angle, rate, step @ one[blur, 0] / strength, strength, support) for one in filters)
     if (support & (np.abs(narrow.shift) < OPTIONS.refit.max_shift_px)).sum() < LEAST_SAMPLES:
         return None

@@ -6,10 +6,11 @@ two colours of equal brightness counts like any other.
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32, UInt
+from jaxtyping import Bool, Float32, Int, Int32, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
+from omnilines.extraction.kernels.chain import chain_ends, cut_chains
 from omnilines.extraction.kernels.edgel import add_products, ridge_points, second_differences, strengths
 from omnilines.extraction.kernels.tables import Edgels, SeenChains
 from omnilines.extraction.options import EdgeOptions
@@ -105,19 +106,6 @@ def seen_chains(
 ) -> SeenChains:
     """Bearings of the edge points of chains of `least` or more; `order` has the points chain by chain, from `starts` on. Where
     the camera does not see a point, its chain is cut."""
-    count = np.diff(starts)
-    chosen = order[np.repeat(count >= least, count)]
-    chain = np.repeat(np.arange(len(count)), np.where(count >= least, count, 0))
-    place, half = points[chosen, :2].astype(np.float64), 0.5 * points[chosen, 2:].astype(np.float64)
-    (before, seen), (after, also) = bearings_at(model, place - half), bearings_at(model, place + half)
-    acrosses, bearings = after - before, before + after
-    bearings /= np.maximum(_length(bearings), 1e-12)[:, None]
-    seen &= also & (_length(acrosses) > 0)
-    # A number that changes from chain to chain and at every point that is not seen.
-    piece = (2 * chain + np.cumsum(~seen))[seen]
-    begins = np.flatnonzero(np.diff(piece, prepend=-1))
-    return SeenChains(np.append(begins, len(piece)), bearings[seen], acrosses[seen])
-
-
-def _length(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
+    places, chain = chain_ends(points, order, starts, least)
+    bearings, seen = bearings_at(model, places.reshape(-1, 2))
+    return SeenChains(*cut_chains(bearings.reshape(-1, 2, 3), seen.reshape(-1, 2), chain))

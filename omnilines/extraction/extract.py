@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt
 
 from camera_models import CameraModel, InputError
-from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px
+from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px, spans
 from omnilines.extraction.bearings import axis_of, bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.clutter import stands_out
@@ -147,7 +147,7 @@ def _with_hidden(photo: Photo, known: Profiled, blur_px: float, noise: float, op
         known = known.with_more(profiled(photo, hidden.arcs, noise, options.neighbours))
         number = np.arange(len(known.arcs))
         # What is known already stays: it counts as the longer one.
-        rank = lengths_px(photo.model, known.arcs) + np.where(number < before, 1e6, 0.0)
+        rank = spans(photo.model, known.arcs)[0] + np.where(number < before, 1e6, 0.0)
         single = np.flatnonzero(~_twice(photo, known.arcs, rank, np.maximum(number - before, -1), options))
         again = np.zeros(len(known.arcs), dtype=bool)
         again[before:], again[hidden.beside] = True, True

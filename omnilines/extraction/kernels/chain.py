@@ -19,43 +19,49 @@ LEAST_COSINE_ALONG = -0.5
 """Of the angle that a piece of a circle spans: 120 degrees. Longer arcs are two."""
 
 
+@njit(cache=True, nogil=True, **BORROWED)
+@no_type_check
+def _offer(k: int, other: int, along: float, across: float, costs: np.ndarray, best: np.ndarray) -> None:
+    """Let an edge point take another one for its neighbour where it lies along the edge and nearer than the one it has."""
+    size = abs(along)
+    if size < np.float32(0.3) or across > np.float32(0.75) * size:
+        return
+    cost, side = size + np.float32(2.0) * across, 1 if along > 0 else 0
+    if cost < costs[k, side]:
+        costs[k, side], best[k, side] = cost, other
+
+
 @njit(cache=True, nogil=True)
 @no_type_check
 def links(edgels: Edgels, cells: np.ndarray, min_cosine: float) -> np.ndarray:
     """The neighbour (n, 2) of every edge point on either side along its edge, -1 for none.
 
-    `cells` (n, 2) are the rows and columns of the edge points' pixels; `min_cosine` is that between directions of neighbours.
+    `cells` (n, 2) are the rows and columns of the edge points' pixels, in order; `min_cosine` is that between directions of
+    neighbours. Each pair is looked at once, from the point that comes first.
     """
     number, points, closed = edgels
     height, width = number.shape
-    count = len(cells)
-    best = np.full((count, 2), -1, dtype=np.int32)
+    count, least = len(cells), np.float32(min_cosine)
+    best, costs = np.full((count, 2), -1, dtype=np.int32), np.full((count, 2), np.float32(np.inf))
     for k in range(count):
-        costs = (np.inf, np.inf)
+        row, here = cells[k, 0], cells[k, 1]
         u, v, x, y = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
-        for i in range(max(cells[k, 0] - REACH, 0), min(cells[k, 0] + REACH + 1, height)):
-            for column in range(cells[k, 1] - REACH, cells[k, 1] + REACH + 1):
+        for i in range(row, min(row + REACH + 1, height)):
+            for column in range(here + 1 if i == row else here - REACH, here + REACH + 1):
                 j = column
-                if closed:
-                    j = column % width
-                elif j < 0 or j >= width:
-                    continue
+                if j < 0 or j >= width:
+                    if not closed:
+                        continue
+                    j %= width
                 other = number[i, j]
                 if other < 0 or other == k:
                     continue
-                if abs(x * points[other, 2] + y * points[other, 3]) < min_cosine:
+                p, q = points[other, 2], points[other, 3]
+                if abs(x * p + y * q) < least:
                     continue
-                du, dv = points[other, 0] - u + (column - j), points[other, 1] - v
-                along, across = x * dv - y * du, abs(x * du + y * dv)
-                if abs(along) < 0.3 or across > 0.75 * abs(along):
-                    continue
-                cost = abs(along) + 2.0 * across
-                if along > 0 and cost < costs[1]:
-                    costs = (costs[0], cost)
-                    best[k, 1] = other
-                elif along <= 0 and cost < costs[0]:
-                    costs = (cost, costs[1])
-                    best[k, 0] = other
+                du, dv = points[other, 0] - u + np.float32(column - j), points[other, 1] - v
+                _offer(k, other, x * dv - y * du, abs(x * du + y * dv), costs, best)
+                _offer(other, k, q * du - p * dv, abs(p * du + q * dv), costs, best)
     # In place: a link that is mutual is never taken away from either of both.
     for k in range(count):
         for side in range(2):
@@ -91,6 +97,59 @@ def chains(link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 before, here = here, ahead
     starts[made] = total
     return order, starts[: made + 1].copy()
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def chain_ends(points: np.ndarray, order: np.ndarray, starts: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the edge points of chains of `least` or more: the places (m, 2, 2) half a pixel before and behind each across its edge,
+    and the number of its chain (m)."""
+    total = 0
+    for chain in range(len(starts) - 1):
+        if starts[chain + 1] - starts[chain] >= least:
+            total += starts[chain + 1] - starts[chain]
+    places, number, m = np.empty((total, 2, 2)), np.empty(total, dtype=np.int64), 0
+    for chain in range(len(starts) - 1):
+        if starts[chain + 1] - starts[chain] < least:
+            continue
+        for n in range(starts[chain], starts[chain + 1]):
+            k = order[n]
+            for c in range(2):
+                place, half = np.float64(points[k, c]), 0.5 * np.float64(points[k, 2 + c])
+                places[m, 0, c], places[m, 1, c] = place - half, place + half
+            number[m] = chain
+            m += 1
+    return places, number
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def cut_chains(bearing: np.ndarray, seen: np.ndarray, chain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where chains begin, and one more, the bearings (n, 3) of their points and the changes across, of the bearings (m, 2, 3) at
+    `chain_ends` and whether the camera sees these; a chain is cut where it does not."""
+    count, pieces, before, cut = 0, 0, -1, False
+    starts = np.empty(len(chain) + 1, dtype=np.int64)
+    bearings, acrosses = np.empty((len(chain), 3)), np.empty((len(chain), 3))
+    for m in range(len(chain)):
+        length, pace = 0.0, 0.0
+        for c in range(3):
+            bearings[count, c] = bearing[m, 0, c] + bearing[m, 1, c]
+            acrosses[count, c] = bearing[m, 1, c] - bearing[m, 0, c]
+            length += bearings[count, c] ** 2
+            pace += acrosses[count, c] ** 2
+        if not (seen[m, 0] and seen[m, 1] and pace > 0.0):
+            cut = True
+            continue
+        length = max(math.sqrt(length), 1e-12)
+        for c in range(3):
+            bearings[count, c] /= length
+        if cut or chain[m] != before:
+            starts[pieces] = count
+            pieces += 1
+        before, cut = chain[m], False
+        count += 1
+    starts[pieces] = count
+    return starts[: pieces + 1].copy(), bearings[:count].copy(), acrosses[:count].copy()
 
 
 @njit(cache=True, nogil=True, **BORROWED)

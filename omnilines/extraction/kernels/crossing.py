@@ -3,6 +3,7 @@
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
 
+import math
 from typing import no_type_check
 
 import numpy as np
@@ -23,7 +24,7 @@ def crossings(
     own, pixel, across = profiles
     other, other_pixel, other_across = others
     width, height = size
-    cell = 8
+    cell, half = 8, 4.5
     rows, columns = height // cell + 2, width // cell + 2
     head = np.full((rows, columns), -1, dtype=np.int32)
     following = np.full(len(other), -1, dtype=np.int32)
@@ -34,10 +35,10 @@ def crossings(
             head[i, j] = n
     place, count = np.zeros((len(pixel), MOST_STEPS)), np.ones(len(pixel), dtype=np.int64)
     arcs, along_of, offset_of = np.empty(64, dtype=np.int64), np.empty(64), np.empty(64)
-    last = width // cell
+    last, slanted = width // cell, math.sqrt(max(1.0 / max(min_cosine, 1e-6) ** 2 - 1.0, 0.0))
     for n in range(len(pixel)):
         u, v, x, y = pixel[n, 0], pixel[n, 1], across[n, 0], across[n, 1]
-        found = 0
+        found, wide = 0, half * (abs(x) + abs(y))
         row, column = int(v) // cell, int(u) // cell
         for i in range(max(row - 1, 0), min(row + 2, rows)):
             for shifted in range(column - 2, column + 3):
@@ -45,6 +46,12 @@ def crossings(
                 if closed:
                     j = shifted % (last + 1)
                 elif shifted < column - 1 or shifted > column + 1 or shifted < 0 or shifted >= columns:
+                    continue
+                # A cell that the profile does not pass: none of its points is near enough.
+                du, dv = cell * j + 0.5 * cell - u, cell * i + 0.5 * cell - v
+                if closed:
+                    du -= width * round(du / width)
+                if abs(x * dv - y * du) > 1.0 + wide or abs(x * du + y * dv) > reach_px + slanted + wide:
                     continue
                 k = head[i, j]
                 while k >= 0:

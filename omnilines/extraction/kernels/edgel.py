@@ -3,7 +3,6 @@
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
 
-import math
 from typing import no_type_check
 
 import numpy as np
@@ -38,27 +37,43 @@ def strengths(tensor: np.ndarray, strength: np.ndarray) -> None:
             strength[i, j] = np.sqrt(np.float32(0.5) * (tensor[0, i, j] + tensor[2, i, j]) + root)
 
 
-@njit(cache=True, nogil=True, **BORROWED)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _direction(tensor: np.ndarray, i: int, j: int) -> tuple[float, float]:
-    """Of the steepest change, one of two: the eigenvector of J, from whichever of its two forms does not cancel."""
-    half, uv = 0.5 * (tensor[0, i, j] - tensor[2, i, j]), tensor[1, i, j]
-    root = math.sqrt(half * half + uv * uv)
-    x, y = (half + root, uv) if half >= 0 else (uv, root - half)
-    length = math.sqrt(x * x + y * y)
-    if length > 0.0:
-        return x / length, y / length
-    return 1.0, 0.0
+def _ridge_row(
+    strengths: tuple[np.ndarray, np.ndarray, np.ndarray],
+    tensor: tuple[np.ndarray, np.ndarray, np.ndarray],
+    threshold: float,
+    row: np.ndarray,
+    good: np.ndarray,
+) -> None:
+    """Of the pixels 1 to w - 2 of the middle one of three rows of strengths: the direction across in `row` (3, w - 2), how far
+    along it the top of a parabola through three strengths is, and whether the pixel is `good` (w - 2). `tensor` is its row of J.
 
-
-@njit(cache=True, nogil=True, **BORROWED)
-@no_type_check
-def _at(image: np.ndarray, u: float, v: float) -> float:
-    j, i = math.floor(u), math.floor(v)
-    s, t = u - j, v - i
-    above = (1.0 - s) * image[i, j] + s * image[i, j + 1]
-    below = (1.0 - s) * image[i + 1, j] + s * image[i + 1, j + 1]
-    return (1.0 - t) * above + t * below
+    All pixels are worked on, with choices in the place of branches, so that one instruction does it for many. The direction is
+    the eigenvector of J, from whichever of its two forms does not cancel; a pixel along it is read between four, bilinear.
+    """
+    half_of, one, two, none = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
+    above, here, below = strengths
+    by_uu, by_uv, by_vv = tensor
+    for j in range(len(good)):
+        middle, uv = here[j + 1], by_uv[j + 1]
+        half = half_of * (by_uu[j + 1] - by_vv[j + 1])
+        root = np.sqrt(half * half + uv * uv) + abs(half)
+        over = one / np.sqrt(max(root * root + uv * uv, np.float32(1e-30)))
+        x, y = (root if half >= none else uv) * over, (uv if half >= none else root) * over
+        left, up = x < none, y < none
+        east, west, south, north = here[j + 2], here[j], below[j + 1], above[j + 1]
+        falling = below[j + 2] if left == up else below[j]
+        rising = above[j] if left == up else above[j + 2]
+        a, b = abs(x), abs(y)
+        shares = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+        after, before = shares[0] * middle, shares[0] * middle
+        after += shares[1] * (west if left else east) + shares[2] * (north if up else south)
+        after += shares[3] * (rising if up else falling)
+        before += shares[1] * (east if left else west) + shares[2] * (south if up else north)
+        before += shares[3] * (falling if up else rising)
+        row[0, j], row[1, j], row[2, j] = x, y, half_of * (after - before) / (two * middle - before - after)
+        good[j] = np.uint8(1) if (middle >= threshold) & (middle > before) & (middle >= after) else np.uint8(0)
 
 
 @njit(cache=True, nogil=True)
@@ -70,28 +85,25 @@ def ridge_points(
     their points (u, v, direction u, direction v): the top of a parabola through the strength there and a pixel to either side.
     """
     width = strength.shape[1]
-    room = 1024
+    room = max((last - first) * width // 8, width)
     cells, points = np.empty((room, 2), dtype=np.int32), np.empty((room, 4), dtype=np.float32)
+    row, good = np.empty((3, max(width - 2, 0)), dtype=np.float32), np.empty(max(width - 2, 0), dtype=np.uint8)
     count = 0
     for i in range(max(first, 2), min(last, strength.shape[0] - 2)):
+        rows = strength[i - 1], strength[i], strength[i + 1]
+        _ridge_row(rows, (tensor[0, i], tensor[1, i], tensor[2, i]), np.float32(threshold), row, good)
+        if count + width > room:
+            room = 2 * room + width
+            more_cells, more_points = np.empty((room, 2), dtype=np.int32), np.empty((room, 4), dtype=np.float32)
+            more_cells[:count], more_points[:count] = cells[:count], points[:count]
+            cells, points = more_cells, more_points
         for j in range(2, width - 2):
-            here = strength[i, j]
-            if here < threshold or not allowed[i, j]:
-                continue
-            x, y = _direction(tensor, i, j)
-            before, after = _at(strength, j - x, i - y), _at(strength, j + x, i + y)
-            if here <= before or here < after:
-                continue
-            shift = 0.5 * (after - before) / (2.0 * here - before - after)
-            if count == room:
-                room *= 2
-                more_cells, more_points = np.empty((room, 2), dtype=np.int32), np.empty((room, 4), dtype=np.float32)
-                more_cells[:count], more_points[:count] = cells, points
-                cells, points = more_cells, more_points
-            cells[count, 0], cells[count, 1] = i, j
-            points[count, 0], points[count, 1] = j + shift * x, i + shift * y
-            points[count, 2], points[count, 3] = x, y
-            count += 1
+            if good[j - 1] and allowed[i, j]:
+                x, y, shift = row[0, j - 1], row[1, j - 1], row[2, j - 1]
+                cells[count, 0], cells[count, 1] = i, j
+                points[count, 0], points[count, 1] = j + shift * x, i + shift * y
+                points[count, 2], points[count, 3] = x, y
+                count += 1
     return cells[:count].copy(), points[:count].copy()
 
 

@@ -14,8 +14,8 @@ from numba import njit
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.tables import PairLimits, Ranked
 
-_CELL = 1.5
-"""Side of a cell, in mean spans of arcs."""
+_LEAST_CELL, _MOST_CELL = 0.5, 1.5
+"""Side of a cell, in mean spans of arcs: smaller ones hold fewer arcs, but all that lie beside an arc are found from it."""
 _STRETCH = 1.5
 """How much longer a gap may be in radians than its pixels at the arc before it say."""
 _MOST_OFF = 0.8
@@ -94,7 +94,7 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
     arcs, count, room, looked = len(low), 0, 1024, 0
     pairs, values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
     least_cosine, ppr, reach, total = 1.0 - 0.5 * near * near, np.empty(arcs), np.empty(arcs), 0.0
-    ends, off = np.empty((arcs, 2, 3)), np.empty(2)
+    ends, normal, off = np.empty((arcs, 2, 3)), np.empty((arcs, 3)), np.empty(2)
     for arc in range(arcs):
         span = max(high[arc] - low[arc], 1e-9)
         ppr[arc] = length_px[arc] / span
@@ -102,9 +102,11 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
         # The middle of the other one lies half its span beyond the gap, and it is the shorter one.
         reach[arc] = _STRETCH * (gap + 0.5 * span) if most_gap_px > 0.0 else 0.0
         total += span
+        normal[arc] = frame[arc, :, 0]
         _along(frame, arc, low[arc], ends[arc, 0])
         _along(frame, arc, high[arc], ends[arc, 1])
-    cell = _CELL * total / max(arcs, 1)
+    mean = total / max(arcs, 1)
+    cell = min(max(_LEAST_CELL * mean, np.max(beside) / _MOST_OFF), _MOST_CELL * mean)
     starts, rows = _table(frame, low, high, reach, cell)
     most, seen, ray = len(starts) - 2, np.full(arcs, -1, dtype=np.int32), np.empty(3)
     for b in range(arcs):
@@ -118,12 +120,12 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
                     continue
                 seen[a] = b
                 looked += 1
-                cosine = frame[a, 0, 0] * frame[b, 0, 0] + frame[a, 1, 0] * frame[b, 1, 0] + frame[a, 2, 0] * frame[b, 2, 0]
+                cosine = normal[a, 0] * normal[b, 0] + normal[a, 1] * normal[b, 1] + normal[a, 2] * normal[b, 2]
                 if abs(cosine) < least_cosine:
                     continue
                 for side in range(2):
                     x, y, z = ends[b, side]
-                    off[side] = abs(x * frame[a, 0, 0] + y * frame[a, 1, 0] + z * frame[a, 2, 0])
+                    off[side] = abs(x * normal[a, 0] + y * normal[a, 1] + z * normal[a, 2])
                 if max(off[0], off[1]) > min(beside[a], _MOST_OFF * cell):
                     continue
                 one, two = _angle(frame, a, ends[b, 0]), _angle(frame, a, ends[b, 1])

@@ -23,17 +23,16 @@ BLURS_PX = np.array([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 1.9, 2.4])
 
 
 def step_filters(taper_px: float) -> np.ndarray:
-    """For each blur (b, k + 1, k), weights of a profile having a standard deviation of `taper_px`: the row that turns a profile
-    of a unit step into its shift (px), and the matrix, transposed, to what a level, a step and a shift cannot explain,
-    weighted."""
+    """For each blur (b, 4, k), weights of a profile having a standard deviation of `taper_px`: the row that turns a profile of a
+    unit step into its shift (px), and three rows whose inner products with a profile, squared, add up to what a level, a step and
+    a shift explain of its weighted squares."""
     weight, filters = np.exp(-0.25 * (OFFSETS_PX / taper_px) ** 2), []
     for blur in BLURS_PX:
         step = np.array([0.5 * math.erf(x / (blur * math.sqrt(2.0))) for x in OFFSETS_PX])
         slope = np.exp(-0.5 * (OFFSETS_PX / blur) ** 2) / (blur * math.sqrt(2.0 * math.pi))
         design = np.stack([np.ones_like(step), step, -slope], -1) * weight[:, None]
-        inverse = np.linalg.pinv(design)
-        left = (np.eye(len(weight)) - design @ inverse) * weight
-        filters.append(np.concatenate([(inverse[2] * weight)[None], left.T]))
+        explained = np.linalg.qr(design)[0].T * weight
+        filters.append(np.concatenate([(np.linalg.pinv(design)[2] * weight)[None], explained]))
     return np.stack(filters).astype(np.float32)
 
 
@@ -194,22 +193,21 @@ def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.
 @no_type_check
 def best_blur(step: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> int:
     """Which of the `step_filters` explains the mean of what `projected` says of an arc best."""
-    mean, value = np.zeros(SIZE, dtype=np.float32), np.empty(SIZE, dtype=np.float32)
+    mean = np.zeros(SIZE, dtype=np.float32)
     for n in range(len(step)):
         if usable[n]:
             for k in range(SIZE):
                 mean[k] += step[n, k]
-    best, least = 0, np.inf
+    best, most = 0, -np.inf
     for b in range(len(filters)):
-        value[:] = 0.0
-        for m in range(SIZE):
+        explained = 0.0
+        for m in range(1, filters.shape[1]):
+            inner = 0.0
             for k in range(SIZE):
-                value[k] += filters[b, 1 + m, k] * mean[m]
-        misfit = np.float32(0.0)
-        for k in range(SIZE):
-            misfit += value[k] * value[k]
-        if misfit < least:
-            best, least = b, misfit
+                inner += filters[b, m, k] * mean[k]
+            explained += inner * inner
+        if explained > most:
+            best, most = b, explained
     return best
 
 

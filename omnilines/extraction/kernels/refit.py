@@ -68,7 +68,7 @@ class Limits(NamedTuple):
 class Filters(NamedTuple):
     """Weights of a refit."""
 
-    windows: Float32[np.ndarray, "2 b k1 k"]
+    windows: Float32[np.ndarray, "2 b 4 k"]
     """The `step_filters` of the narrow and the wide window."""
     along: Float32[np.ndarray, " l"]
     """The `along_weights`."""

@@ -39,12 +39,15 @@ def first_light(image: np.ndarray, rays: Rays, depths: int, threshold: float) ->
     centre, way, border = rays
     found = np.full(len(way), depths)
     for n in range(len(way)):
-        for depth in range(depths):
-            total = 0
-            for k in range(depth - WINDOW // 2, depth + WINDOW // 2):
-                radius = max(border[n] - min(max(k, 0), depths - 1), 0.0)
-                total += _light(image, centre[0] + radius * way[n, 0], centre[1] + radius * way[n, 1], threshold)
-            if total >= LEAST_LIGHT:
+        # A bit for each of the last WINDOW pixels.
+        seen = 0
+        for k in range(-(WINDOW // 2), depths + WINDOW // 2 - 1):
+            radius = max(border[n] - min(max(k, 0), depths - 1), 0.0)
+            light = _light(image, centre[0] + radius * way[n, 0], centre[1] + radius * way[n, 1], threshold)
+            seen, depth, total = (2 * seen + light) % 2**WINDOW, k - WINDOW // 2 + 1, 0
+            for bit in range(WINDOW):
+                total += (seen >> bit) & 1
+            if depth >= 0 and total >= LEAST_LIGHT:
                 found[n] = depth
                 break
     return found
