@@ -86,6 +86,33 @@ def test_depths_of_all_pairs_are_those_of_the_line_of_their_planes(name: str) ->
 
 
 @pytest.mark.parametrize("name", CAMERAS)
+def test_ends_alike_are_ends_at_the_same_places_of_the_line(name: str) -> None:
+    """By `position_seen`, which states how far a radian moves a place; arcs of one line cut at random, and arcs of others."""
+    arcs = some(room(name).arcs(0.3, 1), 80)
+    i, j = np.nonzero(arcs.image[:, None] != arcs.image)
+    packed, px_rad = torch.as_tensor(arcs.packed), torch.as_tensor(arcs.px_rad)
+    normal, centre = packed[:, 6:9], packed[:, 9:12]
+    s = -(normal * centre).sum(-1)
+    lines = PlueckerLines.from_planes(normal[i], s[i], normal[j], s[j])
+    both = PlueckerLines(lines.direction[:, None].expand(-1, 2, -1), lines.moment[:, None].expand(-1, 2, -1))
+    place, variance = [], []
+    for rows in (i, j):
+        at, _, leverage = both.position_seen(centre[rows][:, None].expand(-1, 2, -1), packed[rows, :6].unflatten(1, (2, 3)))
+        ordered = at.sort(-1)
+        place.append(ordered.values)
+        variance.append((leverage.gather(-1, ordered.indices) * px_rad[rows, None]).square())
+    square = (place[0] - place[1]).square() / (variance[0] + variance[1])
+    share = LOOKS.other_end
+    expected = (share + (1 - share) / (1 + square)).prod(-1).numpy()
+    out, found = np.empty(5), []
+    for k, (a, b) in enumerate(zip(i, j, strict=True)):
+        if kernel.depths(a, b, arcs.packed, OPTIONS.hypotheses, out):
+            found.append(kernel.ends_alike(a, b, arcs.packed, arcs.px_rad, out, LOOKS))
+            assert found[-1] == pytest.approx(expected[k], rel=1e-6)
+    assert len(found) > 100 and share**2 <= min(found) < 0.3 and 0.9 < max(found) <= 1.0
+
+
+@pytest.mark.parametrize("name", CAMERAS)
 def test_the_spread_of_depths_under_noise_is_the_stated_one(name: str) -> None:
     """Pixel noise at both ends of arc j, and noise across its plane at those of i: along it they are other points of the line."""
     scene, sigma_px, draws = room(name), 0.2, 4000
@@ -186,16 +213,18 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
     near[0, 3] = near[3, 0] = False
     found = find_hypotheses(arcs, near)
     total = len(arcs)
-    arc, pairs, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
+    arc, pairs, table = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty((total, 2))
     supported = 0
     for i in range(0, total, 9):
         photos = np.flatnonzero(near[arcs.image[i]])
         others = np.flatnonzero(np.isin(arcs.image, photos))
-        count = kernel.partners(i, others, arcs.packed, arcs.colours, OPTIONS.hypotheses, LOOKS, arc, pairs, weight)
+        count = kernel.partners(i, others, arcs.packed, arcs.px_rad, arcs.colours, OPTIONS.hypotheses, LOOKS, arc, pairs, table)
+        colours, weight = table[:count].T
+        assert (weight <= colours).all() and (weight >= LOOKS.other_end**2 * colours).all()
         assert count == found.candidates[i] and set(arcs.image[arc[:count]]) <= set(photos.tolist())
         depth, variance = pairs[:count, :2], pairs[:count, 2:] ** 2
         square = ((depth - depth[:, None]) ** 2 / (variance + np.minimum(variance, variance[:, None]))).sum(-1)
-        votes = np.where(square <= AGREE**2, weight[:count] * np.exp(-0.25 * square), 0.0)
+        votes = np.where(square <= AGREE**2, weight * np.exp(-0.25 * square), 0.0)
         image = arcs.image[arc[:count]]
         scores = sum((votes * (image == photo)).max(1, initial=0.0) for photo in photos)
         best = int(np.argmax(scores)) if count else -1
@@ -203,6 +232,9 @@ def test_the_best_line_of_an_arc_is_the_one_with_the_most_votes() -> None:
         assert found.score[i] == pytest.approx(scores[best] if count else 0.0, rel=1e-9)
         assert found.rival[i] == pytest.approx(rivals.max(initial=0.0), rel=1e-9)
         agreeing = np.flatnonzero(square[best] <= AGREE**2) if count else np.zeros(0, dtype=np.int64)
+        alike = colours[agreeing] * np.exp(-0.25 * square[best, agreeing]) if count else np.zeros(0)
+        each = sum(alike[image[agreeing] == photo].max(initial=0.0) for photo in photos)
+        assert found.agreement[i] == pytest.approx(each, rel=1e-9)
         assert sorted(arc[agreeing].tolist()) == sorted(found.support[i][found.support[i] >= 0].tolist())
         if count:
             share = weight[agreeing, None] / variance[agreeing]

@@ -28,6 +28,8 @@ class Hypotheses:
     """Sum over the other photos of the best agreement, each at most 1."""
     rival: Float[np.ndarray, " n"]
     """The same of the best line that does not agree with it."""
+    agreement: Float[np.ndarray, " n"]
+    """Of the best line, the score by the likeness of colours alone, wherever arcs end."""
     support: Int32[np.ndarray, "n k"]
     """The arcs of other photos that agree, -1 after the last."""
     candidates: Int[np.ndarray, " n"]
@@ -52,7 +54,7 @@ def find_hypotheses(
     place[near] = np.arange(len(near))
     asked = np.sort(place[every])
     parts = [asked[at : at + AT_ONCE] for at in range(0, max(len(asked), 1), AT_ONCE)]
-    packed, colours = arcs.packed[near], arcs.colours[near]
+    packed, px_rad, colours = arcs.packed[near], arcs.px_rad[near], arcs.colours[near]
 
     def work(rows: Int[np.ndarray, " k"]) -> tuple[np.ndarray, ...]:
         """Of some arcs, what `best_lines` finds."""
@@ -62,6 +64,7 @@ def find_hypotheses(
             arcs.starts,
             neighbours,
             packed,
+            px_rad,
             colours,
             MAX_SUPPORTERS,
             options.hypotheses,
@@ -72,7 +75,7 @@ def find_hypotheses(
     found = on_all_cores(work, parts, "matching arcs", progress)
     back = np.searchsorted(asked, place[every])
     depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
-    return Hypotheses(depth, score[:, 0], score[:, 1], support, candidates)
+    return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates)
 
 
 def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:

@@ -31,6 +31,8 @@ class LikenessOptions(NamedTuple):
     """Added where only one side looks the same: the other may be seen through to something else."""
     min_likeness: float = 0.05
     """Least likeness of two arcs of one line, of an arc and its line, 1 being the same colours."""
+    other_end: float = 0.5
+    """What an arc counts for each of its ends that lies elsewhere on a line than that of another: something may hide it there."""
 
 
 class HypothesisOptions(NamedTuple):

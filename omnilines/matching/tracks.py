@@ -113,7 +113,7 @@ def _enough_views(
     row, column = np.nonzero((support >= 0) & (track[support] == own[:, None]))
     pairs = np.unique(row * arcs.images + arcs.image[support[row, column]])
     agreeing = np.bincount(pairs // arcs.images, minlength=len(member))
-    alone = (agreeing < others) | (found.score[member] < min_agreement * others)
+    alone = (agreeing < others) | (found.agreement[member] < min_agreement * others)
     return np.where(np.bincount(own, alone, minlength=count) > 0, min_views, max(min_views - 1, FIRST_VIEWS))
 
 

@@ -13,6 +13,9 @@ from numba import njit
 
 from omnilines.matching.options import HypothesisOptions, LikenessOptions
 
+LEAST_SQUARE_SINE = 1e-9
+"""Of the angle between a line and a ray along it."""
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
@@ -120,10 +123,39 @@ def _depth_sigmas(p: np.ndarray, q: np.ndarray, bx: float, by: float, bz: float,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
+def ends_alike(i: int, j: int, packed: np.ndarray, px_rad: np.ndarray, found: np.ndarray, options: LikenessOptions) -> float:
+    """How well arcs i and j, which show one line at the depths `found` of `depths`, end at the same places of it, in (0, 1].
+
+    Each end counts s + (1 - s) / (1 + x^2), with s = `other_end`: what stands before a line ends it elsewhere in another photo.
+    x is the distance from the end of the other arc along the line, in standard deviations of both: a pixel along each arc.
+    """
+    p, q, flipped = packed[i], packed[j], found[4] > 0.5
+    near1, near2 = 1.0 / found[0], 1.0 / found[1]
+    dx, dy, dz = p[3] * near2 - p[0] * near1, p[4] * near2 - p[1] * near1, p[5] * near2 - p[2] * near1
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    bx, by, bz = q[9] - p[9], q[10] - p[10], q[11] - p[11]
+    nb = p[6] * bx + p[7] * by + p[8] * bz
+    alike = 1.0
+    for end in range(2):
+        v, w = p[3 * end : 3 * end + 3], q[3:6] if flipped == (end == 0) else q[0:3]
+        near, far = 1.0 / found[end], -nb / (p[6] * w[0] + p[7] * w[1] + p[8] * w[2])
+        v_along, w_along = v[0] * dx + v[1] * dy + v[2] * dz, w[0] * dx + w[1] * dy + w[2] * dz
+        off = bx * dx + by * dy + bz * dz + far * w_along - near * v_along
+        # A pixel moves the point that a ray meets on the line by its distance over the sine of the angle between both.
+        variance = (near * px_rad[i]) ** 2 / max(1.0 - v_along * v_along, LEAST_SQUARE_SINE)
+        variance += (far * px_rad[j]) ** 2 / max(1.0 - w_along * w_along, LEAST_SQUARE_SINE)
+        alike *= options.other_end + (1.0 - options.other_end) / (1.0 + off * off / variance)
+    return alike
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
 def partners(
     i: int,
     others: np.ndarray,
     packed: np.ndarray,
+    px_rad: np.ndarray,
     colours: np.ndarray,
     options: HypothesisOptions,
     looks: LikenessOptions,
@@ -131,7 +163,8 @@ def partners(
     found: np.ndarray,
     weight: np.ndarray,
 ) -> int:
-    """Those of the others that could show the line of arc i, with depths and likeness; how many."""
+    """Those of the others that could show the line of arc i, with depths and, in columns of `weight`, the likeness of colours and
+    that of colours and ends; how many."""
     count = 0
     out = np.empty(5)
     for j in others:
@@ -140,7 +173,8 @@ def partners(
         alike = likeness(colours[i], colours[j], out[4] > 0.5, looks)
         if alike < looks.min_likeness:
             continue
-        arc[count], weight[count] = j, alike
+        arc[count], weight[count, 0] = j, alike
+        weight[count, 1] = alike * ends_alike(i, j, packed, px_rad, out, looks)
         for k in range(4):
             found[count, k] = out[k]
         count += 1

@@ -27,34 +27,38 @@ def best_lines(
     starts: np.ndarray,
     neighbours: np.ndarray,
     packed: np.ndarray,
+    px_rad: np.ndarray,
     colours: np.ndarray,
     most: int,
     options: HypothesisOptions,
     looks: LikenessOptions,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each arc of `rows`: inverse depths at both ends, score and best rival, up to `most` supporters, candidates.
+    """Of each arc of `rows`: inverse depths at both ends; score, best rival and agreement; up to `most` supporters; candidates.
 
-    The score of a pair of depths is the sum over the other photos of the best likeness times exp(-chi-square / 4).
+    The score of a pair of depths is the sum over the other photos of the best likeness of colours and ends, times exp(-chi-square
+    / 4); the agreement of the best is its score by the colours alone.
     """
     total = len(image)
-    depth, score = np.full((len(rows), 2), np.nan), np.zeros((len(rows), 2))
+    depth, score = np.full((len(rows), 2), np.nan), np.zeros((len(rows), 3))
     support, tried = np.full((len(rows), most), -1, dtype=np.int32), np.zeros(len(rows), dtype=np.int64)
-    arc, found, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty(total)
+    arc, found, weight = np.empty(total, dtype=np.int64), np.empty((total, 4)), np.empty((total, 2))
     others, seen, photo = np.empty(total, dtype=np.int64), np.full(total, -1, dtype=np.int64), -1
     for k in range(len(rows)):
         if image[rows[k]] != photo:
             photo = image[rows[k]]
             frames, begin, members = arcs_by_angle(photo, np.flatnonzero(neighbours[photo]), starts, packed)
         across = others[: arcs_across(packed[rows[k]], frames, begin, members, k, seen, others)]
-        count = partners(rows[k], across, packed, colours, options, looks, arc, found, weight)
+        count = partners(rows[k], across, packed, px_rad, colours, options, looks, arc, found, weight)
         tried[k] = count
         if not count:
             continue
         order = np.argsort(found[:count, 0])
         pairs = by_first_depth(found[:count], order)
-        scores = pair_scores(pairs, order, weight[:count], image[arc[:count]], options.agree_sigmas)
-        best, score[k, 0], score[k, 1] = _best(pairs, scores, options.agree_sigmas)
-        _gather(best, pairs, arc[order], weight[order], options.agree_sigmas, depth[k], support[k])
+        alike, arcs, gate = weight[:count, 1].copy(), arc[order], options.agree_sigmas
+        scores = pair_scores(pairs, order, alike, image[arc[:count]], gate)
+        best, score[k, 0], score[k, 1] = _best(pairs, scores, gate)
+        score[k, 2] = _agreement(best, pairs, weight[order, 0], image[arcs], gate)
+        _gather(best, pairs, arcs, alike[order], gate, depth[k], support[k])
     return depth, score, support, tried
 
 
@@ -145,6 +149,18 @@ def _best(pairs: np.ndarray, scores: np.ndarray, gate: float) -> tuple[int, floa
         if scores[h] > rival and _square(pairs, best, h) > gate**2:
             rival = scores[h]
     return best, scores[best], rival
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _agreement(best: int, pairs: np.ndarray, weight: np.ndarray, seen: np.ndarray, gate: float) -> float:
+    """What the other photos give to the best pair of depths, with another weight."""
+    votes = np.zeros(seen.max() + 1)
+    for k in range(len(weight)):
+        square = _square(pairs, best, k)
+        if square <= gate**2:
+            votes[seen[k]] = max(votes[seen[k]], weight[k] * math.exp(-0.25 * square))
+    return votes.sum()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
