@@ -1,0 +1,130 @@
+"""Radial cameras under which chains of edge points are lines of the world, up to the scale of the focal length, from no guess.
+
+Lenses of the usual projections, from none to much distortion, are tried; the best are refined by robust Gauss-Newton steps in the
+terms of the curve and the centre, planes eliminated. See `straight.py` for what is estimated, and what straight lines leave open.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from camera_models import GeometryError
+from omnilines.calibration.lines.straight import ChainNodes, RadialShape, gain, log_ratio, planes_of
+from omnilines.calibration.thresholds import LineStartThresholds
+from omnilines.geometry.chains import Chains
+
+TERMS = 2
+STEP = 1e-4
+ROUNDS = 12
+SETTLED = 1e-5
+SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class ShapeStart:
+    """A radial camera up to scale, and how many chains it makes straight."""
+
+    shape: RadialShape
+    reach_px: float
+    """From the centre to the farthest edge point."""
+    gain: float
+    """log likelihood of the chains over that of curves at random."""
+    stray_px: float
+    """Standard deviation of the distance of lines from their curves beside the noise."""
+    straight: Bool[np.ndarray, " chains"]
+    """Which of the nodes' chains are lines, more likely than not."""
+    bend_sigma: float
+    """Standard deviation of k1: how well the distortion is known."""
+
+
+def shape_starts(
+    nodes: ChainNodes,
+    image_size: tuple[int, int],
+    centres: list[Float[np.ndarray, "2"]],
+    options: LineStartThresholds = LineStartThresholds(),
+) -> list[ShapeStart]:
+    """Shapes from the best to the worst, about candidates for the centre (px). Raises GeometryError where there are too few
+    chains to tell one."""
+    if len(nodes) < options.least_chains:
+        raise GeometryError(
+            f"At least {options.least_chains} smooth edges were expected in photos of straight things, found {len(nodes)}; give "
+            "more photos of buildings or rooms."
+        )
+    unit = 0.5 * math.hypot(*image_size)
+    tried = []
+    for centre in centres:
+        reach = float(np.linalg.norm(nodes.pixels - centre, axis=-1).max()) / unit
+        for terms in _tried_terms(reach, options):
+            shape = RadialShape(centre, terms, unit)
+            if shape.rises(reach):
+                tried.append(_judged(nodes, shape, options))
+    tried.sort(key=lambda start: -start.gain)
+    refined = [_refined(nodes, start, options) for start in tried[: options.refined]]
+    return sorted(refined, key=lambda start: -start.gain)
+
+
+def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.ndarray, "2"]]:
+    """Terms of the division model, and of equidistant and equisolid lenses of several fields of view, fitted within reach."""
+    rho = np.linspace(0.0, reach, SAMPLES)[1:]
+    found = [np.array([bend, 0.0]) / reach**2 for bend in options.bends]
+    for angle in np.radians(options.half_angles_deg):
+        for theta in (angle * rho / reach, 2.0 * np.arcsin(np.sin(0.5 * angle) * rho / reach)):
+            h = rho / np.tan(theta)
+            columns = np.stack([np.ones_like(rho), rho**2, rho**4], -1)
+            a, b, c = np.linalg.lstsq(columns, h, rcond=None)[0]
+            found.append(np.array([b, c]) / a)
+    return found
+
+
+def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds, bend_sigma: float = math.inf) -> ShapeStart:
+    """A shape with the stray that suits it best."""
+    planes = planes_of(nodes, shape)
+    ratios = [log_ratio(nodes, planes, stray) for stray in options.strays_px]
+    gains = [gain(ratio, options.share) for ratio in ratios]
+    best = int(np.argmax(gains))
+    reach = float(np.linalg.norm(nodes.pixels - shape.centre, axis=-1).max())
+    straight = ratios[best] + math.log(options.share / (1.0 - options.share)) > 0
+    return ShapeStart(shape, reach, gains[best], options.strays_px[best], straight, bend_sigma)
+
+
+def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds) -> ShapeStart:
+    """Gauss-Newton steps in (k1, k2, centre), each chain with the probability that it is a line; the centre, and where nothing tells
+    it the curve, stay near where they began."""
+    first, unit = np.concatenate([start.shape.terms, start.shape.centre / start.shape.unit_px]), start.shape.unit_px
+    prior = np.array([options.term_sigma, options.term_sigma, options.centre_sigma, options.centre_sigma])
+
+    def shape_of(values: Float[np.ndarray, "4"]) -> RadialShape:
+        return RadialShape(values[TERMS:] * unit, values[:TERMS], unit)
+
+    best, values, sigma = start, first, math.inf
+    for _ in range(ROUNDS):
+        planes = planes_of(nodes, shape_of(values))
+        ratio = log_ratio(nodes, planes, best.stray_px)
+        likely = 1.0 / (1.0 + np.exp(-np.clip(ratio + math.log(options.share / (1.0 - options.share)), -50.0, 50.0)))
+        weight = (likely / (np.square(nodes.sigma_px) + best.stray_px**2))[:, None]
+        columns = []
+        for k in range(len(values)):
+            moved = values.copy()
+            moved[k] += STEP
+            columns.append((planes_of(nodes, shape_of(moved)).off_px - planes.off_px) / STEP)
+        jacobian = np.stack(columns, -1)
+        information = np.einsum("cnp,cn,cnq->pq", jacobian, np.broadcast_to(weight, planes.off_px.shape), jacobian)
+        information += np.diag(1.0 / np.square(prior))
+        gradient = np.einsum("cnp,cn->p", jacobian, weight * planes.off_px) + (values - first) / np.square(prior)
+        step = -np.linalg.solve(information, gradient)
+        sigma = math.sqrt(float(np.linalg.inv(information)[0, 0]))
+        for _ in range(6):
+            shape = shape_of(values + step)
+            reach = float(np.linalg.norm(nodes.pixels - shape.centre, axis=-1).max()) / unit
+            judged = _judged(nodes, shape, options, sigma) if shape.rises(reach) else None
+            if judged is not None and judged.gain >= best.gain - 1e-6:
+                break
+            step = 0.5 * step
+        else:
+            break
+        best, values = judged, values + step
+        if float(np.abs(step).max()) < SETTLED:
+            break
+    return _judged(nodes, best.shape, options, sigma)
