@@ -52,7 +52,7 @@ class LineStartThresholds(NamedTuple):
     """The longest are looked at."""
     min_radius_share: float = 0.5
     """Of half the image diagonal: curves that are no lines bend at random with a radius of this and more."""
-    bends: tuple[float, ...] = (0.2, 0.1, 0.05, 0.0, -0.03, -0.06, -0.1, -0.15, -0.2, -0.3, -0.4, -0.5, -0.65, -0.8, -1.0, -1.2, -1.5)
+    bends: tuple[float, ...] = (0.2, 0.1, 0.05, 0.0, -0.03, -0.06, -0.1, -0.15, -0.2, -0.3, -0.4, -0.5, -0.65, -0.8, -1.0, -1.3)
     """Division models tried, by the relative change of the ray's z at the farthest edge."""
     half_angles_deg: tuple[float, ...] = (40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)
     """Equidistant and equisolid lenses tried, by the angle at the farthest edge."""

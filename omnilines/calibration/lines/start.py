@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float
 from camera_models import GeometryError
 from omnilines.calibration.lines.straight import ChainNodes, RadialShape, gain, log_ratio, planes_of
 from omnilines.calibration.thresholds import LineStartThresholds
-from omnilines.geometry.chains import Chains
 
 TERMS = 2
 STEP = 1e-4
@@ -62,7 +61,19 @@ def shape_starts(
                 tried.append(_judged(nodes, shape, options))
     tried.sort(key=lambda start: -start.gain)
     refined = [_refined(nodes, start, options) for start in tried[: options.refined]]
-    return sorted(refined, key=lambda start: -start.gain)
+    refined.sort(key=lambda start: -start.gain)
+    apart: list[ShapeStart] = []
+    for start in refined:
+        if all(_farthest_px(start, other) > start.stray_px for other in apart):
+            apart.append(start)
+    return apart
+
+
+def _farthest_px(start: ShapeStart, other: ShapeStart) -> float:
+    """About how far a curve of one shape lies from one of another."""
+    rho = np.linspace(0.0, start.reach_px, SAMPLES) / start.shape.unit_px
+    bend = np.abs(start.shape.height(rho)[0] - other.shape.height(rho)[0]).max() * start.shape.unit_px
+    return float(bend) + float(np.linalg.norm(start.shape.centre - other.shape.centre))
 
 
 def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.ndarray, "2"]]:
@@ -90,8 +101,8 @@ def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds,
 
 
 def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds) -> ShapeStart:
-    """Gauss-Newton steps in (k1, k2, centre), each chain with the probability that it is a line; the centre, and where nothing tells
-    it the curve, stay near where they began."""
+    """Gauss-Newton steps in (k1, k2, centre), each chain with the probability that it is a line; the centre, and where nothing
+    tells it the curve, stay near where they began."""
     first, unit = np.concatenate([start.shape.terms, start.shape.centre / start.shape.unit_px]), start.shape.unit_px
     prior = np.array([options.term_sigma, options.term_sigma, options.centre_sigma, options.centre_sigma])
 

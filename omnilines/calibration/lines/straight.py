@@ -4,13 +4,13 @@ A pixel at (x, y) from the centre, in units of half the image diagonal, is seen 
 
     v = (x, y, h(rho)),    h = 1 + k1 rho^2 + k2 rho^4,    rho^2 = x^2 + y^2,
 
-up to a factor on z. h = 1 is a pinhole, h = 1 + k1 rho^2 the division model (A. Fitzgibbon, CVPR 2001), which for k1 < 0 goes on
-past 90 degrees, where h = 0, and holds the stereographic lens; with k2 the others come within a thousandth. A factor on z moves great circles
+up to a factor on z. h = 1 is a pinhole, h = 1 + k1 rho^2 the division model (A. Fitzgibbon, CVPR 2001), which for k1 < 0 goes
+on past 90 degrees, where h = 0, and holds the stereographic lens; with k2 the others come near. A factor on z moves great circles
 to great circles: straight lines do not tell it, nor do lines that meet. Right angles do.
 
-For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. A chain of length L that is a line of the world leaves
-a root mean square of e with the variance s^2 (noise of the points, and a stray of the lens); any other curve one with s^2 + S^2, where S is that
-of a bend at random: the ratio of both likelihoods is
+For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. A chain of length L that is a line of the
+world leaves a root mean square of e with the variance s^2 (noise of the points, and a stray of the lens); any other curve one
+with s^2 + S^2, where S is that of a bend at random: the ratio of both likelihoods is
 
     r = sqrt(1 + S^2 / s^2) exp(-e^2 / 2 (1 / s^2 - 1 / (s^2 + S^2))),
 
@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from omnilines.geometry.chains import Chains
 
@@ -65,6 +65,12 @@ class ChainNodes:
         sigma = chains.sigma_px[start[chosen]] / np.sqrt(count[chosen] / NODES)
         length = np.linalg.norm(pixels[:, -1] - pixels[:, 0], axis=-1)
         return ChainNodes(chains.image[chosen], pixels, normals, sigma, SAG_RMS * np.square(length) / min_radius_px)
+
+    def rows(self, chosen: Bool[np.ndarray, " chains"]) -> "ChainNodes":
+        """Some of them."""
+        return ChainNodes(
+            self.image[chosen], self.pixels[chosen], self.normals[chosen], self.sigma_px[chosen], self.bend_px[chosen]
+        )
 
     def __len__(self) -> int:
         return len(self.image)

@@ -209,8 +209,8 @@ def smooth_pieces(
     """Pieces [begin, end) (m, 2) of `order` that are smooth curves, the residual of each point of `order` across its curve, and
     the robust standard deviation of those of each piece.
 
-    Chains are cut at corners; then where a curve leaves its points by more than noise, where it is bent more than `max_curvature`,
-    and in the middle where it nearly closes. What is shorter than `min_length_px` is dropped.
+    Chains are cut at corners; then where a curve leaves its points by more than noise, where it is bent more than
+    `max_curvature`, and in the middle where it nearly closes. What is shorter than `min_length_px` is dropped.
     """
     longest = 0
     for chain in range(len(starts) - 1):
