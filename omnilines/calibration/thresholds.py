@@ -65,7 +65,7 @@ class LineStartThresholds(NamedTuple):
     term_sigma: float = 0.5
     """Standard deviation of the terms of the curve about those of the lens tried."""
     centre_sigma: float = 0.03
-    """Of half the image diagonal: standard deviation of the centre about the middle of the image, or of its circle."""
+    """Of the distance of the farthest edge: standard deviation of the centre about the middle of the image, or of its circle."""
 
 
 class RobustThresholds(NamedTuple):

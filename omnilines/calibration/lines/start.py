@@ -5,7 +5,7 @@ terms of the curve and the centre, planes eliminated. See `straight.py` for what
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,9 +14,10 @@ from camera_models import GeometryError
 from omnilines.calibration.lines.straight import ChainNodes, RadialShape, gain, log_ratio, planes_of
 from omnilines.calibration.thresholds import LineStartThresholds
 
-TERMS = 2
+TERMS = 3
 STEP = 1e-4
-ROUNDS = 12
+ROUNDS = 40
+HALVINGS = 6
 SETTLED = 1e-5
 SAMPLES = 100
 
@@ -51,7 +52,7 @@ def shape_starts(
             f"At least {options.least_chains} smooth edges were expected in photos of straight things, found {len(nodes)}; give "
             "more photos of buildings or rooms."
         )
-    unit = 0.5 * math.hypot(*image_size)
+    unit = float(np.linalg.norm(nodes.pixels - 0.5 * (np.array(image_size) - 1.0), axis=-1).max())
     tried = []
     for centre in centres:
         reach = float(np.linalg.norm(nodes.pixels - centre, axis=-1).max()) / unit
@@ -76,16 +77,16 @@ def _farthest_px(start: ShapeStart, other: ShapeStart) -> float:
     return float(bend) + float(np.linalg.norm(start.shape.centre - other.shape.centre))
 
 
-def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.ndarray, "2"]]:
+def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.ndarray, "3"]]:
     """Terms of the division model, and of equidistant and equisolid lenses of several fields of view, fitted within reach."""
     rho = np.linspace(0.0, reach, SAMPLES)[1:]
-    found = [np.array([bend, 0.0]) / reach**2 for bend in options.bends]
+    found = [np.array([bend, 0.0, 0.0]) / reach**2 for bend in options.bends]
     for angle in np.radians(options.half_angles_deg):
         for theta in (angle * rho / reach, 2.0 * np.arcsin(np.sin(0.5 * angle) * rho / reach)):
             h = rho / np.tan(theta)
-            columns = np.stack([np.ones_like(rho), rho**2, rho**4], -1)
-            a, b, c = np.linalg.lstsq(columns, h, rcond=None)[0]
-            found.append(np.array([b, c]) / a)
+            columns = rho[:, None] ** np.array([0, 2, 4, 6])
+            terms = np.linalg.lstsq(columns, h, rcond=None)[0]
+            found.append(terms[1:] / terms[0])
     return found
 
 
@@ -101,36 +102,37 @@ def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds,
 
 
 def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds) -> ShapeStart:
-    """Gauss-Newton steps in (k1, k2, centre), each chain with the probability that it is a line; the centre, and where nothing
+    """Gauss-Newton steps in (k1, k2, k3, centre), each chain with the probability that it is a line; the centre, and where nothing
     tells it the curve, stay near where they began."""
     first, unit = np.concatenate([start.shape.terms, start.shape.centre / start.shape.unit_px]), start.shape.unit_px
-    prior = np.array([options.term_sigma, options.term_sigma, options.centre_sigma, options.centre_sigma])
+    prior = np.array([options.term_sigma] * TERMS + [options.centre_sigma] * 2)
 
-    def shape_of(values: Float[np.ndarray, "4"]) -> RadialShape:
+    def shape_of(values: Float[np.ndarray, "5"]) -> RadialShape:
         return RadialShape(values[TERMS:] * unit, values[:TERMS], unit)
+
+    def objective(judged: ShapeStart, at: Float[np.ndarray, "5"]) -> float:
+        return judged.gain - 0.5 * float(np.square((at - first) / prior).sum())
 
     best, values, sigma = start, first, math.inf
     for _ in range(ROUNDS):
         planes = planes_of(nodes, shape_of(values))
         ratio = log_ratio(nodes, planes, best.stray_px)
         likely = 1.0 / (1.0 + np.exp(-np.clip(ratio + math.log(options.share / (1.0 - options.share)), -50.0, 50.0)))
-        weight = (likely / (np.square(nodes.sigma_px) + best.stray_px**2))[:, None]
+        variance = np.square(nodes.sigma_px[:, None]) + best.stray_px**2
+        weight = likely[:, None] * (1.0 / variance - 1.0 / (variance + np.square(nodes.bend_px)))
         columns = []
-        for k in range(len(values)):
-            moved = values.copy()
-            moved[k] += STEP
-            columns.append((planes_of(nodes, shape_of(moved)).off_px - planes.off_px) / STEP)
+        for step in STEP * np.eye(len(values)):
+            columns.append((planes_of(nodes, shape_of(values + step)).bend_px - planes.bend_px) / STEP)
         jacobian = np.stack(columns, -1)
-        information = np.einsum("cnp,cn,cnq->pq", jacobian, np.broadcast_to(weight, planes.off_px.shape), jacobian)
-        information += np.diag(1.0 / np.square(prior))
-        gradient = np.einsum("cnp,cn->p", jacobian, weight * planes.off_px) + (values - first) / np.square(prior)
+        information = np.einsum("cnp,cn,cnq->pq", jacobian, weight, jacobian) + np.diag(1.0 / np.square(prior))
+        gradient = np.einsum("cnp,cn->p", jacobian, weight * planes.bend_px) + (values - first) / np.square(prior)
         step = -np.linalg.solve(information, gradient)
         sigma = math.sqrt(float(np.linalg.inv(information)[0, 0]))
-        for _ in range(6):
+        for _ in range(HALVINGS):
             shape = shape_of(values + step)
             reach = float(np.linalg.norm(nodes.pixels - shape.centre, axis=-1).max()) / unit
             judged = _judged(nodes, shape, options, sigma) if shape.rises(reach) else None
-            if judged is not None and judged.gain >= best.gain - 1e-6:
+            if judged is not None and objective(judged, values + step) > objective(best, values):
                 break
             step = 0.5 * step
         else:
@@ -138,4 +140,4 @@ def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds)
         best, values = judged, values + step
         if float(np.abs(step).max()) < SETTLED:
             break
-    return _judged(nodes, best.shape, options, sigma)
+    return replace(best, bend_sigma=sigma)

@@ -1,16 +1,17 @@
 """How straight chains of edge points are under a radial camera that is straight up to its scale.
 
-A pixel at (x, y) from the centre, in units of half the image diagonal, is seen along the ray
+A pixel at (x, y) from the centre, in units of about the farthest edge point's distance, is seen along the ray
 
-    v = (x, y, h(rho)),    h = 1 + k1 rho^2 + k2 rho^4,    rho^2 = x^2 + y^2,
+    v = (x, y, h(rho)),    h = 1 + k1 rho^2 + k2 rho^4 + k3 rho^6,    rho^2 = x^2 + y^2,
 
 up to a factor on z. h = 1 is a pinhole, h = 1 + k1 rho^2 the division model (A. Fitzgibbon, CVPR 2001), which for k1 < 0 goes
-on past 90 degrees, where h = 0, and holds the stereographic lens; with k2 the others come near. A factor on z moves great circles
+on past 90 degrees, where h = 0, and holds the stereographic lens; with k2 and k3 others are within 0.2 degrees. A factor on z moves great circles
 to great circles: straight lines do not tell it, nor do lines that meet. Right angles do.
 
-For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. A chain of length L that is a line of the
-world leaves a root mean square of e with the variance s^2 (noise of the points, and a stray of the lens); any other curve one
-with s^2 + S^2, where S is that of a bend at random: the ratio of both likelihoods is
+For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. What is left is taken apart into polynomials
+along the chain, of the second, third and fourth degree. Those of a line of the world have the variance s^2 (noise of the points,
+and a stray of the lens); those of another curve s^2 + S^2, where S is that of a bend at random: a pair e, S has the ratio of both
+likelihoods
 
     r = sqrt(1 + S^2 / s^2) exp(-e^2 / 2 (1 / s^2 - 1 / (s^2 + S^2))),
 
@@ -30,6 +31,10 @@ NODES = 8
 LEAST_RATE = 1e-9
 SAG_RMS = 0.075
 """Root mean square of a parabola about its chord's best line, over the square of its length times its curvature."""
+LESS_BENT = 0.25
+"""Of S: that of the next degree over that of one."""
+BENDS: Float[np.ndarray, "nodes 3"] = np.linalg.qr(np.linspace(-1.0, 1.0, NODES)[:, None] ** np.arange(5))[0][:, 2:]
+"""Orthonormal polynomials of the second to the fourth degree at the nodes."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class ChainNodes:
     normals: Float[np.ndarray, "chains nodes 2"]
     sigma_px: Float[np.ndarray, " chains"]
     """Of a node, across."""
-    bend_px: Float[np.ndarray, " chains"]
-    """S: what a bend at random leaves."""
+    bend_px: Float[np.ndarray, "chains 3"]
+    """S: what a bend at random leaves, by degree."""
 
     @staticmethod
     def of(chains: Chains, most: int, min_radius_px: float) -> "ChainNodes":
@@ -64,7 +69,8 @@ class ChainNodes:
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), LEAST_RATE)
         sigma = chains.sigma_px[start[chosen]] / np.sqrt(count[chosen] / NODES)
         length = np.linalg.norm(pixels[:, -1] - pixels[:, 0], axis=-1)
-        return ChainNodes(chains.image[chosen], pixels, normals, sigma, SAG_RMS * np.square(length) / min_radius_px)
+        bend = SAG_RMS * math.sqrt(NODES) * np.square(length) / min_radius_px
+        return ChainNodes(chains.image[chosen], pixels, normals, sigma, bend[:, None] * LESS_BENT ** np.arange(3))
 
     def rows(self, chosen: Bool[np.ndarray, " chains"]) -> "ChainNodes":
         """Some of them."""
@@ -78,17 +84,18 @@ class ChainNodes:
 
 @dataclass(frozen=True)
 class RadialShape:
-    """A radial camera up to the scale of z: `terms` k1, k2, lengths in units of `unit_px`."""
+    """A radial camera up to the scale of z: `terms` k1, k2, k3, lengths in units of `unit_px`."""
 
     centre: Float[np.ndarray, "2"]
-    terms: Float[np.ndarray, "2"]
+    terms: Float[np.ndarray, "3"]
     unit_px: float
 
     def height(self, rho: Float[np.ndarray, "*n"]) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
         """h and h' / rho."""
         square = np.square(rho)
-        first, second = self.terms
-        return 1.0 + square * (first + square * second), 2.0 * first + 4.0 * second * square
+        first, second, third = self.terms
+        height = 1.0 + square * (first + square * (second + square * third))
+        return height, 2.0 * first + square * (4.0 * second + 6.0 * square * third)
 
     def rises(self, rho: float) -> bool:
         """Whether the angle off axis grows with the radius all the way: h - rho h' > 0."""
@@ -102,8 +109,8 @@ class Planes:
     """Planes through chains under a shape."""
 
     normal: Float[np.ndarray, "chains 3"]
-    off_px: Float[np.ndarray, "chains nodes"]
-    """Of each node from the curve of its plane."""
+    bend_px: Float[np.ndarray, "chains 3"]
+    """Of what is left of the chain beside the curve of its plane, the part of each degree of `BENDS`."""
 
 
 def planes_of(nodes: ChainNodes, shape: RadialShape) -> Planes:
@@ -122,16 +129,16 @@ def planes_of(nodes: ChainNodes, shape: RadialShape) -> Planes:
     normal = np.linalg.eigh(np.einsum("cnp,cnq->cpq", scaled, scaled))[1][..., 0]
     side = np.sign(np.einsum("cnp,cp->cn", local, normal).sum(-1, keepdims=True))
     normal = normal * np.where(side == 0, 1.0, side)
-    return Planes(normal, np.einsum("cnp,cp->cn", scaled, normal))
+    return Planes(normal, np.einsum("cnp,cp->cn", scaled, normal) @ BENDS)
 
 
 def log_ratio(nodes: ChainNodes, planes: Planes, stray_px: float) -> Float[np.ndarray, " chains"]:
-    """log r of each chain."""
-    square = np.square(planes.off_px).mean(-1) * NODES / (NODES - 2)
-    variance = np.square(nodes.sigma_px) + stray_px**2
+    """log r of each chain, over all degrees."""
+    variance = np.square(nodes.sigma_px[:, None]) + stray_px**2
     wide = variance + np.square(nodes.bend_px)
-    ratio: Float[np.ndarray, " chains"] = 0.5 * np.log(wide / variance) - 0.5 * square * (1.0 / variance - 1.0 / wide)
-    return ratio
+    ratio = 0.5 * np.log(wide / variance) - 0.5 * np.square(planes.bend_px) * (1.0 / variance - 1.0 / wide)
+    total: Float[np.ndarray, " chains"] = ratio.sum(-1)
+    return total
 
 
 def gain(ratio: Float[np.ndarray, " chains"], share: float) -> float:
