@@ -5,7 +5,7 @@ each circle is an eliminated one. Residuals: the distance of every edge point fr
 deviation (`readings.py`), and for a circle that belongs to a direction d the product n . d over the stray of its lines.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import rotation_from_vector
+from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.calibration.lines.readings import EdgeReadings, offsets, tangent_basis
 from omnilines.least_squares import KeptGroup, Linearisation
 from omnilines.least_squares.structure import Structure
@@ -56,9 +57,14 @@ class LineProblem:
     """See the module. `weight` multiplies the residuals of each chain: 0 leaves it out."""
 
     def __init__(
-        self, readings: EdgeReadings, families: Families, basis: Float[Tensor, "p q"], weight: Float[Tensor, " c"]
+        self,
+        readings: EdgeReadings,
+        families: Families,
+        basis: Float[Tensor, "p q"],
+        weight: Float[Tensor, " c"],
+        prior: CameraPrior | None = None,
     ) -> None:
-        self.readings, self.families, self.basis, self.weight = readings, families, basis, weight
+        self.readings, self.families, self.basis, self.weight, self.prior = readings, families, basis, weight, prior
         self.members = torch.nonzero(families.of_chain >= 0).flatten()
         of_member = families.of_chain[self.members]
         index = torch.cat([readings.chain, self.members])
@@ -93,7 +99,10 @@ class LineProblem:
         if self.families.lone:
             by_kept.append(_padded((n[:, None] @ tangent_basis(d))[:, 0] * per, before=len(chain)))
         return Linearisation(
-            residual[:, None], torch.cat([by_circle, by_member])[:, None], tuple(part[:, None] for part in by_kept)
+            residual[:, None],
+            torch.cat([by_circle, by_member])[:, None],
+            tuple(part[:, None] for part in by_kept),
+            None if self.prior is None else self.prior.residuals(state.model, self.structure.kept_size),
         )
 
     @property

@@ -10,7 +10,6 @@ curve, its derivatives are exact with first derivatives of the model alone: with
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -98,17 +97,14 @@ class Offsets:
 def offsets(model: CameraModel, readings: EdgeReadings, normal: Float[Tensor, "c 3"]) -> Offsets:
     """Of every point from the curve of its chain's circle."""
     circle, across = normal[readings.chain], readings.normals
+    bearing, _ = model.unproject(readings.pixels)
+    slope = (_gradient(model, bearing, circle)[0] * across).sum(-1)
+    inverse = torch.where(slope.abs() > UNDEFINED, 1.0 / torch.where(slope == 0, 1.0, slope), 0.0)
     t = torch.zeros(len(across), dtype=across.dtype)
     for _ in range(STEPS):
-        foot = readings.pixels + t[:, None] * across
-        bearing, gradient = _gradient(model, foot, circle)
-        slope = (gradient * across).sum(-1)
-        step = (circle * bearing).sum(-1) / torch.where(slope.abs() > UNDEFINED, slope, torch.inf)
-        t = (t - step).clamp(-FAR_PX, FAR_PX)
-    foot = readings.pixels + t[:, None] * across
-    bearing, valid = model.unproject(foot)
-    _, imaged, _, by_parameter = model.project_with_jacobians(bearing)
-    _, gradient = _gradient(model, foot, circle)
+        t = (t - (circle * bearing).sum(-1) * inverse).clamp(-FAR_PX, FAR_PX)
+        bearing, valid = model.unproject(readings.pixels + t[:, None] * across)
+    gradient, by_parameter, imaged = _gradient(model, bearing, circle)
     slope = (gradient * across).sum(-1)
     valid = valid & imaged & (slope.abs() > LEAST_COSINE * gradient.norm(dim=-1)) & (t.abs() < FAR_PX)
     inverse = torch.where(valid, 1.0 / torch.where(valid, slope, 1.0), 0.0)
@@ -117,15 +113,21 @@ def offsets(model: CameraModel, readings: EdgeReadings, normal: Float[Tensor, "c
 
 
 def _gradient(
-    model: CameraModel, pixels: Float[Tensor, "n 2"], circle: Float[Tensor, "n 3"]
-) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 2"]]:
-    """Bearings of pixels, and how n . b changes with the pixel."""
-    bearing, _ = model.unproject(pixels)
-    return bearing, (circle[:, None] @ model.unproject_jacobian(pixels))[:, 0]
+    model: CameraModel, bearing: Float[Tensor, "n 3"], circle: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2 p"], Bool[Tensor, " n"]]:
+    """g at bearings, d pixel / d parameters, and where they are defined: n . B d = g . (d pixel / d bearing) B d for both
+    columns of a basis B across the bearing."""
+    _, imaged, by_point, by_parameter = model.project_with_jacobians(bearing)
+    basis = tangent_basis(bearing)
+    (a, b), (c, d) = (row.unbind(-1) for row in (by_point @ basis).unbind(-2))
+    determinant = a * d - b * c
+    x, y = (circle[:, None] @ basis)[:, 0].unbind(-1)
+    gradient = torch.stack([d * x - c * y, a * y - b * x], -1)
+    return torch.where(determinant == 0, 0.0, 1.0 / determinant)[:, None] * gradient, by_parameter, imaged
 
 
 def fitted_circles(
-    model: CameraModel, readings: EdgeReadings, weight: Float[Tensor, " n"] | None = None, rounds: int = 4
+    model: CameraModel, readings: EdgeReadings, weight: Float[Tensor, " n"] | None = None, rounds: int = 3
 ) -> tuple[Float[Tensor, "c 3"], Offsets]:
     """The circle of each chain by itself: that of least squares of the bearings, then of the distances in pixels."""
     bearings, seen = model.unproject(readings.pixels)
@@ -156,7 +158,7 @@ def tangent_basis(normal: Float[Tensor, "c 3"]) -> Float[Tensor, "c 3 2"]:
 def in_blocks(model: CameraModel, readings: EdgeReadings, block_px: float) -> EdgeReadings:
     """Points of each chain averaged over pieces of about `block_px`, each put where its middle point is: on the curve of the
     chain's own circle, off by the mean of the piece. Neighbouring points share their smoothing and say little by themselves."""
-    normal, at = fitted_circles(model, readings)
+    _, at = fitted_circles(model, readings, rounds=1)
     kept = at.valid
     readings, t = readings.of_points(kept), at.px[kept]
     step = torch.zeros(len(t), dtype=t.dtype)
@@ -180,8 +182,3 @@ def in_blocks(model: CameraModel, readings: EdgeReadings, block_px: float) -> Ed
     apart = (length / readings.counts.clamp_min(2)).clamp(max=1.0)[readings.chain[middle]]
     sigma = (total * apart).rsqrt()
     return EdgeReadings(readings.photo, readings.photos, readings.chain[middle], pixels, readings.normals[middle], sigma)
-
-
-def as_arrays(*tensors: Tensor) -> tuple[np.ndarray, ...]:
-    """Tensors as NumPy arrays."""
-    return tuple(tensor.numpy() for tensor in tensors)

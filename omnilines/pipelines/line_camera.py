@@ -1,0 +1,66 @@
+"""Chains of edge points and a start camera -> the camera that makes them straight, and lets parallel ones meet."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel, GeometryError
+from omnilines.calibration.lines.camera import LineAdjustment
+from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.prior import CameraPrior
+from omnilines.calibration.lines.problem import CameraAndCircles, LineProblem
+from omnilines.calibration.lines.readings import EdgeReadings
+from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.weighting import longest, weighted_chains
+from omnilines.geometry.chains import Chains
+from omnilines.least_squares import Outcome, solve
+from omnilines.pipelines.line_families import families_of
+from omnilines.progress import ProgressCallback, silent
+from omnilines.structure.options import DirectionsOptions
+
+MOST_ITERATIONS = 30
+TOLERANCE = 1e-9
+"""Of the cost, in a round; families and weights change it by more."""
+
+
+def adjusted_camera(
+    start: CameraModel,
+    chains: Chains,
+    options: LineOptions = LineOptions(),
+    directions: DirectionsOptions = DirectionsOptions(),
+    *,
+    prior: CameraPrior | None = None,
+    progress: ProgressCallback = silent,
+) -> LineAdjustment:
+    """Rounds of families, weights and least squares from `start` until the camera stays where it is.
+
+    `prior` is that of an earlier start, where this one comes of it. Raises GeometryError where too few chains are straight.
+    """
+    model, basis = start.calibrated_form(), start.calibration_basis()
+    readings = longest(EdgeReadings.of(chains), options.most_chains)
+    if prior is None:
+        prior = CameraPrior.of(model, basis, readings.pixels, options.prior_share)
+    for done in range(options.rounds):
+        progress("adjusting the camera to lines", done, options.rounds)
+        weighted = weighted_chains(model, readings, options)
+        if int((weighted.weight > 0).sum()) < options.start.least_chains:
+            raise GeometryError(
+                f"At least {options.start.least_chains} edges that are straight in the world were expected, found "
+                f"{int((weighted.weight > 0).sum())}; add photos of buildings or rooms."
+            )
+        families = families_of(model, weighted, options, directions, progress)
+        problem = LineProblem(weighted.blocks, families, basis, weighted.weight, prior)
+        begin = CameraAndCircles(model, weighted.normal, families.direction)
+        solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
+        scores = LineScores.of(problem, solution.state)
+        step = basis.mT @ (solution.state.model.parameters - model.parameters)
+        model = solution.state.model
+        settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
+        if settled:
+            break
+    return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+
+
+def _sigmas(step: Float[Tensor, " q"], scores: LineScores) -> float:
+    """Root mean square of a step of the camera, in its standard deviations."""
+    return float((step @ scores.camera_information @ step / len(step)).clamp_min(0).sqrt())
