@@ -1,16 +1,18 @@
 """Chains of edge points and a start camera -> the camera that makes them straight, and lets parallel ones meet."""
 
-import torch
+from dataclasses import replace
+
 from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
-from omnilines.calibration.lines.camera import LineAdjustment
+from omnilines.calibration.lines.camera import LineAdjustment, counted
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.calibration.lines.problem import CameraAndCircles, LineProblem
-from omnilines.calibration.lines.readings import EdgeReadings
+from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, offsets
 from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.select import SEEN_SHARE
 from omnilines.calibration.lines.weighting import longest, weighted_chains
 from omnilines.geometry.chains import Chains
 from omnilines.least_squares import Outcome, solve
@@ -59,6 +61,26 @@ def adjusted_camera(
         if settled:
             break
     return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+
+
+def readjusted_camera(start: CameraModel, like: LineAdjustment) -> LineAdjustment:
+    """Another camera adjusted to the same pieces of edges, with the same weights and families. Raises GeometryError where it does
+    not see them."""
+    model, basis, chains = start.calibrated_form(), start.calibration_basis(), like.chains
+    normal, at = fitted_circles(model, chains.blocks)
+    own = counted(chains)
+    seen = float((at.valid & own).sum() / own.sum())
+    if seen < SEEN_SHARE:
+        raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
+    prior = CameraPrior.of(model, basis, chains.blocks.pixels, like.prior.share)
+    problem = LineProblem(chains.blocks, like.families, basis, chains.weight, prior)
+    begin = CameraAndCircles(model, normal, like.families.direction)
+    solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
+    at = offsets(solution.state.model, chains.blocks, solution.state.normal)
+    moved = replace(chains, normal=solution.state.normal, at=at)
+    scores = LineScores.of(problem, solution.state)
+    settled = solution.outcome is Outcome.CONVERGED
+    return LineAdjustment(moved, like.families, problem, solution.state, scores, prior, settled)
 
 
 def _sigmas(step: Float[Tensor, " q"], scores: LineScores) -> float:

@@ -97,8 +97,8 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
     """The result of an adjustment."""
     model, basis, chains = done.model, done.problem.basis, done.chains
     covariance = basis @ done.scores.covariance @ basis.mT
-    counted = _counted(chains)
-    pixels = chains.blocks.pixels[counted]
+    own = counted(chains)
+    pixels = chains.blocks.pixels[own]
     low, high = supported_angles_deg(model, pixels)
     distance = residual_px(chains)
     open_terms = _open_terms(done, options.open_share)
@@ -108,8 +108,8 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
         rms_px=float(distance.square().mean().sqrt()),
         photos=_photos(done, images),
         pixels=pixels.numpy(),
-        residual_px=(chains.at.px[counted, None] * chains.blocks.normals[counted]).numpy(),
-        photo=chains.blocks.photo[chains.blocks.chain[counted]].numpy(),
+        residual_px=(chains.at.px[own, None] * chains.blocks.normals[own]).numpy(),
+        photo=chains.blocks.photo[chains.blocks.chain[own]].numpy(),
         min_angle_deg=low,
         max_angle_deg=high,
         open_terms=open_terms,
@@ -117,7 +117,8 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
     )
 
 
-def _counted(chains: WeightedChains) -> Bool[Tensor, " n"]:
+def counted(chains: WeightedChains) -> Bool[Tensor, " n"]:
+    """Pieces of edges that count."""
     return chains.at.valid & (chains.weight[chains.blocks.chain] > 0)
 
 
@@ -129,9 +130,9 @@ def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...
     members = torch.bincount(photo[straight & (families.of_chain >= 0)], minlength=len(images))
     directions = torch.bincount(families.photo, minlength=len(images))
     frames = set(families.photo[: 3 * families.frames].tolist())
-    counted = _counted(chains)
-    of_block = photo[chains.blocks.chain[counted]]
-    squares = torch.zeros(len(images), dtype=torch.float64).index_add_(0, of_block, chains.at.px[counted].square())
+    own = counted(chains)
+    of_block = photo[chains.blocks.chain[own]]
+    squares = torch.zeros(len(images), dtype=torch.float64).index_add_(0, of_block, chains.at.px[own].square())
     rms = (squares / torch.bincount(of_block, minlength=len(images))).sqrt()
     inverse = torch.linalg.pinv(scores.camera_information, hermitian=True)
     leverage = (scores.photo_information(done.problem, done.state) * inverse).sum((-2, -1)) / scores.camera

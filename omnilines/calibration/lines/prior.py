@@ -30,6 +30,8 @@ class CameraPrior:
     root: Float[Tensor, "r q"]
     """P = root' root, along the basis."""
     basis: Float[Tensor, "p q"]
+    share: float
+    """Of half the image's longer side, s."""
 
     @staticmethod
     def of(model: CameraModel, basis: Float[Tensor, "p q"], seen_px: Float[Tensor, "n 2"], share: float) -> "CameraPrior":
@@ -43,7 +45,7 @@ class CameraPrior:
         unit = information.diagonal().clamp_min(1e-300).rsqrt()
         values, vectors = torch.linalg.eigh(information * unit[:, None] * unit)
         values = values.clamp_min(LEAST_SHARE)
-        return CameraPrior(model.parameters.detach().clone(), values.sqrt()[:, None] * vectors.mT / unit, basis)
+        return CameraPrior(model.parameters.detach().clone(), values.sqrt()[:, None] * vectors.mT / unit, basis, share)
 
     @property
     def information(self) -> Float[Tensor, "q q"]:

@@ -21,6 +21,8 @@ class WeightedChains:
     at: Offsets
     weight: Float[Tensor, " c"]
     """By which residuals are multiplied: the root of the chain's share, over `scale`; 0 of those left out."""
+    misfit: float
+    """How far all chains are from straight, Student's negative log likelihood by the stated standard deviations."""
     scale: float
     """Standard deviation of the residuals of straight chains over the stated one."""
 
@@ -55,7 +57,8 @@ def weighted_chains(model: CameraModel, readings: EdgeReadings, options: LineOpt
     variance = _median_variance(squares, freedom)
     share = (options.freedom + freedom) / (options.freedom + squares / variance)
     share = torch.where((share >= options.least_weight) & (freedom > 0), share.clamp(max=1.0), 0.0)
-    return WeightedChains(blocks, normal, at, (share / variance).sqrt(), variance**0.5)
+    misfit = 0.5 * ((options.freedom + freedom) * torch.log1p(squares / options.freedom)).sum()
+    return WeightedChains(blocks, normal, at, (share / variance).sqrt(), float(misfit), variance**0.5)
 
 
 def _median_variance(squares: Float[Tensor, " c"], freedom: Float[Tensor, " c"]) -> float:
