@@ -9,11 +9,11 @@ from camera_models import CameraModel, GeometryError
 from omnilines.calibration.lines.camera import LineAdjustment, counted
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.prior import CameraPrior
-from omnilines.calibration.lines.problem import CameraAndCircles, LineProblem
+from omnilines.calibration.lines.problem import CameraAndCircles, Families, LineProblem
 from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, offsets
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.select import SEEN_SHARE
-from omnilines.calibration.lines.weighting import longest, weighted_chains
+from omnilines.calibration.lines.weighting import WeightedChains, longest, weighted_chains
 from omnilines.geometry.chains import Chains
 from omnilines.least_squares import Outcome, solve
 from omnilines.pipelines.line_families import families_of
@@ -45,11 +45,7 @@ def adjusted_camera(
     for done in range(options.rounds):
         progress("adjusting the camera to lines", done, options.rounds)
         weighted = weighted_chains(model, readings, options)
-        if int((weighted.weight > 0).sum()) < options.start.least_chains:
-            raise GeometryError(
-                f"At least {options.start.least_chains} edges that are straight in the world were expected, found "
-                f"{int((weighted.weight > 0).sum())}; add photos of buildings or rooms."
-            )
+        _require_straight(weighted, options)
         families = families_of(model, weighted, options, directions, progress)
         problem = LineProblem(weighted.blocks, families, basis, weighted.weight, prior)
         begin = CameraAndCircles(model, weighted.normal, families.direction)
@@ -81,6 +77,36 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment) -> LineAdjustmen
     scores = LineScores.of(problem, solution.state)
     settled = solution.outcome is Outcome.CONVERGED
     return LineAdjustment(moved, like.families, problem, solution.state, scores, prior, settled)
+
+
+def held_camera(
+    model: CameraModel,
+    chains: Chains,
+    options: LineOptions,
+    directions: DirectionsOptions,
+    progress: ProgressCallback = silent,
+) -> tuple[WeightedChains, Families, LineScores, Float[Tensor, "p q"]]:
+    """Lines fitted with the camera as it is, and how they pull at it along a basis of its parameters."""
+    model = model.calibrated_form()
+    weighted = weighted_chains(model, longest(EdgeReadings.of(chains), options.most_chains), options)
+    _require_straight(weighted, options)
+    families = families_of(model, weighted, options, directions, progress)
+    basis = model.calibration_basis()
+    held = LineProblem(weighted.blocks, families, basis[:, :0], weighted.weight)
+    begin = CameraAndCircles(model, weighted.normal, families.direction)
+    state = solve(held, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
+    moved = replace(weighted, normal=state.normal, at=offsets(model, weighted.blocks, state.normal))
+    scores = LineScores.of(LineProblem(weighted.blocks, families, basis, weighted.weight), state)
+    return moved, families, scores, basis
+
+
+def _require_straight(weighted: WeightedChains, options: LineOptions) -> None:
+    straight = int((weighted.weight > 0).sum())
+    if straight < options.start.least_chains:
+        raise GeometryError(
+            f"At least {options.start.least_chains} edges that are straight in the world were expected, found {straight}; add "
+            "photos of buildings or rooms."
+        )
 
 
 def _sigmas(step: Float[Tensor, " q"], scores: LineScores) -> float:

@@ -66,7 +66,7 @@ class LineScores:
         """Scores and information of the camera with the directions eliminated."""
         q = self.camera
         whole, own = self.information, self.information[q:, q:]
-        gain = _inverse(own) @ whole[q:, :q]
+        gain = pseudo_inverse(own) @ whole[q:, :q]
         return self.scores[:, :q] - self.scores[:, q:] @ gain, whole[:q, :q] - whole[:q, q:] @ gain
 
     @property
@@ -93,33 +93,34 @@ class LineScores:
             weight = (self.photo[structure.index] == photo).double()
             equations = normal_equations(structure, replace(at, prior=None), weight)
             matrix = reduce(equations, 0.0).matrix
-            gain = _inverse(matrix[q:, q:]) @ matrix[q:, :q]
+            gain = pseudo_inverse(matrix[q:, q:]) @ matrix[q:, :q]
             photos.append(matrix[:q, :q] - matrix[:q, q:] @ gain)
         return torch.stack(photos)
 
     @cached_property
     def score_covariance(self) -> Float[Tensor, "q q"]:
         """Of the sum of all scores: that of chains, times the factor of photos."""
-        chains = self.of_camera.mT @ self.of_camera
-        return chains * max(1.0, photo_factor(self.by_photo, chains))
+        return self.of_camera.mT @ self.of_camera * max(1.0, self.photo_factor)
+
+    @cached_property
+    def photo_factor(self) -> float:
+        """Variance of the scores of photos about their mean, over that of independent chains, over all directions of the
+        camera."""
+        seen = self.by_photo[self.by_photo.any(-1)]
+        if len(seen) < 2:
+            return 1.0
+        off = seen - seen.mean(0)
+        inverse = pseudo_inverse(self.of_camera.mT @ self.of_camera)
+        return float((off @ inverse * off).sum()) / self.camera * len(seen) / (len(seen) - 1)
 
     @cached_property
     def covariance(self) -> Float[Tensor, "q q"]:
         """Of the camera along the basis."""
-        inverse = _inverse(self.camera_information)
+        inverse = pseudo_inverse(self.camera_information)
         return inverse @ (self.score_covariance + self.prior) @ inverse
 
 
-def photo_factor(by_photo: Float[Tensor, "v q"], chains: Float[Tensor, "q q"]) -> float:
-    """Variance of the scores of photos about their mean, over that of independent chains, over all directions of the camera."""
-    seen = by_photo[by_photo.any(-1)]
-    if len(seen) < 2:
-        return 1.0
-    off = seen - seen.mean(0)
-    return float((off @ _inverse(chains) * off).sum()) / chains.shape[0] * len(seen) / (len(seen) - 1)
-
-
-def _inverse(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:
-    """Of a symmetric matrix, in units in which its diagonal is one; 0 along what is not seen."""
+def pseudo_inverse(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:
+    """Inverse of a symmetric matrix, in units in which its diagonal is one; 0 along what is not seen."""
     unit = torch.where(matrix.diagonal() > 0, matrix.diagonal().clamp_min(1e-300).rsqrt(), 0.0)
     return unit[:, None] * torch.linalg.pinv(matrix * unit[:, None] * unit, rtol=LEAST_SHARE, hermitian=True) * unit
