@@ -43,6 +43,31 @@ class StartThresholds(NamedTuple):
     """Starts from which a robust fit is tried."""
 
 
+class LineStartThresholds(NamedTuple):
+    """Where a calibration from straight lines starts."""
+
+    least_chains: int = 20
+    """Smooth edges that it needs, of all photos together."""
+    most_chains: int = 4000
+    """The longest are looked at."""
+    min_radius_share: float = 0.5
+    """Of half the image diagonal: curves that are no lines bend at random with a radius of this and more."""
+    bends: tuple[float, ...] = (0.2, 0.1, 0.05, 0.0, -0.03, -0.06, -0.1, -0.15, -0.2, -0.3, -0.4, -0.5, -0.65, -0.8, -1.0, -1.3)
+    """Division models tried, by the relative change of the ray's z at the farthest edge."""
+    half_angles_deg: tuple[float, ...] = (40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)
+    """Equidistant and equisolid lenses tried, by the angle at the farthest edge."""
+    strays_px: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+    """Standard deviations by which lines may leave their curves; which one it is is found from the chains."""
+    share: float = 0.5
+    """Of the chains, those that are lines of the world."""
+    refined: int = 3
+    """Of the lenses tried, the best are refined."""
+    term_sigma: float = 0.5
+    """Standard deviation of the terms of the curve about those of the lens tried."""
+    centre_sigma: float = 0.03
+    """Of the distance of the farthest edge: standard deviation of the centre about the middle of the image, or of its circle."""
+
+
 class RobustThresholds(NamedTuple):
     """The robust fit, and the corners that it rejects."""
 

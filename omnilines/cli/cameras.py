@@ -37,6 +37,7 @@ from omnilines.options import with_settings
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
     from omnilines.guide.options import GuideOptions
+    from omnilines.pipelines.line_options import LinesOptions
     from omnilines.progress import ProgressCallback
 
 DEFAULT = CalibrationOptions
@@ -51,6 +52,7 @@ class Stages(NamedTuple):
     frames: FrameOptions
     detection: DetectionOptions
     calibration: CalibrationOptions
+    lines: "LinesOptions"
 
 
 class GuideStages(NamedTuple):
@@ -65,7 +67,9 @@ class GuideStages(NamedTuple):
 def calibrate(
     photos: Photos,
     out: Out,
-    pattern: Annotated[str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm.")] = None,
+    pattern: Annotated[
+        str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm; or lines: of buildings.")
+    ] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[
         str | None,
@@ -91,6 +95,7 @@ def calibrate(
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
     from omnilines.commands.calibrate_inputs import CalibrationInputs, calibrate_inputs
+    from omnilines.pipelines.line_options import LinesOptions
 
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model or "", "--model")
@@ -104,8 +109,9 @@ def calibrate(
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        frames, detection, set_options = with_settings(Stages(FrameOptions(), DetectionOptions(), options), settings or ())
-        return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, progress=progress)
+        stages = Stages(FrameOptions(), DetectionOptions(), options, LinesOptions())
+        frames, detection, set_options, lines = with_settings(stages, settings or ())
+        return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, lines=lines, progress=progress)
 
     run(command, as_json)
 

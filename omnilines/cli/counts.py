@@ -67,6 +67,14 @@ def _of_board_photos(call: Call) -> bool:
     return data.suffix != ".csv" and not (data / "corners.csv").is_file()
 
 
+def _of_lines(call: Call) -> bool:
+    return (call.values["pattern"] or "").strip() == "lines"
+
+
+def _of_target(call: Call) -> bool:
+    return not _of_lines(call)
+
+
 def _of_tags(call: Call) -> bool:
     return any(spec.strip().split(":")[0] != "checkerboard" for spec in (call.values["pattern"] or "").split(","))
 
@@ -89,6 +97,14 @@ IN_RIG = (
 WITH_PHOTOS = "with photos, found `segments` without them"
 OF_SCENE = ("matching.", "posing.", "structure.", "rough_poses.", "rounds.", "kept_lines.", "frame.", "advice.")
 
+OF_TARGET = tuple(
+    f"calibration.{part}"
+    for part in (
+        *("views.", "screening.", "start.", "robust.", "degeneracy.", "doubt.", "noise.", "duplicates.", "shooting."),
+        *("rig.", "clocks.", "loss", "mirror", "refine_board", "searches"),
+    )
+)
+
 RULES: dict[str, tuple[Rule, ...]] = {
     "frames": (
         Rule(("mirror", "detection.", "frames.most_of_target"), lambda call: call.has("pattern"), "with `pattern`"),
@@ -99,6 +115,8 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),
     "calibrate": (
+        Rule(("lines.",), _of_lines, "with `pattern` lines"),
+        Rule(("loss", "mirror", "refine_board", "detection.", *OF_TARGET), _of_target, "with a target, found `pattern` lines"),
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
         Rule(("split",), lambda call: not _of_table(call), "with photos, found a table"),

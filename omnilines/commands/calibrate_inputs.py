@@ -8,6 +8,7 @@ from calib_patterns import DetectionOptions
 from camera_models import InputError, load
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
+from omnilines.commands.calibrate_lines import LINES, calibrate_line_photos
 from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
 from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
@@ -15,6 +16,7 @@ from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.calibrate_rig import RigSetup
 from omnilines.pipelines.detect_rig import is_rig
 from omnilines.pipelines.line_delay import CAMERA
+from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback
 
 
@@ -41,6 +43,8 @@ class CalibrationInputs:
             raise InputError(
                 f"{wanted} was expected, found {' '.join(map(str, self.photos))}; a table does not hold the size of the photos."
             )
+        if self.lines and self.rig:
+            raise InputError("Photos of one camera were expected with `pattern` lines, found a rig; calibrate each camera alone.")
         if not self.table and self.pattern is None:
             raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
 
@@ -48,6 +52,11 @@ class CalibrationInputs:
     def table(self) -> Path | None:
         """The corners.csv, where one is given."""
         return next((path for path in self.photos if path.suffix.lower() == ".csv"), None)
+
+    @property
+    def lines(self) -> bool:
+        """Whether straight lines of the world stand in the place of a target."""
+        return self.table is None and self.pattern is not None and self.pattern.strip() == LINES
 
     @property
     def rig(self) -> bool:
@@ -72,6 +81,7 @@ def calibrate_inputs(
     *,
     frames: FrameOptions,
     detection: DetectionOptions,
+    lines: LinesOptions = LinesOptions(),
     progress: ProgressCallback,
 ) -> CommandResult:
     """Calibrate from what is given and write the results into `out`; videos through their frames, which are written too."""
@@ -79,7 +89,7 @@ def calibrate_inputs(
     frames = replace(frames, follow=frames.follow or options.rolling_shutter)
     patterns = [text.strip() for text in (given.pattern or "").split(",")]
 
-    def from_frames(command: Callable[[list[Path]], CommandResult], target: str) -> CommandResult:
+    def from_frames(command: Callable[[list[Path]], CommandResult], target: str | None) -> CommandResult:
         """On the frames of videos, where photos are videos."""
         return with_frames(
             command, given.photos, out, target, split=given.split, mirror=options.mirror, detection=detection, options=frames,
@@ -106,6 +116,8 @@ def calibrate_inputs(
             patterns[0],
         )
     options = replace(options, model=given.models.get("", options.model))
+    if given.lines:
+        return from_frames(lambda paths: calibrate_line_photos(paths, out, options, lines, progress=progress), None)
     if given.table is not None:
         return calibrate_corners(given.table, given.image_sizes[""], out, options, progress=progress)
     return from_frames(

@@ -61,6 +61,17 @@ def extract_arcs(
 
     Raises InputError where photo or mask have not the size of the camera's images.
     """
+    return extracted(image, model, mask, least_angle_rad, options)[1]
+
+
+def extracted(
+    image: UInt[np.ndarray, "h w *channels"],
+    model: CameraModel,
+    mask: Bool[np.ndarray, "h w"] | None,
+    least_angle_rad: float,
+    options: ExtractionOptions,
+) -> tuple[Photo, ExtractedArcs]:
+    """`extract_arcs`, with the photo and its edge points."""
     height, width = image.shape[:2]
     for name, size in (("photo", (width, height)), ("mask", (width, height) if mask is None else mask.shape[::-1])):
         if size != model.image_size:
@@ -81,7 +92,7 @@ def extract_arcs(
     # Arcs that bend, what was cut off others, and what still moves.
     done = fitted.settled & np.isnan(fitted.bend)
     fitted = fitted.keep(done).with_more(refit(photo, fitted.keep(~done).straight(), 0.0, least, options))
-    return _finished(photo, fitted, max(noise, LEAST_NOISE), options)
+    return photo, _finished(photo, fitted, max(noise, LEAST_NOISE), options)
 
 
 def _begun(

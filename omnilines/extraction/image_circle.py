@@ -24,15 +24,21 @@ _TRIPLES = 500
 def image_circle(
     image: UInt[np.ndarray, "h w *channels"], model: CameraModel, options: ImageCircleOptions = ImageCircleOptions()
 ) -> tuple[float, float, float] | None:
-    """Centre (u, v) and radius (px) of the circle outside which a photo is dark, or None where there is none.
+    """Centre (u, v) and radius (px) of the circle outside which a photo of this camera is dark, or None where there is none."""
+    return None if model.PERIODIC else circle_around(image, model.centre_px.detach().numpy(), options)
 
-    From the border inwards along rays to the camera's centre pixel, each finds its first light. Where most of those that begin
+
+def circle_around(
+    image: UInt[np.ndarray, "h w *channels"], centre: Float[np.ndarray, "2"], options: ImageCircleOptions = ImageCircleOptions()
+) -> tuple[float, float, float] | None:
+    """Centre (u, v) and radius (px) of the circle around a pixel outside which a photo is dark, or None where there is none.
+
+    From the border inwards along rays to that pixel, each finds its first light. Where most of those that begin
     in the dark find it on one circle (the best of random triples), and all is dark outside it, that is the rim; others met a dark
     part of the scene.
     """
     height, width = image.shape[:2]
-    centre = model.centre_px.detach().numpy()
-    if model.PERIODIC or not (0 < centre[0] < width - 1 and 0 < centre[1] < height - 1):
+    if not (0 < centre[0] < width - 1 and 0 < centre[1] < height - 1):
         return None
     turn = 2.0 * np.pi * np.arange(RAYS) / RAYS
     way = np.stack([np.cos(turn), np.sin(turn)], -1)

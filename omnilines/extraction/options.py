@@ -240,3 +240,42 @@ class ExtractionOptions:
     hidden: HiddenEdgeOptions = HiddenEdgeOptions()
     clutter: ClutterOptions = ClutterOptions()
     image_circle: ImageCircleOptions = ImageCircleOptions()
+
+
+class SmoothOptions(NamedTuple):
+    """What a smooth curve of edge points is, without a camera."""
+
+    min_length_px: float = 25.0
+    """Shorter curves are not given back."""
+    min_radius_share: float = 0.25
+    """Of half the image diagonal: radius of the sharpest bend. A line of the world seen by a lens of 220 degrees has 0.8."""
+    max_scatter_px: float = 0.35
+    """Standard deviation of the edge points about the curve; texture has more."""
+    block_points: int = 9
+    """Edge points in a row whose mean distance from the curve is compared with its noise."""
+    block_sigmas: float = 5.0
+    """That distance over the standard deviation of such a mean, from which on the curve is cut there."""
+    block_floor_px: float = 0.25
+    """The same in pixels, where the noise asks for less: edge points are drawn to the grid of pixels."""
+    corner_points: int = 8
+    """Edge points to either side of a corner by which its angle is measured."""
+    corner_sigmas: float = 4.0
+    """Turn at a corner over what noise and the sharpest bend make."""
+    corner_sigma_px: float = 0.2
+    """Standard deviation of an edge point for that."""
+
+
+@dataclass(frozen=True)
+class SmoothChainOptions:
+    """Of `smooth_chains`."""
+
+    edges: EdgeOptions = EdgeOptions()
+    min_cosine: float = 0.8
+    """Between the directions of neighbours in a chain: 37 degrees."""
+    smooth: SmoothOptions = SmoothOptions()
+    strong_grey: float = 16.0
+    """An edge of such a contrast, over all channels, counts whatever its length."""
+    min_evidence: float = 60.0
+    """Of a weaker one: contrast times the square root of its length in pixels. Along an edge the contrast is steady, so that it
+    outweighs what varies from pixel to pixel the more the longer it is."""
+    image_circle: ImageCircleOptions = ImageCircleOptions()

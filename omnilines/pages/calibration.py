@@ -17,7 +17,7 @@ from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
-from omnilines.pages.uncertainty_map import UncertaintyMap
+from omnilines.pages.uncertainty_map import CertainCamera, UncertaintyMap
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
@@ -199,7 +199,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
     return sections
 
 
-def supported_circle_px(result: CameraCalibration) -> Float[np.ndarray, "k 2"]:
+def supported_circle_px(result: CertainCamera) -> Float[np.ndarray, "k 2"]:
     """The image of the cone at the largest angle that the data support."""
     phi = np.linspace(0, 2 * np.pi, 181)
     theta = np.radians(result.max_angle_deg)
@@ -209,7 +209,7 @@ def supported_circle_px(result: CameraCalibration) -> Float[np.ndarray, "k 2"]:
     return np.where(valid[:, None], pixels, np.nan)
 
 
-def projection_curve(result: CameraCalibration) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def projection_curve(result: CertainCamera) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Radius (px) along +x of the image against the angle off axis (degrees), over what the image shows."""
     theta = np.linspace(0, min(np.degrees(result.model.max_angle) * 0.999, 1.15 * result.max_angle_deg), 200)
     axis = np.sign(result.model.unproject(result.model.centre_px.numpy())[0][2])

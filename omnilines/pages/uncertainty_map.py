@@ -1,17 +1,34 @@
 """The projection uncertainty of a camera over its image, as pages draw it and state it."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
-from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
 
 MAP_STEPS = 64
 """Pixels along the longer side of the image at which the projection uncertainty is drawn."""
+
+
+class CertainCamera(Protocol):
+    """A camera with a covariance of its parameters, and how far off axis the data reach."""
+
+    @property
+    def model(self) -> CameraModel: ...
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "p p"]: ...
+
+    @property
+    def min_angle_deg(self) -> float: ...
+
+    @property
+    def max_angle_deg(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -25,7 +42,7 @@ class UncertaintyMap:
     """Within the field of view that the data support."""
 
     @staticmethod
-    def of(result: CameraCalibration) -> "UncertaintyMap":
+    def of(result: CertainCamera) -> "UncertaintyMap":
         """The map of a calibration, at MAP_STEPS pixels along the longer side of its image."""
         width, height = result.model.image_size
         step = max(width, height) / MAP_STEPS

@@ -99,3 +99,20 @@ class DirectionsOptions:
     """A direction that is known less well is none."""
     upright: UprightOptions = UprightOptions()
     """Which direction is up."""
+
+
+class RightAngleOptions(NamedTuple):
+    """The scale of a camera from right angles."""
+
+    max_factor: float = 6.0
+    """By which a scale may differ from the one begun with, either way."""
+    factors: int = 240
+    """Tried, at equal steps of their logarithm."""
+    stray_rad: float = math.radians(0.5)
+    """Standard deviation of a direction of things built, in each of two."""
+    share: float = 0.5
+    """Of pairs of directions of one photo, those at right angles."""
+    most_peaks: int = 3
+    """Scales that are given back."""
+    false_scales: float = 1e-3
+    """Scales that are expected where directions are at random, at most."""

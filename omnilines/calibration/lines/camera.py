@@ -1,0 +1,188 @@
+"""A camera adjusted to straight lines: how certain it is, what it rests on, and what the lines leave open."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.diagnose import supported_angles_deg
+from omnilines.calibration.intervals import SHARE, linear_intervals
+from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.prior import CameraPrior
+from omnilines.calibration.lines.problem import CameraAndCircles, Families, LineProblem
+from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.weighting import WeightedChains, residual_px
+from omnilines.least_squares.variance import VarianceFactor
+
+NORMAL = VarianceFactor(1.0, math.inf)
+
+
+@dataclass(frozen=True)
+class LinePhoto:
+    """What one photo gave to a calibration from lines."""
+
+    image: str
+    chains: int
+    straight: int
+    """Chains that count."""
+    members: int
+    """Of these, lines along a direction."""
+    directions: int
+    frame: bool
+    """Whether three of the directions are at right angles."""
+    rms_px: float
+    """Distance of edges from their lines; NaN where none counts."""
+    leverage: float
+    """Share of the camera's parameters that this photo decides: the shares of all photos add up to less than 1."""
+
+
+@dataclass(frozen=True)
+class LineAdjustment:
+    """Where the adjustment ended."""
+
+    chains: WeightedChains
+    families: Families
+    problem: LineProblem
+    state: CameraAndCircles
+    scores: LineScores
+    prior: CameraPrior
+    settled: bool
+
+    @property
+    def model(self) -> CameraModel:
+        """The camera."""
+        return self.state.model
+
+
+@dataclass(frozen=True)
+class LineCamera:
+    """A camera calibrated from straight lines."""
+
+    model: CameraModel
+    covariance: Float[np.ndarray, "p p"]
+    """Of the parameters in their order, as chains and photos scatter."""
+    rms_px: float
+    """Distance of edges from their lines, averaged along them over pieces."""
+    photos: tuple[LinePhoto, ...]
+    pixels: Float[np.ndarray, "n 2"]
+    """Pieces of edges that the estimate rests on."""
+    residual_px: Float[np.ndarray, "n 2"]
+    """From each to its line."""
+    photo: Float[np.ndarray, " n"]
+    """Of each, in `photos`."""
+    min_angle_deg: float
+    max_angle_deg: float
+    """How far from the bearing of the centre pixel edges reach."""
+    open_terms: tuple[str, ...]
+    """Directions of the parameters, in words, that lines do not tell: they are where the start has them."""
+    notes: tuple[str, ...]
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """One standard deviation of each parameter."""
+        return dict(zip(self.model.PARAMETER_NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def interval_95(self) -> Float[np.ndarray, "p 2"]:
+        """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
+        return linear_intervals(self.model.parameters, torch.as_tensor(self.covariance), NORMAL.sigmas(SHARE)).numpy()
+
+
+def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOptions) -> LineCamera:
+    """The result of an adjustment."""
+    model, basis, chains = done.model, done.problem.basis, done.chains
+    covariance = basis @ done.scores.covariance @ basis.mT
+    own = counted(chains)
+    pixels = chains.blocks.pixels[own]
+    low, high = supported_angles_deg(model, pixels)
+    distance = residual_px(chains)
+    open_terms = _open_terms(done, options.open_share)
+    return LineCamera(
+        model=model,
+        covariance=(0.5 * (covariance + covariance.mT)).numpy(),
+        rms_px=float(distance.square().mean().sqrt()),
+        photos=_photos(done, images),
+        pixels=pixels.numpy(),
+        residual_px=(chains.at.px[own, None] * chains.blocks.normals[own]).numpy(),
+        photo=chains.blocks.photo[chains.blocks.chain[own]].numpy(),
+        min_angle_deg=low,
+        max_angle_deg=high,
+        open_terms=open_terms,
+        notes=_notes(done, open_terms),
+    )
+
+
+def counted(chains: WeightedChains) -> Bool[Tensor, " n"]:
+    """Pieces of edges that count."""
+    return chains.at.valid & (chains.weight[chains.blocks.chain] > 0)
+
+
+def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...]:
+    chains, families, scores = done.chains, done.families, done.scores
+    photo, straight = chains.blocks.photo, chains.weight > 0
+    count = torch.bincount(photo, minlength=len(images))
+    used = torch.bincount(photo[straight], minlength=len(images))
+    members = torch.bincount(photo[straight & (families.of_chain >= 0)], minlength=len(images))
+    directions = torch.bincount(families.photo, minlength=len(images))
+    frames = set(families.photo[: 3 * families.frames].tolist())
+    own = counted(chains)
+    of_block = photo[chains.blocks.chain[own]]
+    squares = torch.zeros(len(images), dtype=torch.float64).index_add_(0, of_block, chains.at.px[own].square())
+    rms = (squares / torch.bincount(of_block, minlength=len(images))).sqrt()
+    inverse = torch.linalg.pinv(scores.camera_information, hermitian=True)
+    leverage = (scores.photo_information(done.problem, done.state) * inverse).sum((-2, -1)) / scores.camera
+    return tuple(
+        LinePhoto(
+            image,
+            int(count[k]),
+            int(used[k]),
+            int(members[k]),
+            int(directions[k]),
+            k in frames,
+            float(rms[k]),
+            float(leverage[k]),
+        )
+        for k, image in enumerate(images)
+    )
+
+
+def _open_terms(done: LineAdjustment, share: float) -> tuple[str, ...]:
+    """Directions in which the camera remains about as uncertain as it was at the start, by the parameters that move most."""
+    root = torch.linalg.pinv(done.prior.root)
+    left = done.prior.root @ done.scores.covariance @ done.prior.root.mT
+    values, vectors = torch.linalg.eigh(left)
+    names = done.model.PARAMETER_NAMES
+    weight = done.prior.information.diagonal().sqrt()
+    found = []
+    for k in torch.nonzero(values.sqrt() > share).flatten().tolist():
+        direction = done.problem.basis @ (weight * (root @ vectors[:, k]))
+        size = direction.abs() / direction.abs().max()
+        found.append(" ".join(names[i] for i in torch.nonzero(size > 0.5).flatten().tolist()))
+    return tuple(found)
+
+
+def _notes(done: LineAdjustment, open_terms: tuple[str, ...]) -> tuple[str, ...]:
+    notes: tuple[str, ...] = ()
+    if not done.families.frames:
+        notes += (
+            "No photo shows lines in three directions at right angles, which tell the focal length and the ratio of its parts: "
+            "these are a guess, and only the straightness of lines is calibrated; add photos of buildings or rooms.",
+        )
+    elif open_terms:
+        notes += (
+            f"Lines leave open {'; '.join(open_terms)}: there the camera is where it was at the start, and its standard "
+            "deviation says so; add photos that show lines in three directions at right angles in all parts of the image.",
+        )
+    if not done.settled:
+        notes += ("The families of lines and the camera have not settled: each leads the other on; add photos.",)
+    left_out = int((done.chains.weight == 0).sum())
+    if left_out:
+        notes += (
+            f"{left_out} of {len(done.chains.weight)} edges are curved in the world, or are more than one: they are left out.",
+        )
+    return notes

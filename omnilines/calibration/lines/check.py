@@ -1,0 +1,140 @@
+"""Whether lines bear out a camera that is given: a score test (C. R. Rao, 1948; Lagrange multipliers).
+
+Circles and directions are fitted with the camera held; the score s of the camera, the derivative of half the sum of squares, then
+has the mean 0 if the camera is right. Its covariance V is that of chains that err as they like, raised by what photos have in
+common (`scores.py`), plus S C S where the camera has a covariance C of its own. With q parameters
+
+    s' V^-1 s
+
+is chi-square with q degrees of freedom. What the lines would change of the camera is d = -S^-1 s, which moves the image by a
+field of drift. A camera is refused where chance makes such a score too seldom, and the drift is more than nobody minds.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy import stats
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.lines.camera import counted
+from omnilines.calibration.lines.scores import LineScores, pseudo_inverse
+from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.calibration.uncertainty import projection_jacobian, supported_grid
+
+COLUMNS, ROWS = ("left", "middle", "right"), ("top", "middle", "bottom")
+
+
+@dataclass(frozen=True)
+class RegionDrift:
+    """What lines say of a ninth of the image."""
+
+    name: str
+    edges: int
+    """Pieces of edges in it."""
+    rms_px: float
+    """Their distances from lines; NaN where there are none."""
+    drift_px: float
+    """Root mean square motion that lines ask for, after a common rotation; NaN where the camera is not supported."""
+    sigma_px: float
+    """Of which so much is noise."""
+
+
+@dataclass(frozen=True)
+class LineCheck:
+    """The verdict of lines on a camera."""
+
+    model: CameraModel
+    statistic: float
+    freedom: int
+    probability: float
+    """Of so large a statistic where the camera is right."""
+    drift_px: float
+    """Root mean square motion over the image that lines ask for, less what noise makes, after a common rotation."""
+    sigma_px: float
+    """Root mean square noise of that motion."""
+    change: Float[np.ndarray, " p"]
+    """Of the parameters, that lines ask for, to first order."""
+    change_sigma: Float[np.ndarray, " p"]
+    regions: tuple[RegionDrift, ...]
+    photo_factor: float
+    """Variance of the scores of photos over that of independent edges."""
+    edges: int
+    members: int
+    frames: int
+
+    def refused(self, significance: float, tolerance_px: float) -> bool:
+        """Whether lines contradict the camera."""
+        return self.probability < significance and self.drift_px > tolerance_px
+
+
+def line_check(
+    model: CameraModel,
+    chains: WeightedChains,
+    scores: LineScores,
+    basis: Float[Tensor, "p q"],
+    known: Float[Tensor, "p p"] | None,
+    *,
+    members: int,
+    frames: int,
+) -> LineCheck:
+    """From scores with the camera held at `model`; `known` is its covariance, where it has one."""
+    information, inverse = scores.camera_information, pseudo_inverse(scores.camera_information)
+    total = scores.of_camera.sum(0)
+    variance = scores.score_covariance
+    if known is not None:
+        pulled = information @ torch.linalg.pinv(basis)
+        variance = variance + pulled @ known @ pulled.mT
+    statistic = float(total @ pseudo_inverse(variance) @ total)
+    freedom = int(torch.linalg.matrix_rank(_scaled(variance), hermitian=True))
+    change, covariance = -basis @ inverse @ total, basis @ inverse @ variance @ inverse @ basis.mT
+    own = counted(chains)
+    pixels = chains.blocks.pixels[own]
+    grid = supported_grid(model, float(angles_off_axis(model, pixels).max()))
+    jacobian, valid = projection_jacobian(model, grid, grid)
+    motion, spread = jacobian @ change, torch.einsum("nip,pq,niq->n", jacobian, covariance, jacobian)
+    squares = torch.where(valid, motion.square().sum(-1), 0.0)
+    noise = float(spread[valid].mean())
+    return LineCheck(
+        model=model,
+        statistic=statistic,
+        freedom=freedom,
+        probability=float(stats.chi2.sf(statistic, freedom)),
+        drift_px=math.sqrt(max(float(squares[valid].mean()) - noise, 0.0)),
+        sigma_px=math.sqrt(max(noise, 0.0)),
+        change=change.numpy(),
+        change_sigma=covariance.diagonal().clamp_min(0).sqrt().numpy(),
+        regions=_regions(model, grid[valid], torch.stack([squares, spread], -1)[valid], pixels, chains.at.px[own]),
+        photo_factor=scores.photo_factor,
+        edges=int((chains.weight > 0).sum()),
+        members=members,
+        frames=frames,
+    )
+
+
+def _scaled(matrix: Float[Tensor, "q q"]) -> Float[Tensor, "q q"]:
+    unit = matrix.diagonal().clamp_min(1e-300).rsqrt()
+    return matrix * unit[:, None] * unit
+
+
+def _regions(
+    model: CameraModel,
+    grid: Float[Tensor, "n 2"],
+    squares: Float[Tensor, "n 2"],
+    pixels: Float[Tensor, "m 2"],
+    distance: Float[Tensor, " m"],
+) -> tuple[RegionDrift, ...]:
+    """Ninths of the image: `squares` of the motion and of its noise at the grid, distances of edges at `pixels`."""
+    size = torch.tensor(model.image_size, dtype=torch.float64)
+    of_grid, of_edge = (((at + 0.5) / size * 3).floor().clamp(0, 2).long() @ torch.tensor([1, 3]) for at in (grid, pixels))
+    found = []
+    for k in range(9):
+        rows, own = of_grid == k, distance[of_edge == k]
+        drift, sigma = squares[rows].mean(0).clamp_min(0).sqrt().tolist()
+        name = f"{ROWS[k // 3]} {COLUMNS[k % 3]}"
+        found.append(RegionDrift(name, len(own), float(own.square().mean().sqrt()), drift, sigma))
+    return tuple(found)

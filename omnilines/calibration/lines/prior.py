@@ -1,0 +1,59 @@
+"""What is known of a camera before any line is seen: about where its start is.
+
+Straight lines leave a camera open along whole directions: any linear map of the bearings keeps straight lines straight, and lines
+that meet meeting. Right angles close these. So that what they do not close stays where it was, and is stated as uncertain, the
+camera is held near the start by as much as its projection may be off, over a grid of pixels u with the motion B(u) d of a change
+d of the parameters:
+
+    d' P d = mean_u |B(u) d|^2 / s^2,        s = prior_share of half the image's longer side.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.uncertainty import bearing_jacobian, supported_grid
+from omnilines.least_squares import KeptPrior
+
+LEAST_SHARE = 1e-14
+
+
+@dataclass(frozen=True)
+class CameraPrior:
+    """Residuals of the parameters, whitened."""
+
+    start: Float[Tensor, " p"]
+    root: Float[Tensor, "r q"]
+    """P = root' root, along the basis."""
+    basis: Float[Tensor, "p q"]
+    share: float
+    """Of half the image's longer side, s."""
+
+    @staticmethod
+    def of(model: CameraModel, basis: Float[Tensor, "p q"], seen_px: Float[Tensor, "n 2"], share: float) -> "CameraPrior":
+        """About a start camera, over the part of the image in which edges are seen."""
+        reach = float(angles_off_axis(model, seen_px).max())
+        grid = supported_grid(model, reach)
+        bearings, valid, by_parameter, by_point = bearing_jacobian(model, grid)
+        motion = (by_point @ by_parameter @ basis)[valid]
+        sigma = share * 0.5 * max(model.image_size)
+        information = torch.einsum("nik,nil->kl", motion, motion) / (len(motion) * sigma**2)
+        unit = information.diagonal().clamp_min(1e-300).rsqrt()
+        values, vectors = torch.linalg.eigh(information * unit[:, None] * unit)
+        values = values.clamp_min(LEAST_SHARE)
+        return CameraPrior(model.parameters.detach().clone(), values.sqrt()[:, None] * vectors.mT / unit, basis, share)
+
+    @property
+    def information(self) -> Float[Tensor, "q q"]:
+        """P."""
+        return self.root.mT @ self.root
+
+    def residuals(self, model: CameraModel, kept: int) -> KeptPrior:
+        """Of a camera, the first of `kept` columns being its own."""
+        change = self.basis.mT @ (model.parameters - self.start)
+        padding = self.root.new_zeros(len(self.root), kept - self.root.shape[1])
+        return KeptPrior(self.root @ change, torch.cat([self.root, padding], -1))

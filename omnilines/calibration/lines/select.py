@@ -1,0 +1,105 @@
+"""Which camera model suits a lens, by photos that its fit has not seen: as `calibration.select`, with lines in the place of boards.
+
+All candidates are adjusted to the same pieces of edges with the same weights and families, those of the camera that led to them.
+What remains of a photo by the camera of all others (`calibration.held_out`) has its circles and directions fitted anew.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from camera_models import CameraModel, GeometryError, model_class
+from omnilines.calibration.diagnose import grows_beyond
+from omnilines.calibration.held_out import HeldOut, ViewTerms
+from omnilines.calibration.lines.camera import LineAdjustment, counted
+from omnilines.calibration.options import AUTO
+from omnilines.calibration.select import Candidate, all_candidates
+from omnilines.calibration.thresholds import HeldOutThresholds
+
+SEEN_SHARE = 0.995
+"""Of the pieces of edges, those that a model has to see."""
+
+
+@dataclass(frozen=True)
+class LineTrial:
+    """How a candidate did; errors are root mean squares of distances across edges, in px."""
+
+    candidate: Candidate
+    failure: str | None
+    """Why it could not be adjusted."""
+    model: CameraModel | None = None
+    error: HeldOut | None = None
+    in_sample_px: float = math.nan
+    unit_px: float = math.nan
+    """Standard deviation of a piece of an edge, in which errors are."""
+    monotone: bool = True
+
+    @property
+    def held_out_px(self) -> float:
+        """NaN where there is none."""
+        return math.nan if self.error is None else self.error.rms_px * self.unit_px
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters that are estimated."""
+        return 0 if self.error is None else self.error.parameters
+
+
+@dataclass(frozen=True)
+class LineSelection:
+    """All trials, the one taken and why, in one sentence."""
+
+    trials: tuple[LineTrial, ...]
+    chosen: LineTrial
+    reason: str
+
+
+def candidates_of(model: str, given: dict[str, int]) -> tuple[Candidate, ...]:
+    """What is compared: all models, the variants of one, or the one that is given."""
+    if model == AUTO:
+        return tuple(all_candidates())
+    if given:
+        return (Candidate(model, given),)
+    return tuple(Candidate(model, dict(options)) for options in model_class(model).VARIANTS)
+
+
+def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float) -> LineTrial:
+    """The figures of a candidate that was adjusted."""
+    chains, scores = done.chains, done.scores
+    at = done.problem.linearise(done.state)
+    photo = chains.blocks.photo[done.problem.structure.index]
+    squares = torch.zeros(scores.photos, dtype=torch.float64).index_add_(0, photo, at.residual[:, 0].square())
+    own = counted(chains)
+    count = torch.bincount(chains.blocks.photo[chains.blocks.chain[own]], minlength=scores.photos).double()
+    seen = count > 0
+    terms = ViewTerms(scores.photo_information(done.problem, done.state)[seen], scores.by_photo[seen], squares[seen], count[seen])
+    unit = float((count.sum() / chains.information[own].sum()).sqrt())
+    in_sample = math.sqrt(float(squares.sum() / count.sum())) * unit
+    grows = grows_beyond(done.model, chains.blocks.pixels[own], beyond_factor)
+    return LineTrial(candidate, None, done.model, terms.held_out(), in_sample, unit, grows)
+
+
+def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> LineSelection:
+    """The model with the fewest parameters of those that predict photos as well as the best. Raises GeometryError where none could
+    be adjusted."""
+    sound = [(trial, trial.error) for trial in trials if trial.error is not None]
+    if not sound:
+        raise GeometryError(f"A camera model that follows the lines was expected, found none: {trials[0].failure}")
+    growing = [(trial, error) for trial, error in sound if trial.monotone] or sound
+    best, least = min(growing, key=lambda pair: pair[0].held_out_px)
+    if len(sound) == 1 or math.isinf(least.rms_px):
+        return LineSelection(tuple(trials), best, f"{best.candidate.label} was taken: photos do not tell more.")
+    tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
+    chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
+    figures = f"{chosen.held_out_px:.4f} px across edges (each photo held out in turn)"
+    if chosen is best:
+        reason = f"{chosen.candidate.label} was taken: it has the least error of held-out photos, {figures}."
+    else:
+        reason = (
+            f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
+            f"({best.candidate.label}, {best.held_out_px:.4f} px) and has {chosen.parameters} parameters instead of "
+            f"{best.parameters}."
+        )
+    return LineSelection(tuple(trials), chosen, reason)

@@ -1,0 +1,50 @@
+"""omnilines calibrate --pattern lines: photos of buildings or rooms -> calibration.yaml, report.html."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omnilines.calibration.options import CalibrationOptions
+from omnilines.commands.result import CommandResult
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
+from omnilines.pages.calibration_lines import line_calibration_data, line_calibration_summaries
+from omnilines.pipelines.calibrate_lines import CALIBRATION, calibrate_lines
+from omnilines.pipelines.line_options import LinesOptions
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Check
+
+LINES = "lines"
+"""In the place of a target."""
+PAGE = "report.html"
+
+
+def calibrate_line_photos(
+    photos: Sequence[Path],
+    out: Path,
+    options: CalibrationOptions = CalibrationOptions(),
+    lines: LinesOptions = LinesOptions(),
+    *,
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Calibrate one camera from the straight lines of photos, and write calibration and report into `out`.
+
+    A camera of which the lines leave something open is written all the same, and the check fails. Raises InputError or
+    GeometryError as `pipelines.calibrate_lines.calibrate_lines` does.
+    """
+    check_results(out, (CALIBRATION, PAGE), photos)
+    result = calibrate_lines(photos, options, lines, progress=progress)
+    with claimed(out, (CALIBRATION, PAGE), photos, by="calibrate"):
+        files = result.save(out)
+        progress("writing the report", 0, 0)
+        page = result.report(out / PAGE)
+    left_open = len(result.fit.open_terms)
+    return CommandResult(
+        line_calibration_summaries(result),
+        line_calibration_data(result),
+        checks=(Check("directions of the camera that lines leave open", float(left_open), 0.0, "", left_open == 0),),
+        files=(*files, page),
+        report=page,
+        warnings=result.notes,
+        details=result.details,
+        photos=len(result.fit.photos) + len(result.skipped),
+    )

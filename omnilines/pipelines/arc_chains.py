@@ -1,0 +1,46 @@
+"""The edge points along the arcs of many photos of one camera: `arc_chains_of`."""
+
+import numpy as np
+from jaxtyping import Bool
+
+from camera_models import CameraModel, InputError
+from omnilines.extraction import ExtractionOptions
+from omnilines.extraction.edge_chains import arc_chains
+from omnilines.files import Photo, Photos, photos_at_once, photos_of
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.pipelines.chains import joined_chains
+from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.records import Detail
+
+
+def arc_chains_of(
+    photos: Photos,
+    model: CameraModel,
+    options: ExtractionOptions = ExtractionOptions(),
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    least_angle_rad: float = 0.0,
+    progress: ProgressCallback = silent,
+) -> tuple[Chains, tuple[Detail, ...]]:
+    """The chains of all photos, and those that are left out with the reason: they cannot be read, or have not the size of the
+    camera. Raises InputError where there is no photo, or none can be used."""
+    refs = photos_of(photos)
+
+    def look(photo: Photo) -> Chains | str:
+        """The chains of one photo, or why it has none."""
+        try:
+            return arc_chains(photo.read(), model, photo.name, mask, least_angle_rad, options)
+        except InputError as error:
+            return str(error)
+
+    found = on_all_cores(look, refs, "extracting arcs", progress, photos_at_once(refs, BYTES_PER_PIXEL))
+    used = [(photo.name, one) for photo, one in zip(refs, found, strict=True) if isinstance(one, Chains)]
+    left_out = tuple(
+        Detail(photo.name, f"{photo.name} is skipped: {one}")
+        for photo, one in zip(refs, found, strict=True)
+        if isinstance(one, str)
+    )
+    if not used:
+        raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos and calibration.")
+    return joined_chains(used, model.image_size), left_out

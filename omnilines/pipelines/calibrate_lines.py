@@ -1,0 +1,209 @@
+"""Photos of buildings or rooms -> a calibrated camera, without a board: `calibrate_lines`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+from jaxtyping import Float
+
+from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError, save
+from camera_models.formats.calibration_data import ViewRecord
+from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, line_camera
+from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_trial, trial_of
+from omnilines.calibration.options import AUTO, CalibrationOptions
+from omnilines.calibration.select import Candidate
+from omnilines.files import PhotoRef, Photos, photo_folder, photos_of
+from omnilines.files.sets import claimed, claimed_page
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.arc_chains import arc_chains_of
+from omnilines.pipelines.calibrate import GUIDE
+from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
+from omnilines.pipelines.chains import chains_of
+from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
+from omnilines.pipelines.line_options import LinesOptions
+from omnilines.progress import ProgressCallback, silent
+from omnilines.provenance import provenance
+from omnilines.records import Detail
+
+CALIBRATION = "calibration.yaml"
+NO_BETTER = 0.99
+"""A start camera is taken before one that is listed earlier where it leaves less than this share of its misfit."""
+
+
+class LineFields(TypedDict, total=False):
+    """Fields of `CalibrationOptions` that a call may give by name."""
+
+    model: str
+    degree: int | None
+    coefficients: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class LineResult:
+    """A camera calibrated from straight lines, how certain it is, and what it was made from."""
+
+    fit: LineCamera
+    """All figures."""
+    calibration: Calibration
+    """The camera with its uncertainty and provenance: what `calibration.yaml` holds."""
+    selection: LineSelection
+    """How camera models, or variants of the one that was asked for, compare."""
+    skipped: tuple[Detail, ...]
+    """Photos that were left out, and why."""
+    photo_folder: Path | None = None
+
+    @property
+    def camera(self) -> CameraModel:
+        """The camera."""
+        return self.fit.model
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """One standard deviation of each parameter."""
+        return self.fit.sigma
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "p p"]:
+        """Of the parameters in the order of `camera.PARAMETER_NAMES`."""
+        return self.fit.covariance
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of the calibration, one sentence each."""
+        several = len(self.selection.trials) > 1
+        return (*self.fit.notes, *((self.selection.reason,) if several else ()))
+
+    @property
+    def details(self) -> tuple[Detail, ...]:
+        """Photos that were left out, and those in which no line counts."""
+        none = (photo.image for photo in self.fit.photos if not photo.straight)
+        return (*self.skipped, *(Detail.of(image, "no edge in it is a straight line") for image in none))
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return (CALIBRATION,)
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write `calibration.yaml` into a folder, which is made if absent; returns the files."""
+        with claimed(folder, self.file_names, by="calibrate") as out:
+            save(out / CALIBRATION, self.calibration)
+        return (out / CALIBRATION,)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page that shows all of it, and return its path."""
+        from omnilines.pages.calibration_lines import write_line_calibration_page
+
+        with claimed_page(path):
+            return write_line_calibration_page(self, path)
+
+
+def calibrate_lines(
+    photos: Photos,
+    options: CalibrationOptions = CalibrationOptions(),
+    lines: LinesOptions = LinesOptions(),
+    *,
+    progress: ProgressCallback = silent,
+    **fields: Unpack[LineFields],
+) -> LineResult:
+    """Calibrate one camera from the straight lines of photos of buildings or rooms, without a board or a guess.
+
+    Edges are followed without a camera; the curve of the lens under which they are straight, and the scale at which directions of
+    lines are at right angles, start it. Then camera, lines and directions are adjusted together, and again with the arcs that the
+    camera finds. Of `options`, `model`, `degree` and `coefficients` count: where variants of the model are open, and with `model`
+    "auto", they are compared by photos that a fit has not seen.
+
+    Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
+
+        >>> result = ol.calibrate_lines("room/", model="opencv-fisheye")
+        >>> result.camera.NAME, result.fit.rms_px < 0.2
+        ('opencv-fisheye', True)
+    """
+    options = replace(options, **fields)
+    options.require_of_models([options.model])
+    if options.mirror:
+        raise InputError("A lens was expected with lines, found `mirror`; calibrate mirrors with a board.")
+    refs = photos_of(photos)
+    chains, skipped = chains_of(refs, lines.chains, progress)
+    candidates = candidates_of(options.model, options.of_model)
+    guide = Candidate(GUIDE, {}) if options.model == AUTO else candidates[len(candidates) // 2]
+    start, done = _started(chains, guide, lines, progress)
+    images = chains.images
+    for _ in range(lines.adjustment.searches):
+        arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
+        before = done.model
+        done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
+    trials = [_trial(one, guide, start, done, options, progress) for one in candidates]
+    selection = chosen_trial(trials, options.held_out)
+    if selection.chosen.candidate != guide:
+        assert selection.chosen.model is not None
+        done = adjusted_camera(selection.chosen.model, arcs, lines.adjustment, lines.directions, progress=progress)
+    fit = line_camera(done, images, lines.adjustment)
+    inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}
+    return LineResult(fit, line_record(fit, inputs), selection, skipped, _folder(refs))
+
+
+def _folder(refs: Any) -> Path | None:
+    """Of the photos, where they are files of one."""
+    folders = {ref.path.parent for ref in refs if isinstance(ref, PhotoRef)}
+    return folders.pop() if len(folders) == 1 else None
+
+
+def _started(
+    chains: Chains, guide: Candidate, lines: LinesOptions, progress: ProgressCallback
+) -> tuple[CameraStart, LineAdjustment]:
+    """The start camera that leads to the straightest lines, and where."""
+    starts = start_from_chains(
+        chains, start=lines.adjustment.start, directions=lines.directions, right_angles=lines.right_angles, progress=progress
+    )
+    best: tuple[CameraStart, LineAdjustment] | None = None
+    failure: GeometryError | None = None
+    for start in starts[: lines.adjustment.most_starts]:
+        try:
+            camera = start.camera(guide.model, **guide.options)
+            done = adjusted_camera(camera, chains, lines.adjustment, lines.directions, progress=progress)
+        except GeometryError as error:
+            failure = error
+            continue
+        if best is None or done.chains.misfit < NO_BETTER * best[1].chains.misfit:
+            best = start, done
+    if best is None:
+        raise failure or GeometryError("Edges that are straight in the world were expected, found none; add photos.")
+    return best
+
+
+def _trial(
+    candidate: Candidate,
+    guide: Candidate,
+    start: CameraStart,
+    done: LineAdjustment,
+    options: CalibrationOptions,
+    progress: ProgressCallback,
+) -> LineTrial:
+    progress(f"fitting {candidate.label}", 0, 0)
+    beyond = options.held_out.beyond_factor
+    if candidate == guide:
+        return trial_of(candidate, done, beyond)
+    try:
+        return trial_of(candidate, readjusted_camera(start.camera(candidate.model, **candidate.options), done), beyond)
+    except (GeometryError, InputError) as error:
+        return LineTrial(candidate, str(error))
+
+
+def line_record(fit: LineCamera, inputs: Mapping[str, Any]) -> Calibration:
+    """What `calibration.yaml` holds of a camera calibrated from lines."""
+    estimate = CameraEstimate(
+        sigma=fit.sigma,
+        covariance=fit.covariance,
+        max_angle_deg=fit.max_angle_deg,
+        min_angle_deg=fit.min_angle_deg,
+        rms_px_per_axis=fit.rms_px,
+        sign_source="assumed" if fit.model.AXIS_SIGN_OPEN else None,
+    )
+    views = tuple(
+        ViewRecord(photo.image, "cam0", photo.straight > 0, None if photo.straight else "no edge in it is a straight line")
+        for photo in fit.photos
+    )
+    return Calibration({"cam0": fit.model}, {"cam0": estimate}, views=views, provenance=provenance(inputs))

@@ -1,0 +1,63 @@
+"""Chains of edge points of many photos of one camera, without its calibration: `chains_of`."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from camera_models import InputError
+from omnilines.extraction.options import SmoothChainOptions
+from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
+from omnilines.files import Photo, Photos, photos_at_once, photos_of
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.records import Detail
+
+
+def chains_of(
+    photos: Photos, options: SmoothChainOptions = SmoothChainOptions(), progress: ProgressCallback = silent
+) -> tuple[Chains, tuple[Detail, ...]]:
+    """The smooth curves of edge points in photos (a folder, files, or names with arrays), on all cores, one photo per core in
+    memory; and the photos that are left out, with the reason: those that cannot be read, and those of another size than most.
+
+    Raises InputError where there is no photo, or none can be read.
+    """
+    refs = photos_of(photos)
+
+    def look(photo: Photo) -> tuple[tuple[int, int], SmoothChains] | str:
+        """Size and chains of one photo, or why it has none."""
+        try:
+            image = photo.read()
+        except InputError as error:
+            return str(error)
+        return (image.shape[1], image.shape[0]), smooth_chains(image, None, options)
+
+    found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
+    sizes = Counter(one[0] for one in found if not isinstance(one, str))
+    if not sizes:
+        raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos.")
+    size = sizes.most_common(1)[0][0]
+    used, left_out = list[tuple[str, SmoothChains]](), list[Detail]()
+    for photo, one in zip(refs, found, strict=True):
+        if isinstance(one, str):
+            left_out.append(Detail(photo.name, f"{photo.name} is skipped: {one}"))
+        elif one[0] != size:
+            said = f"{one[0][0]}x{one[0][1]} px is not the size of most photos, {size[0]}x{size[1]} px."
+            left_out.append(Detail(photo.name, f"{photo.name} is skipped: {said}"))
+        else:
+            used.append((photo.name, one[1]))
+    return joined_chains(used, size), tuple(left_out)
+
+
+def joined_chains(photos: Sequence[tuple[str, SmoothChains | Chains]], size: tuple[int, int]) -> Chains:
+    """The chains of photos of one size, by their names, as one table."""
+    counts = [one.count for _, one in photos]
+    first = np.cumsum([0, *counts])
+    return Chains(
+        tuple(name for name, _ in photos),
+        size,
+        np.repeat(np.arange(len(photos)), counts),
+        np.concatenate([one.chain + before for before, (_, one) in zip(first[:-1], photos, strict=True)]),
+        *(np.concatenate([getattr(one, name) for _, one in photos]) for name in ("pixels", "normals", "sigma_px")),
+    )

@@ -1,0 +1,112 @@
+"""Is a calibration still right? Photos of anything with straight lines say it: `check`."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+
+from camera_models import Calibration, CameraModel, InputError
+from omnilines.calibration.lines.check import LineCheck, line_check
+from omnilines.files import Photos, photo_folder, photos_of
+from omnilines.files.sets import claimed
+from omnilines.files.tables import name_cells, number_cells, write_table
+from omnilines.pipelines.arc_chains import arc_chains_of
+from omnilines.pipelines.arcs import calibration_of, check_mask
+from omnilines.pipelines.check_options import CheckOptions
+from omnilines.pipelines.line_camera import held_camera
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Detail
+
+CHECK = "check.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class CheckResult:
+    """What the lines of photos say of a calibration."""
+
+    found: LineCheck
+    """All figures."""
+    holds: bool
+    """Whether the calibration is borne out: chance explains what lines ask for, or it is too little to mind."""
+    options: CheckOptions
+    images: tuple[str, ...]
+    """Photos that were used."""
+    skipped: tuple[Detail, ...]
+    """Photos that were left out, and why."""
+    inputs: Mapping[str, Any]
+    """What it was made from."""
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        found = self.found
+        chance = f"chi-square {found.statistic:.0f} with {found.freedom} degrees of freedom, probability {found.probability:.1g}"
+        drift = f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px"
+        if not self.holds:
+            return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
+        if found.probability < self.options.significance:
+            return f"The calibration is right to within {self.options.tolerance_px:g} px: lines ask for a drift of {drift} ({chance})."
+        return f"The calibration is right as far as these photos tell, to {found.sigma_px:.1g} px over the image ({chance})."
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """Of what `save` writes."""
+        return (CHECK,)
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write check.csv, a row for each ninth of the image, into a folder, which is made; the files written."""
+        regions = self.found.regions
+        with claimed(folder, self.file_names, by="check") as out:
+            path = out / CHECK
+            columns = {"region": name_cells([one.name for one in regions], None, path, "region")}
+            columns["edges"] = [str(one.edges) for one in regions]
+            for name in ("rms_px", "drift_px", "sigma_px"):
+                values = np.array([getattr(one, name) for one in regions])
+                columns[name] = ["" if math.isnan(v) else number_cells(np.array([v]), path, name)[0] for v in values]
+            write_table(path, columns)
+        return (Path(folder) / CHECK,)
+
+
+def check(
+    photos: Photos,
+    camera: CameraModel | Calibration,
+    options: CheckOptions = CheckOptions(),
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    progress: ProgressCallback = silent,
+) -> CheckResult:
+    """Whether photos of buildings, rooms or anything else with straight lines bear out the calibration of one camera.
+
+    Lines have to be straight over the whole image, parallel ones to meet, and right angles to be right. Only where `mask` is true
+    is looked at. Where the calibration states a covariance, what it allows is no contradiction.
+
+    Raises InputError for a rig, a camera without parameters, and where no photo can be used, and GeometryError where too few
+    edges are straight.
+
+        >>> ol.check("room/", ol.load("room/calibration.yaml")).holds
+        True
+    """
+    cameras = calibration_of(camera)
+    if len(cameras) != 1:
+        raise InputError(f"A calibration of one camera was expected, found {len(cameras)}; check each with its own photos.")
+    name, model = next(iter(cameras.items()))
+    if not model.CALIBRATED:
+        raise InputError(f"A camera model with parameters was expected, found {model.NAME}; there is nothing to check.")
+    if mask is not None:
+        check_mask(mask, [model])
+    refs, estimate = photos_of(photos), cameras.estimates.get(name)
+    least_rad = 0.0 if estimate is None else math.radians(estimate.min_angle_deg)
+    lines = options.lines
+    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, least_angle_rad=least_rad, progress=progress)
+    weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
+    known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
+    members = int((families.of_chain[weighted.weight > 0] >= 0).sum())
+    found = line_check(model, weighted, scores, basis, known, members=members, frames=families.frames)
+    inputs = {"photos": photo_folder(refs), "check": options}
+    holds = not found.refused(options.significance, options.tolerance_px)
+    return CheckResult(found, holds, options, chains.images, skipped, inputs)

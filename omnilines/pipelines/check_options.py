@@ -1,0 +1,17 @@
+"""What decides whether a calibration is still right."""
+
+from dataclasses import dataclass, field
+
+from omnilines.pipelines.line_options import LinesOptions
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """Of `check`."""
+
+    significance: float = 0.001
+    """Calibrations that are right are refused so often, at most."""
+    tolerance_px: float = 0.1
+    """Drift (root mean square over the image) that nobody minds, however sure it is."""
+    lines: LinesOptions = field(default_factory=LinesOptions)
+    """The lines by which it is checked."""

@@ -1,0 +1,114 @@
+"""Chains of edge points and a start camera -> the camera that makes them straight, and lets parallel ones meet."""
+
+from dataclasses import replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel, GeometryError
+from omnilines.calibration.lines.camera import LineAdjustment, counted
+from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.prior import CameraPrior
+from omnilines.calibration.lines.problem import CameraAndCircles, Families, LineProblem
+from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, offsets
+from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.select import SEEN_SHARE
+from omnilines.calibration.lines.weighting import WeightedChains, longest, weighted_chains
+from omnilines.geometry.chains import Chains
+from omnilines.least_squares import Outcome, solve
+from omnilines.pipelines.line_families import families_of
+from omnilines.progress import ProgressCallback, silent
+from omnilines.structure.options import DirectionsOptions
+
+MOST_ITERATIONS = 30
+TOLERANCE = 1e-9
+"""Of the cost, in a round; families and weights change it by more."""
+
+
+def adjusted_camera(
+    start: CameraModel,
+    chains: Chains,
+    options: LineOptions = LineOptions(),
+    directions: DirectionsOptions = DirectionsOptions(),
+    *,
+    prior: CameraPrior | None = None,
+    progress: ProgressCallback = silent,
+) -> LineAdjustment:
+    """Rounds of families, weights and least squares from `start` until the camera stays where it is.
+
+    `prior` is that of an earlier start, where this one comes of it. Raises GeometryError where too few chains are straight.
+    """
+    model, basis = start.calibrated_form(), start.calibration_basis()
+    readings = longest(EdgeReadings.of(chains), options.most_chains)
+    if prior is None:
+        prior = CameraPrior.of(model, basis, readings.pixels, options.prior_share)
+    for done in range(options.rounds):
+        progress("adjusting the camera to lines", done, options.rounds)
+        weighted = weighted_chains(model, readings, options)
+        _require_straight(weighted, options)
+        families = families_of(model, weighted, options, directions, progress)
+        problem = LineProblem(weighted.blocks, families, basis, weighted.weight, prior)
+        begin = CameraAndCircles(model, weighted.normal, families.direction)
+        solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
+        scores = LineScores.of(problem, solution.state)
+        step = basis.mT @ (solution.state.model.parameters - model.parameters)
+        model = solution.state.model
+        settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
+        if settled:
+            break
+    return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+
+
+def readjusted_camera(start: CameraModel, like: LineAdjustment) -> LineAdjustment:
+    """Another camera adjusted to the same pieces of edges, with the same weights and families. Raises GeometryError where it does
+    not see them."""
+    model, basis, chains = start.calibrated_form(), start.calibration_basis(), like.chains
+    normal, at = fitted_circles(model, chains.blocks)
+    own = counted(chains)
+    seen = float((at.valid & own).sum() / own.sum())
+    if seen < SEEN_SHARE:
+        raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
+    prior = CameraPrior.of(model, basis, chains.blocks.pixels, like.prior.share)
+    problem = LineProblem(chains.blocks, like.families, basis, chains.weight, prior)
+    begin = CameraAndCircles(model, normal, like.families.direction)
+    solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
+    at = offsets(solution.state.model, chains.blocks, solution.state.normal)
+    moved = replace(chains, normal=solution.state.normal, at=at)
+    scores = LineScores.of(problem, solution.state)
+    settled = solution.outcome is Outcome.CONVERGED
+    return LineAdjustment(moved, like.families, problem, solution.state, scores, prior, settled)
+
+
+def held_camera(
+    model: CameraModel,
+    chains: Chains,
+    options: LineOptions,
+    directions: DirectionsOptions,
+    progress: ProgressCallback = silent,
+) -> tuple[WeightedChains, Families, LineScores, Float[Tensor, "p q"]]:
+    """Lines fitted with the camera as it is, and how they pull at it along a basis of its parameters."""
+    model = model.calibrated_form()
+    weighted = weighted_chains(model, longest(EdgeReadings.of(chains), options.most_chains), options)
+    _require_straight(weighted, options)
+    families = families_of(model, weighted, options, directions, progress)
+    basis = model.calibration_basis()
+    held = LineProblem(weighted.blocks, families, basis[:, :0], weighted.weight)
+    begin = CameraAndCircles(model, weighted.normal, families.direction)
+    state = solve(held, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
+    moved = replace(weighted, normal=state.normal, at=offsets(model, weighted.blocks, state.normal))
+    scores = LineScores.of(LineProblem(weighted.blocks, families, basis, weighted.weight), state)
+    return moved, families, scores, basis
+
+
+def _require_straight(weighted: WeightedChains, options: LineOptions) -> None:
+    straight = int((weighted.weight > 0).sum())
+    if straight < options.start.least_chains:
+        raise GeometryError(
+            f"At least {options.start.least_chains} edges that are straight in the world were expected, found {straight}; add "
+            "photos of buildings or rooms."
+        )
+
+
+def _sigmas(step: Float[Tensor, " q"], scores: LineScores) -> float:
+    """Root mean square of a step of the camera, in its standard deviations."""
+    return float((step @ scores.camera_information @ step / len(step)).clamp_min(0).sqrt())

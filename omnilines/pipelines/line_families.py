@@ -1,0 +1,92 @@
+"""The directions in which the lines of photos meet, as the adjustment of a camera to them takes them."""
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.problem import Families
+from omnilines.calibration.lines.readings import tangent_basis
+from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.progress import ProgressCallback, on_all_cores
+from omnilines.structure.circles import Circles
+from omnilines.structure.manhattan import manhattan_frame
+from omnilines.structure.meeting import Meeting, meeting_directions
+from omnilines.structure.options import DirectionsOptions
+
+
+def chain_circles(model: CameraModel, chains: WeightedChains) -> Circles:
+    """The great circle of each chain, as directions are found by."""
+    blocks, normal = chains.blocks, chains.normal
+    basis = tangent_basis(normal)
+    lever = (chains.at.by_circle[:, None] @ basis[blocks.chain])[:, 0]
+    information = blocks.sum_by_chain((chains.information[:, None] * lever)[:, :, None] * lever[:, None])
+    values, vectors = torch.linalg.eigh(information)
+    noise = basis @ (vectors * values.clamp_min(1e-6 * values[:, 1:].clamp_min(1.0)).rsqrt()[:, None])
+    first = torch.cumsum(blocks.counts, 0) - blocks.counts
+    bearings, _ = model.unproject(torch.stack([blocks.pixels[first], blocks.pixels[first + blocks.counts - 1]], 1))
+    v1, v2 = _on_circle(bearings, normal).unbind(1)
+    normal = torch.where((torch.linalg.cross(v1, v2) * normal).sum(-1, keepdim=True) < 0, -1.0, 1.0) * normal
+    across = torch.linalg.cross(v2, normal), torch.linalg.cross(normal, v1)
+    ends = torch.stack([m / (m * v).sum(-1, keepdim=True) for m, v in zip(across, (v1, v2), strict=True)])
+    middle = torch.nn.functional.normalize(v1 + v2, dim=-1)
+    return Circles(normal.numpy(), middle.numpy(), noise.permute(2, 0, 1).numpy(), ends.numpy())
+
+
+def _on_circle(bearings: Float[Tensor, "c 2 3"], normal: Float[Tensor, "c 3"]) -> Float[Tensor, "c 2 3"]:
+    off = (bearings * normal[:, None]).sum(-1, keepdim=True)
+    return torch.nn.functional.normalize(bearings - off * normal[:, None], dim=-1)
+
+
+def families_of(
+    model: CameraModel,
+    chains: WeightedChains,
+    options: LineOptions,
+    directions: DirectionsOptions,
+    progress: ProgressCallback,
+) -> Families:
+    """The frame at right angles of each photo, and its other directions, with the chains of each."""
+    with torch.no_grad():
+        circles = chain_circles(model, chains)
+    counted = chains.weight.numpy() > 0
+    rows = [np.flatnonzero((chains.blocks.photo.numpy() == photo) & counted) for photo in range(chains.blocks.photos)]
+
+    def look(own: np.ndarray) -> tuple[Meeting | None, Meeting]:
+        """Frame and directions of one photo."""
+        if len(own) < directions.min_lines:
+            return None, Meeting.none(len(own))
+        frame = manhattan_frame(circles.rows(own), directions)
+        return None if frame is None else frame.axes, meeting_directions(circles.rows(own), directions)
+
+    found = on_all_cores(look, rows, "finding directions", progress)
+    of_chain = np.full(len(counted), -1)
+    direction, photo, stray, frames = [np.zeros((0, 3))], list[int](), list[float](), 0
+    for k, (frame, _) in enumerate(found):
+        if frame is not None:
+            of_chain[rows[k]] = np.where(frame.direction_of >= 0, 3 * frames + frame.direction_of, -1)
+            direction.append(frame.direction)
+            photo, stray, frames = photo + 3 * [k], stray + 3 * [frame.stray_rad], frames + 1
+    for k, (frame, meeting) in enumerate(found):
+        others = np.arange(len(meeting))
+        if frame is not None:
+            near = np.abs(meeting.direction @ frame.direction.T).max(-1, initial=0.0)
+            others = others[near < math.cos(directions.separation_rad)]
+        for one in others:
+            members = rows[k][(meeting.direction_of == one) & (of_chain[rows[k]] < 0)]
+            if len(members) < directions.min_lines:
+                continue
+            of_chain[members] = len(photo)
+            direction.append(meeting.direction[[one]])
+            photo, stray = [*photo, k], [*stray, meeting.stray_rad]
+    strays = torch.tensor(stray, dtype=torch.float64).clamp_min(options.least_stray_rad)
+    return Families(
+        torch.as_tensor(np.concatenate(direction)),
+        frames,
+        torch.tensor(photo, dtype=torch.long),
+        strays,
+        torch.as_tensor(of_chain),
+    )

@@ -1,0 +1,98 @@
+"""The scale of a camera from right angles between directions in which the lines of its photos meet.
+
+A camera that is known but for a factor q on z sees a direction d of the world as diag(1, 1, q) d. Lines stay straight and meet
+whatever q is; that two directions are at right angles depends on it:
+
+    cos(q) = d' diag(1, 1, q^2) e / (|diag(1, 1, q) d| |diag(1, 1, q) e|).
+
+Each pair of directions of one photo may be at right angles, then cos(q) is zero but for its variance (that of both directions,
+and a stray), or at any other angle, with cos(q) uniform from -1 to 1. The sum over all pairs of the log likelihood over that of
+chance is compared for all q; by chance it is x or more with a probability of at most exp(-x) for each q (Markov's inequality).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from omnilines.structure.meeting import Meeting
+from omnilines.structure.options import RightAngleOptions
+
+FINER = 41
+"""Steps of the finer grid about a top."""
+
+
+@dataclass(frozen=True)
+class ScalePeak:
+    """A factor on z under which directions are at right angles."""
+
+    factor: float
+    sigma: float
+    """Standard deviation of its logarithm."""
+    gain: float
+    """log likelihood over that of chance."""
+    stands: bool
+    """Whether chance does not make it."""
+
+
+def scale_peaks(photos: Sequence[Meeting], options: RightAngleOptions = RightAngleOptions()) -> list[ScalePeak]:
+    """Factors on z, the most likely first, from the directions of photos that were found with the factor 1."""
+    pairs = _Pairs.of(photos)
+    if not len(pairs.first):
+        return []
+    far = math.log(options.max_factor)
+    places = np.linspace(-far, far, options.factors)
+    gains = np.array([_gain(pairs, math.exp(place), options) for place in places])
+    tops = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:]))
+    tops = tops[np.argsort(-gains[tops], kind="stable")][: options.most_peaks]
+    return sorted((_refined(pairs, places[top], places[1] - places[0], options) for top in tops), key=lambda peak: -peak.gain)
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Two directions of one photo each, and their covariances."""
+
+    first: Float[np.ndarray, "p 3"]
+    second: Float[np.ndarray, "p 3"]
+    of_first: Float[np.ndarray, "p 3 3"]
+    of_second: Float[np.ndarray, "p 3 3"]
+
+    @staticmethod
+    def of(photos: Sequence[Meeting]) -> "_Pairs":
+        """All pairs of each photo."""
+        directions, covariances = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3, 3))]
+        for one in photos:
+            both = np.stack(np.triu_indices(len(one), 1), -1)
+            directions.append(one.direction[both])
+            covariances.append(one.covariance[both])
+        direction, covariance = np.concatenate(directions), np.concatenate(covariances)
+        return _Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1])
+
+
+def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
+    """log likelihood of all pairs over that of chance."""
+    scale = np.array([1.0, 1.0, q])
+    x, y = pairs.first * scale, pairs.second * scale
+    long_x, long_y = (np.linalg.norm(z, axis=-1, keepdims=True) for z in (x, y))
+    x, y = x / long_x, y / long_y
+    cosine = (x * y).sum(-1, keepdims=True)
+    by_first, by_second = scale * (y - cosine * x) / long_x, scale * (x - cosine * y) / long_y
+    variance = np.einsum("pi,pij,pj->p", by_first, pairs.of_first, by_first)
+    variance += np.einsum("pi,pij,pj->p", by_second, pairs.of_second, by_second) + 2.0 * options.stray_rad**2
+    # A normal distribution cut off at -1 and 1, over a density of 1/2.
+    inside = np.array([math.erf(math.sqrt(0.5 / one)) for one in variance])
+    ratio = 2.0 * np.exp(-0.5 * np.square(cosine[:, 0]) / variance) / (np.sqrt(2.0 * np.pi * variance) * inside)
+    return float(np.log1p(options.share * (ratio - 1.0)).sum())
+
+
+def _refined(pairs: _Pairs, place: float, step: float, options: RightAngleOptions) -> ScalePeak:
+    """The top near log q on a finer grid, and the curvature there."""
+    near = place + step * np.linspace(-1.0, 1.0, FINER)
+    gains = np.array([_gain(pairs, math.exp(one), options) for one in near])
+    top = int(np.argmax(gains[1:-1])) + 1
+    bend = max(2.0 * gains[top] - gains[top - 1] - gains[top + 1], 1e-9)
+    gain = float(gains[top])
+    stands = gain >= math.log(options.factors / options.false_scales)
+    return ScalePeak(math.exp(near[top]), float((near[1] - near[0]) / math.sqrt(bend)), gain, stands)
