@@ -17,7 +17,7 @@ from omnilines.extraction.edgels import find_points, numbered, seen_chains
 from omnilines.extraction.hidden_edges import CANDIDATES_PX
 from omnilines.extraction.kernels.chain import LEAST_COSINE_ALONG, REACH, chains, circles, links
 from omnilines.extraction.kernels.crossing import crossings
-from omnilines.extraction.kernels.edgel import add_products, ridge_points, strengths
+from omnilines.extraction.kernels.edgel import gradient_products, ridge_points, strengths
 from omnilines.extraction.kernels.hidden import one_more_step
 from omnilines.extraction.kernels.rim import LEAST_LIGHT, WINDOW, Rays, first_light
 from omnilines.extraction.kernels.step_algebra import MOST_STEPS
@@ -43,14 +43,29 @@ def drawn(seed: int = 4, noise: float = 2.0) -> np.ndarray:
 
 
 def photo_tensor(image: np.ndarray) -> np.ndarray:
-    """Sums over channels of the products of derivatives (3, h, w), by the kernel; compared with NumPy's."""
-    tensor, plain = np.zeros((3, *image.shape[:2]), dtype=np.float32), np.zeros((3, *image.shape[:2]))
-    for channel in np.moveaxis(image.astype(np.float32), -1, 0):
-        by_u, by_v = (cv2.Scharr(channel, cv2.CV_32F, *order, scale=1 / 32) for order in ((1, 0), (0, 1)))
-        add_products(by_u, by_v, tensor)
-        plain += np.stack([by_u * by_u, by_u * by_v, by_v * by_v])
-    np.testing.assert_allclose(tensor, plain, rtol=1e-5, atol=1e-4)
-    return tensor
+    """Sums over channels of the products of derivatives (3, h, w), by the kernel."""
+    return gradient_products(image, False, 0, len(image), np.ones(1, dtype=np.float32))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_products_of_derivatives_are_those_of_opencv(closed: bool) -> None:
+    """Gaussian and Scharr's masks; all rows, and some of them; an image that is smaller than the Gaussian."""
+    weight = cv2.getGaussianKernel(7, 0.6, cv2.CV_32F)[:, 0]
+    for image in (drawn(), drawn()[:3, :4]):
+        height, width = image.shape[:2]
+        side = 12 if closed else 0
+        wide = cv2.copyMakeBorder(image, 0, 0, side, side, cv2.BORDER_WRAP).astype(np.float32)
+        plain = np.zeros((3, height, width))
+        for channel in np.moveaxis(wide, -1, 0):
+            smooth = cv2.sepFilter2D(channel, cv2.CV_32F, weight, weight, borderType=cv2.BORDER_REFLECT_101)
+            by_u, by_v = (
+                cv2.Scharr(smooth, cv2.CV_32F, *order, scale=1 / 32, borderType=cv2.BORDER_REFLECT_101)[:, side : side + width]
+                for order in ((1, 0), (0, 1))
+            )
+            plain += np.stack([by_u * by_u, by_u * by_v, by_v * by_v])
+        found = gradient_products(image, closed, 0, height, weight)
+        np.testing.assert_allclose(found, plain, rtol=1e-4, atol=1e-2)
+        np.testing.assert_array_equal(gradient_products(image, closed, 1, height - 1, weight), found[:, 1:-1])
 
 
 @pytest.mark.parametrize("source", ["photo", "random"])

@@ -80,8 +80,10 @@ def test_photos_may_be_turned_one_by_one(room: Path, tmp_path: Path, capsys: pyt
         assert run(capsys, "rectify", room / name, *given, "--upright")[0] == 0
     both = read_levels(tmp_path / "upright.csv")
     assert [row.image for row in both] == [f"{Path(name).stem}.png" for name in names]
-    assert run(capsys, "rectify", room / "noise.png", *given)[0] == 0
-    assert {row.image for row in read_levels(tmp_path / "upright.csv")} < {path.name for path in tmp_path.glob("*.png")}
+    assert run(capsys, "rectify", room / "noise.png", room / names[0], *given)[0] == 0
+    assert [row.image for row in read_levels(tmp_path / "upright.csv")] == [both[1].image]
+    assert len(list(tmp_path.glob("*.png"))) == 3
+    assert run(capsys, "rectify", room / names[1], *given)[0] == 0 and not (tmp_path / "upright.csv").exists()
 
 
 def test_where_no_photo_shows_the_vertical_nothing_is_made(

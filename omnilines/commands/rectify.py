@@ -67,7 +67,7 @@ def rectify(
         refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg,
         distance_m=distance_m, upright=upright, extraction=extraction, options=options, inputs=inputs, progress=progress,
     )  # fmt: skip
-    with claimed(folder, made.file_names, read, by="rectify", kept=made.views_that_stay(folder)):
+    with claimed(folder, made.names_in(folder), read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)
     turned = tuple(Detail.of(name, reason) for name, reason in turned_otherwise(refs).items()) if len(cameras) == 1 else ()
     return replace(result, details=(*turned, *made.left_out), photos=len(refs))

@@ -4,6 +4,8 @@ The derivatives are those of the photo smoothed by a Gaussian. A colour photo is
 two colours of equal brightness counts like any other.
 """
 
+import math
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int, Int32, UInt
@@ -11,12 +13,12 @@ from jaxtyping import Bool, Float32, Int, Int32, UInt
 from camera_models import CameraModel
 from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.kernels.chain import chain_ends, cut_chains
-from omnilines.extraction.kernels.edgel import add_products, ridge_points, second_differences, strengths
+from omnilines.extraction.kernels.edgel import gradient_products, ridge_points, second_differences, strengths
 from omnilines.extraction.kernels.tables import Edgels, SeenChains
 from omnilines.extraction.options import EdgeOptions
 
 _BAND_ROWS = 256
-_MARGIN = 8
+_MARGIN = 3
 _NOISE_ROWS = 64
 
 
@@ -40,19 +42,17 @@ def noise_level(image: UInt[np.ndarray, "h w *channels"], allowed: Bool[np.ndarr
     return float(middle.mean()) / 6.0 / 0.6745 / grey_unit(image)
 
 
-def _derivatives(
-    plane: Float32[np.ndarray, "h w"], smoothing_px: float
-) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Along u and v, per pixel (Scharr's masks on the smoothed channel)."""
-    smooth = cv2.GaussianBlur(plane, (0, 0), smoothing_px, borderType=cv2.BORDER_REFLECT_101)
-    return cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
+def _smoothing(smoothing_px: float) -> Float32[np.ndarray, " k"]:
+    """Weights of a Gaussian out to four standard deviations."""
+    return cv2.getGaussianKernel(2 * math.ceil(4.0 * smoothing_px) + 1, smoothing_px, cv2.CV_32F)[:, 0]
 
 
 def derivative_sigma(smoothing_px: float) -> float:
     """Standard deviation of a derivative in white noise of 1."""
-    impulse = np.zeros((21, 21), dtype=np.float32)
-    impulse[10, 10] = 1.0
-    return float(np.sqrt(np.square(_derivatives(impulse, smoothing_px)[0].astype(np.float64)).sum()))
+    weight = _smoothing(smoothing_px)
+    impulse = np.zeros((2 * len(weight) + 3, 2 * len(weight) + 3, 1), dtype=np.uint8)
+    impulse[len(weight) + 1, len(weight) + 1] = 1
+    return float(np.sqrt(gradient_products(impulse, False, 0, len(impulse), weight)[0].sum(dtype=np.float64)))
 
 
 def find_points(
@@ -65,29 +65,33 @@ def find_points(
     height, width = image.shape[:2]
     image = image.reshape(height, width, -1)
     threshold = max(options.min_slope_grey, options.min_sigmas * derivative_sigma(options.smoothing_px) * noise)
-    side = _MARGIN if closed else 0
+    weight = _smoothing(options.smoothing_px)
+    # Of the image's own grey levels.
+    unit = grey_unit(image)
     cells, points = [], []
     for top in range(0, height, _BAND_ROWS):
         low, high = max(top - _MARGIN, 0), min(top + _BAND_ROWS + _MARGIN, height)
-        band = _around(image[low:high], side)
-        tensor = np.zeros((3, *band.shape[:2]), dtype=np.float32)
-        for channel in range(band.shape[2]):
-            plane = band[..., channel].astype(np.float32) / np.float32(grey_unit(image))
-            add_products(*_derivatives(plane, options.smoothing_px), tensor)
-        strength = np.empty(band.shape[:2], dtype=np.float32)
+        tensor = gradient_products(image, closed, low, high, weight)
+        side = _MARGIN if closed else 0
+        tensor = _around(tensor, side)
+        strength = np.empty(tensor.shape[1:], dtype=np.float32)
         strengths(tensor, strength)
         last = min(_BAND_ROWS, height - top) + top - low
-        cell, point = ridge_points(strength, tensor, _around(allowed[low:high], side), threshold, first=top - low, last=last)
+        cell, point = ridge_points(
+            strength, tensor, _around(allowed[low:high], side), threshold * unit, first=top - low, last=last
+        )
         cell += np.array([low, -side], dtype=np.int32)
         point[:, :2] += np.array([-side, low], dtype=np.float32)
-        own = (cell[:, 1] >= 0) & (cell[:, 1] < width)
-        cells.append(cell[own])
-        points.append(point[own])
+        if closed:
+            own = (cell[:, 1] >= 0) & (cell[:, 1] < width)
+            cell, point = cell[own], point[own]
+        cells.append(cell)
+        points.append(point)
     return np.concatenate(cells), np.concatenate(points)
 
 
 def _around(rows: np.ndarray, side: int) -> np.ndarray:
-    return np.concatenate([rows[:, -side:], rows, rows[:, :side]], 1) if side else rows
+    return np.concatenate([rows[..., -side:], rows, rows[..., :side]], -1) if side else rows
 
 
 def numbered(size: tuple[int, int], closed: bool, cells: Int32[np.ndarray, "n 2"], points: Float32[np.ndarray, "n 4"]) -> Edgels:

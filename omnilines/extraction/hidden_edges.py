@@ -22,10 +22,10 @@ from omnilines.extraction.refit import floor_covariance, moved
 
 CANDIDATES_PX = np.arange(-8, 9) * 0.5
 """Places at which a step is looked for."""
-OTHER_BLURS = np.array([0.85, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0, 2.4])
+OTHER_BLURS = np.array([0.85, 1.15, 1.3, 1.5, 1.75, 2.0, 2.4])
 """Over the photo's, with which the known steps are tried instead."""
-_ROUNDS = 3
-"""Of a fit with another blur."""
+_ROUNDS = 2
+"""Of a fit with another blur, which begins where that with the photo's ended."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def hidden_arcs(
     count = len(rows)
     base, blocks = known.arcs.keep(rows), known.crossed(model, rows, neighbours.min_cosine)
     fit = step_fit(neighbours, neighbours.wide_taper_px, blur_px)
-    place, _, heights, _ = fit_places(blocks, blocks.place, fit)
+    place, _, heights, rest = fit_places(blocks, blocks.place, fit)
     gain, square, left = one_more_step(
         Stepped(blocks.profile, place, blocks.count),
         blocks.starts,
@@ -72,7 +72,8 @@ def hidden_arcs(
     kept = np.flatnonzero(tried)
     tried_blocks = replace(blocks, place=place).keep(kept)
     offset = CANDIDATES_PX[best[kept]]
-    found, edge = _settled(base.keep(kept), tried_blocks, offset, fit, noise, options=options, neighbours=neighbours)
+    left = blocks.mean(rest)[kept]
+    found, edge = _settled(base.keep(kept), tried_blocks, offset, left, fit, noise=noise, options=options, neighbours=neighbours)
     return Hidden(found.keep(edge), rows[kept[edge]])
 
 
@@ -80,13 +81,15 @@ def _settled(
     arcs: Arcs,
     blocks: Blocks,
     offset: Float[np.ndarray, " n"],
+    left: Float[np.ndarray, " n"],
     fit: StepFit,
-    noise: float,
     *,
+    noise: float,
     options: HiddenEdgeOptions,
     neighbours: NeighbourOptions,
 ) -> tuple[Arcs, Bool[np.ndarray, " n"]]:
-    """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges."""
+    """Fit profiles with one more step begun at `offset` from their arc: the arcs of these steps, and whether they are edges. The
+    known steps leave a mean square of `left` with the photo's blur."""
     start = np.concatenate([offset[blocks.owner, None], blocks.place[:, :-1]], -1)
     more = replace(blocks, count=blocks.count + 1)
     place, variance, heights, rest = fit_places(more, start, fit)
@@ -102,9 +105,10 @@ def _settled(
     edge = (used >= options.min_blocks) & (evidence > options.min_evidence) & (height > options.min_height_share * own)
     edge &= (unsteady < options.max_unsteady_px) & (np.sqrt(scatter) < options.max_scatter_px)
     close = np.abs(blocks.mean(shift - place[:, 1])) < options.close_blurs * fit.blur_px
+    least = blocks.mean(rest) / np.where(close, options.max_left_close, options.max_left)
+    edge &= left > least
     rows = np.flatnonzero(edge)
-    most_left = np.where(close, options.max_left_close, options.max_left)[rows]
-    edge[rows] = _left_by_other_blurs(blocks.keep(rows), blocks.mean(rest)[rows] / most_left, fit)
+    edge[rows] = _left_by_other_blurs(blocks.keep(rows), least[rows], fit)
     floor = floor_covariance(arcs, blocks.owner, blocks.rate, neighbours.floor_px)
     return moved(arcs, change, inverse * scatter[:, None, None] + floor), edge
 

@@ -105,39 +105,32 @@ class RectifiedViews:
         if self._colmap:
             check_colmap_folder(Path(folder) / "colmap", [photo.name for photo in self.photos])
         photos = [photo.path for photo in self.photos if isinstance(photo, PhotoRef)]
-        stay = self.views_that_stay(folder)
-        levels = self._levels(Path(folder), stay)
-        with claimed(folder, self.file_names, photos, by="rectify", kept=stay) as out:
+        levels, names = self._levels(Path(folder)), self.names_in(folder)
+        with claimed(folder, names, photos, by="rectify", kept=self.views_that_stay(folder)) as out:
             for name, pixels in self.pixels(progress):
                 write_png(out / name, pixels)
             save(out / "calibration.yaml", Calibration({self.view: self.camera}, provenance=self.provenance))
-            if self._upright:
+            if levels:
                 write_levels(out / LEVELS, levels)
             if self.poses is not None:
                 write_poses(out / "poses.csv", self.poses)
             if self._colmap and self.poses is not None:
                 write_colmap_scene(out / "colmap", {self.view: self.camera}, self.poses)
-        return tuple(out / name for name in self.file_names)
+        return tuple(out / name for name in names)
 
-    @property
-    def file_names(self) -> tuple[str, ...]:
-        """Of what `save` writes."""
+    def names_in(self, folder: str | Path) -> tuple[str, ...]:
+        """Of the files that `save` writes into a folder."""
         poses = ("poses.csv",) if self.poses is not None else ()
         colmap = tuple(f"colmap/{name}" for name in COLMAP_FILES) if self._colmap else ()
-        levels = (LEVELS,) if self._upright else ()
+        levels = (LEVELS,) if self._levels(Path(folder)) else ()
         return (*(one.name for one in self.views), "calibration.yaml", *levels, *poses, *colmap)
 
-    @property
-    def _upright(self) -> bool:
-        return any(one.level is not None for one in self.views)
-
-    def _levels(self, folder: Path, stay: Sequence[str]) -> list[LevelRow]:
+    def _levels(self, folder: Path) -> list[LevelRow]:
         """How upright views are turned: these, and those of an earlier run that stay."""
         own = [_level_row(one, one.level, self.grids) for one in self.views if one.level is not None]
-        if LEVELS not in stay:
-            return own
-        names = {one.name for one in self.views}
-        return [*(row for row in read_levels(folder / LEVELS) if row.image in stay and row.image not in names), *own]
+        stay = set(self.views_that_stay(folder)) - {one.name for one in self.views}
+        known = stay and LEVELS in written(folder) and (folder / LEVELS).is_file()
+        return [*(row for row in read_levels(folder / LEVELS) if row.image in stay), *own] if known else own
 
     @property
     def _colmap(self) -> bool:
@@ -153,7 +146,7 @@ class RectifiedViews:
         if (earlier.NAME, earlier.image_size) != (self.camera.NAME, self.camera.image_size):
             return ()
         same = torch.equal(earlier.parameters, self.camera.parameters)
-        return tuple(name for name in written(folder) if same and (Path(name).suffix == ".png" or name == LEVELS))
+        return tuple(name for name in written(folder) if same and Path(name).suffix == ".png")
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,65 @@ from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **BORROWED)
 @no_type_check
-def add_products(by_u: np.ndarray, by_v: np.ndarray, tensor: np.ndarray) -> None:
-    """Add those of the derivatives (h, w) of one channel to J = sum over channels of grad grad', as (uu, uv, vv) (3, h, w)."""
-    height, width = by_u.shape
-    for i in range(height):
-        for j in range(width):
-            tensor[0, i, j] += by_u[i, j] * by_u[i, j]
-            tensor[1, i, j] += by_u[i, j] * by_v[i, j]
-            tensor[2, i, j] += by_v[i, j] * by_v[i, j]
+def _mirrored(n: int, size: int) -> int:
+    """The number of a row that stands for row n beyond the border of an image: mirrored at the border's own."""
+    n %= max(2 * size - 2, 1)
+    return n if n < size else 2 * size - 2 - n
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _add(values: np.ndarray, share: float, total: np.ndarray) -> None:
+    for j in range(len(total)):
+        total[j] += share * values[j]
+
+
+@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _add_products(above: np.ndarray, here: np.ndarray, below: np.ndarray, uu: np.ndarray, uv: np.ndarray, vv: np.ndarray) -> None:
+    """Of the derivatives in a row, by Scharr's masks on it and the rows above and below it, which have one pixel more at each
+    side."""
+    side, middle = np.float32(3 / 32), np.float32(10 / 32)
+    for j in range(len(uu)):
+        by_u = side * (above[j + 2] - above[j] + below[j + 2] - below[j]) + middle * (here[j + 2] - here[j])
+        by_v = side * (below[j] - above[j] + below[j + 2] - above[j + 2]) + middle * (below[j + 1] - above[j + 1])
+        uu[j] += by_u * by_u
+        uv[j] += by_u * by_v
+        vv[j] += by_v * by_v
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def gradient_products(image: np.ndarray, closed: bool, low: int, high: int, weight: np.ndarray) -> np.ndarray:
+    """J = sum over channels of grad grad' in the rows `low` to `high` of an image (h, w, c), as (uu, uv, vv) (3, high - low, w).
+
+    The derivatives are those of the image smoothed by `weight` (k, odd) along both ways; beyond its border it is mirrored, or
+    goes on around its seam.
+    """
+    height, width, channels = image.shape
+    taps, rows, pad = len(weight), high - low, len(weight) // 2 + 1
+    tensor = np.zeros((3, rows, width), dtype=np.float32)
+    smooth = np.empty((rows + 2, width + 2), dtype=np.float32)
+    row, along = np.empty(width + 2 * pad, dtype=np.float32), np.empty(width + 2, dtype=np.float32)
+    for c in range(channels):
+        smooth[:] = np.float32(0.0)
+        for r in range(rows + 2 * pad):
+            line = image[_mirrored(low - pad + r, height)]
+            for j in range(width):
+                row[pad + j] = line[j, c]
+            for q in range(1, pad + 1):
+                row[pad - q] = line[-q % width if closed else _mirrored(-q, width), c]
+                row[pad + width - 1 + q] = line[(q - 1) % width if closed else _mirrored(width - 1 + q, width), c]
+            along[:] = np.float32(0.0)
+            for t in range(taps):
+                _add(row[t : t + width + 2], weight[t], along)
+            for t in range(max(r - rows - 1, 0), min(taps, r + 1)):
+                _add(along, weight[t], smooth[r - t])
+        for i in range(rows):
+            _add_products(smooth[i], smooth[i + 1], smooth[i + 2], tensor[0, i], tensor[1, i], tensor[2, i])
+    return tensor
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
