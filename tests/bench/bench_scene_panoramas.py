@@ -57,6 +57,8 @@ def reconstructed(photos: list[Path], calibration: Path, out: Path, arcs: Path |
     shutil.rmtree(out, ignore_errors=True)
     if arcs is not None:
         shutil.copytree(arcs, out / "work" / "arcs")
+        # Says that the folder is of an earlier run.
+        shutil.copy(arcs.parent / ".omnilines.json", out / "work")
     arguments = ["reconstruct", *map(str, photos), "--calibration", str(calibration), "--poses", "sfm", "--out", str(out)]
     process = subprocess.Popen([sys.executable, "-c", COMMAND, *arguments])
     _, status, used = os.wait4(process.pid, 0)
