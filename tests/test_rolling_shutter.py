@@ -119,7 +119,7 @@ def test_derivatives_are_those_of_automatic_differentiation() -> None:
 
 
 def test_a_camera_alone_is_recognised_and_estimated() -> None:
-    corners = of_one(noisy(seen_in_rows(HandMotion(1), (DELAY_S,), runs=8, **ONE), NOISE_PX, 1))
+    corners = of_one(noisy(seen_in_rows(HandMotion(1), (DELAY_S,), runs=6, **ONE), NOISE_PX, 1))
     size = MODELS[0].image_size
     plain = ol.calibrate(corners, size, model="pinhole")
     assert plain.line_delay is not None and not plain.line_delay.modelled and plain.rms_px_per_axis > 2 * NOISE_PX
@@ -128,7 +128,7 @@ def test_a_camera_alone_is_recognised_and_estimated() -> None:
     found = ol.calibrate(corners, size, model="pinhole", rolling_shutter=True)
     delay = found.line_delay
     assert delay is not None and delay.modelled and not delay.columns
-    assert abs(delay.delay_s - DELAY_S) < 4 * delay.sigma_s < 0.02 * DELAY_S
+    assert abs(delay.delay_s - DELAY_S) < 4 * delay.sigma_s < 0.03 * DELAY_S
     assert found.rms_px_per_axis < 1.02 * NOISE_PX and len(rolling_notes(found.notes)) == 1
     off = (found.camera.parameters - MODELS[0].parameters).numpy()
     free = np.diag(found.covariance) > 0
@@ -143,7 +143,7 @@ def test_a_camera_alone_is_recognised_and_estimated() -> None:
 
 
 def test_frames_of_one_instant_are_not_called_rolling() -> None:
-    corners = of_one(noisy(seen_in_rows(HandMotion(1), (0.0,), runs=8, **ONE), NOISE_PX, 1))
+    corners = of_one(noisy(seen_in_rows(HandMotion(1), (0.0,), runs=6, **ONE), NOISE_PX, 1))
     plain = ol.calibrate(corners, MODELS[0].image_size, model="pinhole")
     assert plain.line_delay is None and not rolling_notes(plain.notes)
 
@@ -152,7 +152,7 @@ def test_frames_of_one_instant_are_not_called_rolling() -> None:
 def test_none_is_estimated_where_there_is_none() -> None:
     corners = of_one(noisy(seen_in_rows(HandMotion(1), (0.0,), runs=8, **ONE), NOISE_PX, 1))
     asked = ol.calibrate(corners, MODELS[0].image_size, model="pinhole", rolling_shutter=True).line_delay
-    assert asked is not None and abs(asked.delay_s) < 4 * asked.sigma_s < 0.02 * DELAY_S
+    assert asked is not None and abs(asked.delay_s) < 4 * asked.sigma_s < 0.03 * DELAY_S
 
 
 def test_stills_and_slow_frames_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -91,7 +91,7 @@ def _refined(call: Call) -> bool:
 
 
 IN_RIG = (
-    "with a rig (a folder with one sub-folder per camera and equal file names, or a corners.csv with a column camera) or several "
+    "with a rig: a folder with one sub-folder per camera and equal file names, a corners.csv with a column camera, or several "
     "patterns"
 )
 WITH_PHOTOS = "with photos, found `segments` without them"

@@ -56,6 +56,8 @@ def with_line_delays(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, a
     while readout.free.any():
         found = followed_fit(replace(outcome.data, runs=runs, readout=readout), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:
+            if asked:
+                raise GeometryError(STANDS_STILL)
             return outcome
         rolled = _reweighed(found, outcome).outcome(outcome, seen)
         least = outcome.thresholds.clocks.least_moving_share
@@ -91,7 +93,7 @@ def _reweighed(found: Followed, outcome: RigOutcome) -> Followed:
     points, views, rows = weighed.points(fit.views)
     begun = replace(fit, points=points, problem=weighed.problem(points), views=views, rows=rows)
     weighed, fit, solution, notes = least_squares_rig(weighed, begun, "cauchy" if outcome.rejects else "none")
-    return replace(found, data=weighed, fit=fit, solution=solution, notes=notes)
+    return replace(found, data=weighed, fit=fit, solution=solution, notes=found.notes + notes)
 
 
 def follow_closely(corners: Corners, limits: ClockThresholds) -> bool:
