@@ -1,4 +1,4 @@
-"""The commands on the arcs of photos: extract, directions."""
+"""The commands on the arcs of photos: extract, directions, check."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -81,3 +81,21 @@ def directions(
         )  # fmt: skip
 
     run(found, as_json)
+
+
+@app.command()
+def check(
+    photos: ScenePhotos,
+    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for check.csv; without it nothing is written.")] = None,
+    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Is a calibration still right? Straight lines in photos of anything tell; exit status 1 where they contradict it."""
+    from omnilines.commands.check import check as command
+    from omnilines.options import with_settings
+    from omnilines.pipelines.check_options import CheckOptions
+
+    options = with_settings(CheckOptions(), settings or (), "check.")
+    run(lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress), as_json)

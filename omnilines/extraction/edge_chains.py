@@ -29,7 +29,7 @@ def arc_chains(
     photo, found = extracted(image, model, mask, least_angle_rad, options)
     at = samples(model, found.arcs, 0.0)
     chain, point = _points_beside(photo.edgels, at, options.support)
-    pixels, normals = np.float64(photo.edgels.points[point, :2]), np.float64(photo.edgels.points[point, 2:])
+    pixels, normals = (photo.edgels.points[point, k : k + 2].astype(np.float64) for k in (0, 2))
     count = np.bincount(chain, minlength=len(found))
     long = count >= options.chains.min_points
     rows = long[chain]
@@ -39,9 +39,7 @@ def arc_chains(
     return Chains((name,), model.image_size, np.zeros(int(long.sum()), dtype=np.int64), chain, pixels, normals, sigma)
 
 
-def _points_beside(
-    edgels: Edgels, at: Samples, options: SupportOptions
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def _points_beside(edgels: Edgels, at: Samples, options: SupportOptions) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """(arc, edge point) of every edge point on an arc, in their order along it."""
     height, width = edgels.number.shape
     best = np.full(len(at.owner), -1)

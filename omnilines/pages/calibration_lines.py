@@ -70,9 +70,7 @@ def line_calibration_data(result: LineResult) -> dict[str, Any]:
         "image_size": list(fit.model.image_size),
         "parameters": fit.model.named_parameters(),
         "sigma": fit.sigma,
-        "interval_95": {
-            name: ends for name, ends in zip(fit.model.PARAMETER_NAMES, fit.interval_95.tolist(), strict=True)
-        },
+        "interval_95": {name: ends for name, ends in zip(fit.model.PARAMETER_NAMES, fit.interval_95.tolist(), strict=True)},
         "rms_px": fit.rms_px,
         "min_angle_deg": fit.min_angle_deg,
         "max_angle_deg": fit.max_angle_deg,

@@ -37,7 +37,9 @@ def arc_chains_of(
     found = on_all_cores(look, refs, "extracting arcs", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     used = [(photo.name, one) for photo, one in zip(refs, found, strict=True) if isinstance(one, Chains)]
     left_out = tuple(
-        Detail(photo.name, f"{photo.name} is skipped: {one}") for photo, one in zip(refs, found, strict=True) if isinstance(one, str)
+        Detail(photo.name, f"{photo.name} is skipped: {one}")
+        for photo, one in zip(refs, found, strict=True)
+        if isinstance(one, str)
     )
     if not used:
         raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos and calibration.")

@@ -15,8 +15,9 @@ class LineOptions:
     """Length of a chain over which edge points are averaged: neighbours share their smoothing."""
     edge_sigma_px: float = 0.03
     """Standard deviation of such a mean across the edge that no number of points lowers: edges are not ideal."""
-    freedom: float = 5.0
-    """Of Student's t by which chains that are less straight than others lose weight: the smaller, the sooner."""
+    freedom: float = 3.0
+    """Of Student's t by which chains that are less straight than others, and lines that stray farther from their direction, lose
+    weight: the smaller, the sooner."""
     least_weight: float = 0.05
     """A chain with less of the weight of a straight one is of a curve of the world, or of several edges: it is left out."""
     least_stray_rad: float = 2e-4
