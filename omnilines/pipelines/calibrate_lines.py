@@ -31,6 +31,9 @@ CALIBRATION = "calibration.yaml"
 NO_BETTER = 0.99
 """A start camera is taken before one that is listed earlier where it leaves less than this share of its misfit."""
 
+ROUGHLY_SETTLED_SIGMAS = 2.0
+"""Of the camera that goes out for arcs."""
+
 
 class LineFields(TypedDict, total=False):
     """Fields of `CalibrationOptions` that a call may give by name."""
@@ -131,7 +134,7 @@ def calibrate_lines(
     guide = Candidate(GUIDE, {}) if options.model == AUTO else candidates[len(candidates) // 2]
     start, done = _started(chains, guide, lines, progress)
     images = chains.images
-    for _ in range(lines.adjustment.searches):
+    for _ in range(max(1, lines.adjustment.searches)):
         arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
@@ -158,12 +161,14 @@ def _started(
     starts = start_from_chains(
         chains, start=lines.adjustment.start, directions=lines.directions, right_angles=lines.right_angles, progress=progress
     )
+    # Arcs follow, and settle it.
+    rough = replace(lines.adjustment, settled_sigmas=max(lines.adjustment.settled_sigmas, ROUGHLY_SETTLED_SIGMAS))
     best: tuple[CameraStart, LineAdjustment] | None = None
     failure: GeometryError | None = None
     for start in starts[: lines.adjustment.most_starts]:
         try:
             camera = start.camera(guide.model, **guide.options)
-            done = adjusted_camera(camera, chains, lines.adjustment, lines.directions, progress=progress)
+            done = adjusted_camera(camera, chains, rough, lines.directions, progress=progress)
         except GeometryError as error:
             failure = error
             continue

@@ -9,7 +9,7 @@ from omnilines.calibration.thresholds import LineStartThresholds
 class LineOptions:
     """Of the adjustment of a camera to chains of edge points."""
 
-    most_chains: int = 300
+    most_chains: int = 200
     """Of one photo, those with the most points."""
     block_px: float = 8.0
     """Length of a chain over which edge points are averaged: neighbours share their smoothing."""
@@ -33,7 +33,7 @@ class LineOptions:
     """Rounds end where the camera moves by less than this share of its standard deviation."""
     most_starts: int = 3
     """Start cameras that are adjusted."""
-    searches: int = 2
-    """Times that arcs are looked for in the photos with the camera found."""
+    searches: int = 1
+    """Times that arcs are looked for in the photos with the camera found, 1 or more."""
     start: LineStartThresholds = LineStartThresholds()
     """Where it starts."""
