@@ -102,8 +102,8 @@ def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds,
 
 
 def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds) -> ShapeStart:
-    """Gauss-Newton steps in (k1, k2, k3, centre), each chain with the probability that it is a line; the centre, and where nothing
-    tells it the curve, stay near where they began."""
+    """Gauss-Newton steps in (k1, k2, k3, centre), each chain with the probability that it is a line. The centre, and where
+    nothing tells it the curve, stay near where they began."""
     first, unit = np.concatenate([start.shape.terms, start.shape.centre / start.shape.unit_px]), start.shape.unit_px
     prior = np.array([options.term_sigma] * TERMS + [options.centre_sigma] * 2)
 

@@ -5,8 +5,8 @@ A pixel at (x, y) from the centre, in units of about the farthest edge point's d
     v = (x, y, h(rho)),    h = 1 + k1 rho^2 + k2 rho^4 + k3 rho^6,    rho^2 = x^2 + y^2,
 
 up to a factor on z. h = 1 is a pinhole, h = 1 + k1 rho^2 the division model (A. Fitzgibbon, CVPR 2001), which for k1 < 0 goes
-on past 90 degrees, where h = 0, and holds the stereographic lens; with k2 and k3 others are within 0.2 degrees. A factor on z moves great circles
-to great circles: straight lines do not tell it, nor do lines that meet. Right angles do.
+on past 90 degrees, where h = 0, and holds the stereographic lens; with k2 and k3 others are within 0.2 degrees. A factor on z
+moves great circles to great circles: straight lines do not tell it, nor do lines that meet. Right angles do.
 
 For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. What is left is taken apart into polynomials
 along the chain, of the second, third and fourth degree. Those of a line of the world have the variance s^2 (noise of the points,
