@@ -94,8 +94,7 @@ def _scaled(
     usual = CameraStart(shape, scale * shape.shape.unit_px, math.inf, shape.gain, chains.image_size)
     found = [usual]
     for _ in range(ROUNDS):
-        photos = _meetings(nodes, shape, scale, directions, progress)
-        peaks = [peak for peak in scale_peaks(photos, right_angles) if peak.stands]
+        peaks = [peak for peak in scale_peaks(*_meetings(nodes, shape, scale, directions, progress), right_angles) if peak.stands]
         if not peaks:
             return found
         found = [
@@ -124,10 +123,13 @@ def _usual_scale(shape: ShapeStart) -> float:
 
 def _meetings(
     nodes: ChainNodes, shape: ShapeStart, scale: float, options: DirectionsOptions, progress: ProgressCallback
-) -> list[Meeting]:
-    """The directions in which the straight chains of each photo meet."""
-    circles = [_circles(nodes, shape, scale, shape.straight & (nodes.image == k)) for k in np.unique(nodes.image)]
-    return on_all_cores(lambda one: meeting_directions(one, options), circles, "finding directions", progress)
+) -> tuple[list[Meeting], Float[np.ndarray, " photos"]]:
+    """The directions in which the straight chains of each photo meet, and the weight of each photo."""
+    chosen = [shape.straight & (nodes.image == k) for k in np.unique(nodes.image)]
+    chosen = [one for one in chosen if one.any()]
+    circles = [_circles(nodes, shape, scale, one) for one in chosen]
+    weights = np.array([float(nodes.weight[one].mean()) for one in chosen])
+    return on_all_cores(lambda one: meeting_directions(one, options), circles, "finding directions", progress), weights
 
 
 def _circles(nodes: ChainNodes, shape: ShapeStart, scale: float, chosen: Bool[np.ndarray, " chains"]) -> Circles:

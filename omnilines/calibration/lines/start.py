@@ -94,7 +94,7 @@ def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds,
     """A shape with the stray that suits it best."""
     planes = planes_of(nodes, shape)
     ratios = [log_ratio(nodes, planes, stray) for stray in options.strays_px]
-    gains = [gain(ratio, options.share) for ratio in ratios]
+    gains = [gain(nodes, ratio, options.share) for ratio in ratios]
     best = int(np.argmax(gains))
     reach = float(np.linalg.norm(nodes.pixels - shape.centre, axis=-1).max())
     straight = ratios[best] + math.log(options.share / (1.0 - options.share)) > 0
@@ -119,7 +119,7 @@ def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds)
         ratio = log_ratio(nodes, planes, best.stray_px)
         likely = 1.0 / (1.0 + np.exp(-np.clip(ratio + math.log(options.share / (1.0 - options.share)), -50.0, 50.0)))
         variance = np.square(nodes.sigma_px[:, None]) + best.stray_px**2
-        weight = likely[:, None] * (1.0 / variance - 1.0 / (variance + np.square(nodes.bend_px)))
+        weight = (nodes.weight * likely)[:, None] * (1.0 / variance - 1.0 / (variance + np.square(nodes.bend_px)))
         columns = []
         for step in STEP * np.eye(len(values)):
             columns.append((planes_of(nodes, shape_of(values + step)).bend_px - planes.bend_px) / STEP)

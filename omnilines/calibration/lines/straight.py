@@ -31,6 +31,8 @@ NODES = 8
 LEAST_RATE = 1e-9
 SAG_RMS = 0.075
 """Root mean square of a parabola about its chord's best line, over the square of its length times its curvature."""
+CELL_PX, TURNS = 4.0, 8
+"""Pixels and directions in which edges of several photos are compared: squares of such a side, and parts of half a turn."""
 LESS_BENT = 0.25
 """Of S: that of the next degree over that of one."""
 BENDS: Float[np.ndarray, "nodes 3"] = np.linalg.qr(np.linspace(-1.0, 1.0, NODES)[:, None] ** np.arange(5))[0][:, 2:]
@@ -48,6 +50,8 @@ class ChainNodes:
     """Of a node, across."""
     bend_px: Float[np.ndarray, "chains 3"]
     """S: what a bend at random leaves, by degree."""
+    weight: Float[np.ndarray, " chains"]
+    """One over the number of photos that show the same at the same place."""
 
     @staticmethod
     def of(chains: Chains, most: int, min_radius_px: float) -> "ChainNodes":
@@ -70,16 +74,41 @@ class ChainNodes:
         sigma = chains.sigma_px[start[chosen]] / np.sqrt(count[chosen] / NODES)
         length = np.linalg.norm(pixels[:, -1] - pixels[:, 0], axis=-1)
         bend = SAG_RMS * math.sqrt(NODES) * np.square(length) / min_radius_px
-        return ChainNodes(chains.image[chosen], pixels, normals, sigma, bend[:, None] * LESS_BENT ** np.arange(3))
+        by_degree = bend[:, None] * LESS_BENT ** np.arange(3)
+        return ChainNodes(chains.image[chosen], pixels, normals, sigma, by_degree, 1.0 / times_seen(chains)[chosen])
 
     def rows(self, chosen: Bool[np.ndarray, " chains"]) -> "ChainNodes":
         """Some of them."""
         return ChainNodes(
-            self.image[chosen], self.pixels[chosen], self.normals[chosen], self.sigma_px[chosen], self.bend_px[chosen]
+            self.image[chosen],
+            self.pixels[chosen],
+            self.normals[chosen],
+            self.sigma_px[chosen],
+            self.bend_px[chosen],
+            self.weight[chosen],
         )
 
     def __len__(self) -> int:
         return len(self.image)
+
+
+def times_seen(chains: Chains) -> Float[np.ndarray, " chains"]:
+    """Number of photos that show an edge of the same direction where a chain lies, its own included: the median over its points.
+    What stands still before the camera, or is fixed to it, says the same in each photo."""
+    turn = np.mod(np.arctan2(chains.normals[:, 1], chains.normals[:, 0]) / np.pi, 1.0) * TURNS
+    place = np.concatenate([chains.pixels / CELL_PX, turn[:, None]], -1)
+    photo = chains.image[chains.chain]
+    seen = np.zeros(len(photo))
+    for shift in (0.0, 0.5):
+        cell = np.floor(place + shift).astype(np.int64)
+        cell[:, 2] %= TURNS
+        which = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+        both = np.unique(np.stack([which, photo], -1), axis=0)
+        seen = np.maximum(seen, np.bincount(both[:, 0])[which])
+    order = np.lexsort((seen, chains.chain))
+    count = np.bincount(chains.chain, minlength=chains.count)
+    median: Float[np.ndarray, " chains"] = seen[order][np.cumsum(count) - count + count // 2]
+    return median
 
 
 @dataclass(frozen=True)
@@ -141,6 +170,6 @@ def log_ratio(nodes: ChainNodes, planes: Planes, stray_px: float) -> Float[np.nd
     return total
 
 
-def gain(ratio: Float[np.ndarray, " chains"], share: float) -> float:
+def gain(nodes: ChainNodes, ratio: Float[np.ndarray, " chains"], share: float) -> float:
     """log likelihood of chains of which a share are lines of the world, over that of curves at random."""
-    return float(np.logaddexp(math.log1p(-share), math.log(share) + ratio).sum())
+    return float(nodes.weight @ np.logaddexp(math.log1p(-share), math.log(share) + ratio))
