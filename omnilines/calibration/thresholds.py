@@ -56,6 +56,10 @@ class LineStartThresholds(NamedTuple):
     """Division models tried, by the relative change of the ray's z at the farthest edge."""
     half_angles_deg: tuple[float, ...] = (40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)
     """Equidistant and equisolid lenses tried, by the angle at the farthest edge."""
+    usual_half_angle_deg: float = 30.0
+    """At the farthest edge of a lens with little distortion, where nothing tells it."""
+    least_bend: float = 0.15
+    """Relative change of the ray's z at the farthest edge from which on a lens is taken for a fisheye, where nothing tells."""
     strays_px: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
     """Standard deviations by which lines may leave their curves; which one it is is found from the chains."""
     share: float = 0.5

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import CameraModel, model_class
-from omnilines.calibration.lines.start import ShapeStart, shape_starts
+from omnilines.calibration.lines.start import ShapeStart, shape_starts, usual_focal
 from omnilines.calibration.lines.straight import ChainNodes, planes_of
 from omnilines.calibration.thresholds import LineStartThresholds
 from omnilines.geometry.chains import Chains
@@ -77,7 +77,7 @@ def start_from_chains(
     nodes = ChainNodes.of(chains, start.most_chains, start.min_radius_share * 0.5 * math.hypot(*chains.image_size))
     centres = [0.5 * (np.array(chains.image_size) - 1.0), *([np.array(circle[:2])] if circle is not None else [])]
     shapes = shape_starts(nodes, chains.image_size, centres, start)
-    found = [one for shape in shapes for one in _scaled(nodes, shape, chains, directions, right_angles, progress)]
+    found = [one for shape in shapes for one in _scaled(nodes, shape, chains, start, directions, right_angles, progress)]
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -85,12 +85,13 @@ def _scaled(
     nodes: ChainNodes,
     shape: ShapeStart,
     chains: Chains,
+    start: LineStartThresholds,
     directions: DirectionsOptions,
     right_angles: RightAngleOptions,
     progress: ProgressCallback,
 ) -> list[CameraStart]:
     """A shape with the scales that right angles tell; with that of a usual projection where they do not."""
-    scale = _usual_scale(shape)
+    scale = usual_focal(shape, start)
     usual = CameraStart(shape, scale * shape.shape.unit_px, math.inf, shape.gain, chains.image_size)
     found = [usual]
     for _ in range(ROUNDS):
@@ -110,15 +111,6 @@ def _scaled(
         if abs(math.log(peaks[0].factor)) < SETTLED:
             break
     return found
-
-
-def _usual_scale(shape: ShapeStart) -> float:
-    """Focal length, in units of the shape, of the lens with about so much distortion whose angle in the image is usual: between
-    the equidistant and the stereographic; of a lens without distortion, one of 60 degrees."""
-    reach = shape.reach_px / shape.shape.unit_px
-    narrow = reach / math.tan(math.radians(30.0))
-    bend = 1.0 - float(shape.shape.height(np.array(reach))[0])
-    return min(narrow, reach / math.sqrt(3.2 * bend)) if bend > 0 else narrow
 
 
 def _meetings(

@@ -58,8 +58,8 @@ def chains_of(
     size = sizes.most_common(1)[0][0]
     if mask is not None and mask.shape[::-1] != size:
         raise InputError(
-            f"A mask of {size[0]}x{size[1]} px was expected, as the photos have, found {mask.shape[1]}x{mask.shape[0]} px; give one "
-            "of that size."
+            f"A mask of {size[0]}x{size[1]} px was expected, as the photos have, found {mask.shape[1]}x{mask.shape[0]} px; give "
+            "one of that size."
         )
     used, left_out = list[tuple[str, SmoothChains]](), list[Detail]()
     for photo, one in zip(refs, found, strict=True):

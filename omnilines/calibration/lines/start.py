@@ -90,6 +90,22 @@ def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.nd
     return found
 
 
+def usual_focal(start: ShapeStart, options: LineStartThresholds = LineStartThresholds()) -> float:
+    """Focal length, in units of the shape, with which the lens is nearest to an equidistant or an equisolid one; of a lens with
+    little distortion, which is near to both with any, that with the usual field of view."""
+    reach = start.reach_px / start.shape.unit_px
+    rho = np.linspace(0.0, reach, SAMPLES)[1:]
+    h = start.shape.height(rho)[0]
+    if h[-1] > 1.0 - options.least_bend:
+        return float(reach / (h[-1] * math.tan(math.radians(options.usual_half_angle_deg))))
+    found = []
+    for half_angle in np.radians(np.arange(20.0, 115.0, 1.0)):
+        for theta in (half_angle * rho / reach, 2.0 * np.arcsin(np.sin(0.5 * half_angle) * rho / reach)):
+            focal = float((rho / np.tan(theta)) @ h / (h @ h))
+            found.append((float(np.square(np.arctan2(rho, focal * h) - theta).sum()), focal))
+    return min(found)[1]
+
+
 def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds, bend_sigma: float = math.inf) -> ShapeStart:
     """A shape with the stray that suits it best."""
     planes = planes_of(nodes, shape)
