@@ -14,7 +14,7 @@ TIP, BACK = 3, 20
 
 def joined_pieces(
     points: Float32[np.ndarray, "n 4"],
-    pieces: list[Int[np.ndarray, " m"]],
+    pieces: list[Int[np.ndarray, " _"]],
     light: Float[np.ndarray, " k"],
     smooth: SmoothLimits,
     partner: PartnerLimits,
@@ -45,17 +45,17 @@ def joined_pieces(
     return _one_after_another(pieces)
 
 
-def _one_after_another(pieces: list[Int[np.ndarray, " m"]]) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " k1"]]:
+def _one_after_another(pieces: list[Int[np.ndarray, " _"]]) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " k1"]]:
     return np.concatenate([np.zeros(0, dtype=np.int32), *pieces]), np.cumsum([0, *map(len, pieces)])
 
 
-def _outwards(pieces: list[Int[np.ndarray, " m"]], end: int) -> Int[np.ndarray, " m"]:
+def _outwards(pieces: list[Int[np.ndarray, " _"]], end: int) -> Int[np.ndarray, " m"]:
     """The points of the piece of an end (its first or its last) in the order that leads out of there."""
     return pieces[end // 2] if end % 2 else pieces[end // 2][::-1]
 
 
 def _pairs(
-    points: Float32[np.ndarray, "n 4"], pieces: list[Int[np.ndarray, " m"]], light: Float[np.ndarray, " k"], limits: PartnerLimits
+    points: Float32[np.ndarray, "n 4"], pieces: list[Int[np.ndarray, " _"]], light: Float[np.ndarray, " k"], limits: PartnerLimits
 ) -> list[tuple[int, int]]:
     """Ends that go on in each other."""
     place, way, length = [], [], []
@@ -73,7 +73,7 @@ def _pairs(
 
 
 def _smooth(
-    points: Float32[np.ndarray, "n 4"], whole: list[Int[np.ndarray, " m"]], limits: SmoothLimits
+    points: Float32[np.ndarray, "n 4"], whole: list[Int[np.ndarray, " _"]], limits: SmoothLimits
 ) -> Bool[np.ndarray, " k"]:
     """Which curves stay one piece."""
     order, starts = _one_after_another(whole)

@@ -101,7 +101,7 @@ class _Curves:
         """Where each begins."""
         return np.cumsum(self.count) - self.count
 
-    def split(self) -> list[Int[np.ndarray, " m"]]:
+    def split(self) -> list[Int[np.ndarray, " _"]]:
         """The points of each."""
         return np.split(self.order, self.starts[1:]) if len(self.count) else []
 

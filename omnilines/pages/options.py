@@ -16,6 +16,7 @@ STAGES: tuple[tuple[str, str], ...] = (
     ("calibration", "omnilines.calibration.options:CalibrationOptions"),
     ("guide", "omnilines.guide.options:GuideOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),
+    ("chains", "omnilines.extraction.options:SmoothChainOptions"),
     ("directions", "omnilines.structure.options:DirectionsOptions"),
     ("posing", "omnilines.posing.options:PosingOptions"),
     ("scene", "omnilines.pipelines.options:SceneOptions"),

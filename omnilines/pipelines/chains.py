@@ -1,6 +1,7 @@
 """Chains of edge points of many photos of one camera, without its calibration: `chains_of`."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +79,7 @@ def chains_of(
     return PhotoChains(joined_chains(used, size), circle, tuple(left_out))
 
 
-def joined_chains(photos: list[tuple[str, SmoothChains]], size: tuple[int, int]) -> Chains:
+def joined_chains(photos: Sequence[tuple[str, SmoothChains | Chains]], size: tuple[int, int]) -> Chains:
     """The chains of photos of one size, by their names, as one table."""
     counts = [one.count for _, one in photos]
     first = np.cumsum([0, *counts])

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from omnilines.structure.meeting import Meeting
@@ -87,7 +88,7 @@ def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
     variance = np.einsum("pi,pij,pj->p", by_first, pairs.of_first, by_first)
     variance += np.einsum("pi,pij,pj->p", by_second, pairs.of_second, by_second) + 2.0 * options.stray_rad**2
     # A normal distribution cut off at -1 and 1, over a density of 1/2.
-    inside = np.array([math.erf(math.sqrt(0.5 / one)) for one in variance])
+    inside = torch.erf(torch.as_tensor(np.sqrt(0.5 / variance))).numpy()
     ratio = 2.0 * np.exp(-0.5 * np.square(cosine[:, 0]) / variance) / (np.sqrt(2.0 * np.pi * variance) * inside)
     return float(pairs.weight @ np.log1p(options.share * (ratio - 1.0)))
 

@@ -95,16 +95,18 @@ class ChainNodes:
 def times_seen(chains: Chains) -> Float[np.ndarray, " chains"]:
     """Number of photos that show an edge of the same direction where a chain lies, its own included: the median over its points.
     What stands still before the camera, or is fixed to it, says the same in each photo."""
+    if not chains.count:
+        return np.zeros(0)
     turn = np.mod(np.arctan2(chains.normals[:, 1], chains.normals[:, 0]) / np.pi, 1.0) * TURNS
     place = np.concatenate([chains.pixels / CELL_PX, turn[:, None]], -1)
     photo = chains.image[chains.chain]
     seen = np.zeros(len(photo))
     for shift in (0.0, 0.5):
         cell = np.floor(place + shift).astype(np.int64)
-        cell[:, 2] %= TURNS
-        which = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
-        both = np.unique(np.stack([which, photo], -1), axis=0)
-        seen = np.maximum(seen, np.bincount(both[:, 0])[which])
+        u, v = (cell[:, :2] - cell[:, :2].min(0)).T
+        which = np.unique((u * (v.max() + 1) + v) * TURNS + cell[:, 2] % TURNS, return_inverse=True)[1]
+        both = np.unique(which * len(chains.images) + photo)
+        seen = np.maximum(seen, np.bincount(both // len(chains.images))[which])
     order = np.lexsort((seen, chains.chain))
     count = np.bincount(chains.chain, minlength=chains.count)
     median: Float[np.ndarray, " chains"] = seen[order][np.cumsum(count) - count + count // 2]
