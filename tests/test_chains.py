@@ -126,6 +126,18 @@ def test_few_chains_are_refused() -> None:
         start_from_chains(rooms(FISHEYE, 3, 4, photos=1, each=3))
 
 
+def test_curves_at_random_are_refused() -> None:
+    rng, curves = np.random.default_rng(8), list[tuple[int, np.ndarray]]()
+    for _ in range(150):
+        begin, radius = rng.uniform(0, 2 * math.pi), rng.uniform(100.0, 250.0)
+        angle = begin + np.arange(0.0, rng.uniform(0.5, 1.0), 0.005)[:, None]
+        ring = radius * np.concatenate([np.cos(angle), np.sin(angle)], -1)
+        ring += rng.uniform(50.0, 430.0, 2) - ring[len(ring) // 2]
+        curves.append((0, ring[(ring > 5).all(-1) & (ring < np.array(SIZE) - 5).all(-1)]))
+    with pytest.raises(GeometryError, match="bend as by chance"):
+        start_from_chains(chains_from(curves, 1, 0.1, rng))
+
+
 def test_planes_hold_what_a_shape_sees_straight() -> None:
     rng = np.random.default_rng(1)
     shape = RadialShape(np.array([325.0, 236.0]), np.array([-0.9, 0.15, -0.05]), 300.0)

@@ -61,6 +61,12 @@ def shape_starts(
             if shape.rises(reach):
                 tried.append(_judged(nodes, shape, options))
     tried.sort(key=lambda start: -start.gain)
+    # The mean of r is 1 by chance: a gain of x or more has the probability exp(-x) at most (Markov's inequality).
+    if tried[0].gain < math.log(len(tried) * len(options.strays_px) / options.false_starts):
+        raise GeometryError(
+            f"Edges of straight lines were expected in the photos, found {len(nodes)} that bend as by chance; give photos of "
+            "buildings or rooms."
+        )
     refined = [_refined(nodes, start, options) for start in tried[: options.refined]]
     refined.sort(key=lambda start: -start.gain)
     apart: list[ShapeStart] = []
@@ -99,7 +105,7 @@ def usual_focal(start: ShapeStart, options: LineStartThresholds = LineStartThres
     if h[-1] > 1.0 - options.least_bend:
         return float(reach / (h[-1] * math.tan(math.radians(options.usual_half_angle_deg))))
     found = []
-    for half_angle in np.radians(np.arange(20.0, 115.0, 1.0)):
+    for half_angle in np.radians(np.arange(20.0, 160.0, 1.0)):
         for theta in (half_angle * rho / reach, 2.0 * np.arcsin(np.sin(0.5 * half_angle) * rho / reach)):
             focal = float((rho / np.tan(theta)) @ h / (h @ h))
             found.append((float(np.square(np.arctan2(rho, focal * h) - theta).sum()), focal))

@@ -10,12 +10,11 @@ moves great circles to great circles: straight lines do not tell it, nor do line
 
 For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. What is left is taken apart into polynomials
 along the chain, of the second, third and fourth degree. Those of a line of the world have the variance s^2 (noise of the points,
-and a stray of the lens); those of another curve s^2 + S^2, where S is that of a bend at random: a pair e, S has the ratio of both
-likelihoods
+and a stray of the lens); those of another curve s^2 + S^2, where S is that of a bend at random: e has the ratio of both likelihoods
 
     r = sqrt(1 + S^2 / s^2) exp(-e^2 / 2 (1 / s^2 - 1 / (s^2 + S^2))),
 
-and a short chain, which fits any lens, has r near 1.
+and a short chain, which fits any lens, has r near 1. Another curve is bent in the second degree alone (a ring), or in all.
 """
 
 import math
@@ -164,11 +163,11 @@ def planes_of(nodes: ChainNodes, shape: RadialShape) -> Planes:
 
 
 def log_ratio(nodes: ChainNodes, planes: Planes, stray_px: float) -> Float[np.ndarray, " chains"]:
-    """log r of each chain, over all degrees."""
+    """log r of each chain, over that of a curve with a bend of the second degree or of all."""
     variance = np.square(nodes.sigma_px[:, None]) + stray_px**2
     wide = variance + np.square(nodes.bend_px)
     ratio = 0.5 * np.log(wide / variance) - 0.5 * np.square(planes.bend_px) * (1.0 / variance - 1.0 / wide)
-    total: Float[np.ndarray, " chains"] = ratio.sum(-1)
+    total: Float[np.ndarray, " chains"] = math.log(2.0) - np.logaddexp(-ratio[:, 0], -ratio.sum(-1))
     return total
 
 
