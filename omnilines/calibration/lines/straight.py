@@ -10,7 +10,7 @@ moves great circles to great circles: straight lines do not tell it, nor do line
 
 For each chain the plane n . v = 0 is fitted by least squares of distances in pixels. What is left is taken apart into polynomials
 along the chain, of the second, third and fourth degree. Those of a line of the world have the variance s^2 (noise of the points,
-and a stray of the lens); those of another curve s^2 + S^2, where S is that of a bend at random: e has the ratio of both likelihoods
+and a stray of the lens); those of another curve s^2 + S^2, where S is that of a bend at random. The ratio of both likelihoods is
 
     r = sqrt(1 + S^2 / s^2) exp(-e^2 / 2 (1 / s^2 - 1 / (s^2 + S^2))),
 
