@@ -236,7 +236,7 @@ def test_curves_are_joined_across_a_gap_where_their_bright_sides_agree() -> None
         ([first, second], [1.0, -1.0], 2),
     ):
         joints = PartnerLimits(0.5, limits.max_curvature, 0.05)
-        order, starts = joined_pieces(points, pieces, np.array(light), limits, joints, 3)
+        order, starts = joined_pieces(points, pieces, np.array(light), smooth=limits, partner=joints, rounds=3)
         assert len(starts) == count + 1 and sorted(order) == list(range(len(points)))
         step = np.linalg.norm(np.diff(pixels[order], axis=0), axis=-1)
         assert count == 2 or step.max() < 25.0

@@ -85,6 +85,8 @@ class LineStartThresholds(NamedTuple):
     """Cameras that are expected where all edges bend at random, at most."""
     refined: int = 3
     """Of the lenses tried, the best are refined."""
+    most_photos: int = 20
+    """Those with the most straight edges are looked at for right angles."""
     term_sigma: float = 0.5
     """Standard deviation of the terms of the curve about those of the lens tried."""
     centre_sigma: float = 0.03

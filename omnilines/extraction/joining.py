@@ -16,6 +16,7 @@ def joined_pieces(
     points: Float32[np.ndarray, "n 4"],
     pieces: list[Int[np.ndarray, " _"]],
     light: Float[np.ndarray, " k"],
+    *,
     smooth: SmoothLimits,
     partner: PartnerLimits,
     rounds: int,

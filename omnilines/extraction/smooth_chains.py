@@ -71,7 +71,8 @@ def smooth_chains(
     smooth = options.smooth
     joints = PartnerLimits(smooth.max_gap_share, limits.max_curvature, _turn_sigma(smooth))
     side = _towards_light(image, points, begun)[2]
-    curves = _cut(points, *joined_pieces(points, begun.split(), side, limits, joints, smooth.joining_rounds), limits)
+    joined = joined_pieces(points, begun.split(), side, smooth=limits, partner=joints, rounds=smooth.joining_rounds)
+    curves = _cut(points, *joined, limits)
     normals, contrast, _ = _towards_light(image, points, curves)
     kept = (contrast >= options.strong_grey) | (contrast * np.sqrt(curves.count) >= options.min_evidence)
     pixels = points[curves.order, :2].astype(np.float64)
