@@ -39,7 +39,10 @@ if TYPE_CHECKING:
     from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
     from omnilines.pipelines.arcs import PhotoArcs, extract
     from omnilines.pipelines.calibrate import CalibrationResult, calibrate
+    from omnilines.pipelines.calibrate_lines import LineResult, calibrate_lines
     from omnilines.pipelines.calibrate_rig import RigResult, calibrate_rig
+    from omnilines.pipelines.check import CheckResult, check
+    from omnilines.pipelines.check_options import CheckOptions
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import PhotoCorners, detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.export import SceneExport, export
     from omnilines.pipelines.frames import ChosenFrames, frames
     from omnilines.pipelines.given_arcs import given_arcs
+    from omnilines.pipelines.line_options import LinesOptions
     from omnilines.pipelines.options import SceneOptions
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
@@ -74,6 +78,10 @@ _HOMES = {
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
     "omnilines.pipelines.calibrate": ("calibrate", "CalibrationResult"),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
+    "omnilines.pipelines.calibrate_lines": ("calibrate_lines", "LineResult"),
+    "omnilines.pipelines.line_options": ("LinesOptions",),
+    "omnilines.pipelines.check": ("check", "CheckResult"),
+    "omnilines.pipelines.check_options": ("CheckOptions",),
     "omnilines.calibration.options": ("CalibrationOptions",),
     "omnilines.pipelines.convert": ("convert", "ConversionResult"),
     # Photos and cameras -> arcs, poses, lines.
@@ -117,6 +125,8 @@ __all__ = [
     "CalibrationOptions",
     "CalibrationResult",
     "Cancelled",
+    "CheckOptions",
+    "CheckResult",
     "ChosenFrames",
     "ConversionResult",
     "Corners",
@@ -127,7 +137,9 @@ __all__ = [
     "GeometryError",
     "ImagePoses",
     "InputError",
+    "LineResult",
     "Lines",
+    "LinesOptions",
     "MatchingOptions",
     "OmnilinesError",
     "PhotoArcs",
@@ -151,7 +163,9 @@ __all__ = [
     "Validation",
     "adjust",
     "calibrate",
+    "calibrate_lines",
     "calibrate_rig",
+    "check",
     "convert",
     "detect",
     "detect_rig",

@@ -54,14 +54,39 @@ class LineStartThresholds(NamedTuple):
     """Of half the image diagonal: curves that are no lines bend at random with a radius of this and more."""
     bends: tuple[float, ...] = (0.2, 0.1, 0.05, 0.0, -0.03, -0.06, -0.1, -0.15, -0.2, -0.3, -0.4, -0.5, -0.65, -0.8, -1.0, -1.3)
     """Division models tried, by the relative change of the ray's z at the farthest edge."""
-    half_angles_deg: tuple[float, ...] = (40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)
+    half_angles_deg: tuple[float, ...] = (
+        40.0,
+        50.0,
+        60.0,
+        65.0,
+        70.0,
+        75.0,
+        80.0,
+        85.0,
+        90.0,
+        95.0,
+        100.0,
+        105.0,
+        110.0,
+        120.0,
+        135.0,
+        150.0,
+    )
     """Equidistant and equisolid lenses tried, by the angle at the farthest edge."""
+    usual_half_angle_deg: float = 30.0
+    """At the farthest edge of a lens with little distortion, where nothing tells it."""
+    least_bend: float = 0.15
+    """Relative change of the ray's z at the farthest edge from which on a lens is taken for a fisheye, where nothing tells."""
     strays_px: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
     """Standard deviations by which lines may leave their curves; which one it is is found from the chains."""
     share: float = 0.5
     """Of the chains, those that are lines of the world."""
+    false_starts: float = 1e-3
+    """Cameras that are expected where all edges bend at random, at most."""
     refined: int = 3
     """Of the lenses tried, the best are refined."""
+    most_photos: int = 20
+    """Those with the most straight edges are looked at for right angles."""
     term_sigma: float = 0.5
     """Standard deviation of the terms of the curve about those of the lens tried."""
     centre_sigma: float = 0.03

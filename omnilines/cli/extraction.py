@@ -1,4 +1,4 @@
-"""The commands on the arcs of photos: extract, directions."""
+"""The commands on the arcs of photos: extract, directions, check."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,3 +88,21 @@ def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions,
     of_arcs = [setting for setting in settings or () if setting.startswith("extraction.")]
     others = [setting for setting in settings or () if setting not in of_arcs]
     return with_settings(SHORT_ARCS, of_arcs, "extraction."), with_settings(DirectionsOptions(), others, "directions.")
+
+
+@app.command()
+def check(
+    photos: ScenePhotos,
+    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for check.csv; without it nothing is written.")] = None,
+    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Is a calibration still right? Straight lines in photos of anything tell; exit status 1 where they contradict it."""
+    from omnilines.commands.check import check as command
+    from omnilines.options import with_settings
+    from omnilines.pipelines.check_options import CheckOptions
+
+    options = with_settings(CheckOptions(), settings or (), "check.")
+    run(lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress), as_json)

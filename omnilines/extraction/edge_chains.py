@@ -29,7 +29,7 @@ def arc_chains(
     photo, found = extracted(image, model, mask, least_angle_rad, options)
     at = samples(model, found.arcs, 0.0)
     chain, point = _points_beside(photo.edgels, at, options.support)
-    pixels, normals = np.float64(photo.edgels.points[point, :2]), np.float64(photo.edgels.points[point, 2:])
+    pixels, normals = (photo.edgels.points[point, k : k + 2].astype(np.float64) for k in (0, 2))
     count = np.bincount(chain, minlength=len(found))
     long = count >= options.chains.min_points
     rows = long[chain]

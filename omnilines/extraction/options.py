@@ -263,6 +263,10 @@ class SmoothOptions(NamedTuple):
     """Turn at a corner over what noise and the sharpest bend make."""
     corner_sigma_px: float = 0.2
     """Standard deviation of an edge point for that."""
+    max_gap_share: float = 0.5
+    """Of the shorter of two curves: gap across which they are one, where one smooth curve explains both."""
+    joining_rounds: int = 4
+    """Times that pairs of curves are joined."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ STAGES: tuple[tuple[str, str], ...] = (
     ("guide", "omnilines.guide.options:GuideOptions"),
     ("extraction", "omnilines.extraction.options:ExtractionOptions"),
     ("directions", "omnilines.structure.options:DirectionsOptions"),
+    ("lines", "omnilines.pipelines.line_options:LinesOptions"),
+    ("check", "omnilines.pipelines.check_options:CheckOptions"),
     ("posing", "omnilines.posing.options:PosingOptions"),
     ("scene", "omnilines.pipelines.options:SceneOptions"),
     ("triangulation", "omnilines.triangulation.options:TriangulationOptions"),

@@ -16,11 +16,10 @@ from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
 from omnilines.files import PhotoRef, Photos, photo_folder, photos_of
 from omnilines.files.sets import claimed, claimed_page
-from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.calibrate import GUIDE
 from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
-from omnilines.pipelines.chains import chains_of
+from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback, silent
@@ -30,6 +29,9 @@ from omnilines.records import Detail
 CALIBRATION = "calibration.yaml"
 NO_BETTER = 0.99
 """A start camera is taken before one that is listed earlier where it leaves less than this share of its misfit."""
+
+ROUGHLY_SETTLED_SIGMAS = 2.0
+"""Of the camera that goes out for arcs."""
 
 
 class LineFields(TypedDict, total=False):
@@ -126,12 +128,13 @@ def calibrate_lines(
     if options.mirror:
         raise InputError("A lens was expected with lines, found `mirror`; calibrate mirrors with a board.")
     refs = photos_of(photos)
-    chains, skipped = chains_of(refs, lines.chains, progress)
+    followed = chains_of(refs, options=lines.chains, progress=progress)
+    chains, skipped = followed.chains, followed.skipped
     candidates = candidates_of(options.model, options.of_model)
     guide = Candidate(GUIDE, {}) if options.model == AUTO else candidates[len(candidates) // 2]
-    start, done = _started(chains, guide, lines, progress)
+    start, done = _started(followed, guide, lines, progress)
     images = chains.images
-    for _ in range(lines.adjustment.searches):
+    for _ in range(max(1, lines.adjustment.searches)):
         arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
@@ -152,18 +155,26 @@ def _folder(refs: Any) -> Path | None:
 
 
 def _started(
-    chains: Chains, guide: Candidate, lines: LinesOptions, progress: ProgressCallback
+    followed: PhotoChains, guide: Candidate, lines: LinesOptions, progress: ProgressCallback
 ) -> tuple[CameraStart, LineAdjustment]:
     """The start camera that leads to the straightest lines, and where."""
+    chains = followed.chains
     starts = start_from_chains(
-        chains, start=lines.adjustment.start, directions=lines.directions, right_angles=lines.right_angles, progress=progress
+        chains,
+        followed.circle,
+        start=lines.adjustment.start,
+        directions=lines.directions,
+        right_angles=lines.right_angles,
+        progress=progress,
     )
+    # Arcs follow, and settle it.
+    rough = replace(lines.adjustment, settled_sigmas=max(lines.adjustment.settled_sigmas, ROUGHLY_SETTLED_SIGMAS))
     best: tuple[CameraStart, LineAdjustment] | None = None
     failure: GeometryError | None = None
     for start in starts[: lines.adjustment.most_starts]:
         try:
             camera = start.camera(guide.model, **guide.options)
-            done = adjusted_camera(camera, chains, lines.adjustment, lines.directions, progress=progress)
+            done = adjusted_camera(camera, chains, rough, lines.directions, progress=progress)
         except GeometryError as error:
             failure = error
             continue

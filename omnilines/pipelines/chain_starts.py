@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import CameraModel, model_class
-from omnilines.calibration.lines.start import ShapeStart, shape_starts
+from omnilines.calibration.lines.start import ShapeStart, shape_starts, usual_focal
 from omnilines.calibration.lines.straight import ChainNodes, planes_of
 from omnilines.calibration.thresholds import LineStartThresholds
 from omnilines.geometry.chains import Chains
@@ -77,25 +77,29 @@ def start_from_chains(
     nodes = ChainNodes.of(chains, start.most_chains, start.min_radius_share * 0.5 * math.hypot(*chains.image_size))
     centres = [0.5 * (np.array(chains.image_size) - 1.0), *([np.array(circle[:2])] if circle is not None else [])]
     shapes = shape_starts(nodes, chains.image_size, centres, start)
-    found = [one for shape in shapes for one in _scaled(nodes, shape, chains, directions, right_angles, progress)]
+    ask = _Ask(start, directions, right_angles, progress)
+    found = [one for shape in shapes for one in _scaled(nodes, shape, chains.image_size, ask)]
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _scaled(
-    nodes: ChainNodes,
-    shape: ShapeStart,
-    chains: Chains,
-    directions: DirectionsOptions,
-    right_angles: RightAngleOptions,
-    progress: ProgressCallback,
-) -> list[CameraStart]:
+@dataclass(frozen=True)
+class _Ask:
+    """How directions and their right angles are looked for."""
+
+    start: LineStartThresholds
+    directions: DirectionsOptions
+    right_angles: RightAngleOptions
+    progress: ProgressCallback
+
+
+def _scaled(nodes: ChainNodes, shape: ShapeStart, image_size: tuple[int, int], ask: _Ask) -> list[CameraStart]:
     """A shape with the scales that right angles tell; with that of a usual projection where they do not."""
-    scale = _usual_scale(shape)
-    usual = CameraStart(shape, scale * shape.shape.unit_px, math.inf, shape.gain, chains.image_size)
+    scale = usual_focal(shape, ask.start)
+    usual = CameraStart(shape, scale * shape.shape.unit_px, math.inf, shape.gain, image_size)
     found = [usual]
     for _ in range(ROUNDS):
-        photos = _meetings(nodes, shape, scale, directions, progress)
-        peaks = [peak for peak in scale_peaks(photos, right_angles) if peak.stands]
+        photos = _meetings(nodes, shape, scale, ask)
+        peaks = [peak for peak in scale_peaks(*photos, ask.right_angles) if peak.stands]
         if not peaks:
             return found
         found = [
@@ -113,21 +117,21 @@ def _scaled(
     return found
 
 
-def _usual_scale(shape: ShapeStart) -> float:
-    """Focal length, in units of the shape, of the lens with about so much distortion whose angle in the image is usual: between
-    the equidistant and the stereographic; of a lens without distortion, one of 60 degrees."""
-    reach = shape.reach_px / shape.shape.unit_px
-    narrow = reach / math.tan(math.radians(30.0))
-    bend = 1.0 - float(shape.shape.height(np.array(reach))[0])
-    return min(narrow, reach / math.sqrt(3.2 * bend)) if bend > 0 else narrow
-
-
 def _meetings(
-    nodes: ChainNodes, shape: ShapeStart, scale: float, options: DirectionsOptions, progress: ProgressCallback
-) -> list[Meeting]:
-    """The directions in which the straight chains of each photo meet."""
-    circles = [_circles(nodes, shape, scale, shape.straight & (nodes.image == k)) for k in np.unique(nodes.image)]
-    return on_all_cores(lambda one: meeting_directions(one, options), circles, "finding directions", progress)
+    nodes: ChainNodes, shape: ShapeStart, scale: float, ask: _Ask
+) -> tuple[list[Meeting], Float[np.ndarray, " photos"]]:
+    """The directions in which the straight chains of the photos with the most of them meet, and the photos' weights."""
+    photos, counts = np.unique(nodes.image[shape.straight], return_counts=True)
+    photos = np.sort(photos[np.argsort(-counts, kind="stable")[: ask.start.most_photos]])
+    chosen = [shape.straight & (nodes.image == photo) for photo in photos]
+    circles = [_circles(nodes, shape, scale, one) for one in chosen]
+    weights = np.array([float(nodes.weight[one].mean()) for one in chosen])
+
+    def look(one: Circles) -> Meeting:
+        """The directions of one photo."""
+        return meeting_directions(one, ask.directions)
+
+    return on_all_cores(look, circles, "finding directions", ask.progress), weights
 
 
 def _circles(nodes: ChainNodes, shape: ShapeStart, scale: float, chosen: Bool[np.ndarray, " chains"]) -> Circles:

@@ -2,8 +2,10 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from camera_models import InputError
 from omnilines.extraction.options import SmoothChainOptions
@@ -15,13 +17,29 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Detail
 
 
-def chains_of(
-    photos: Photos, options: SmoothChainOptions = SmoothChainOptions(), progress: ProgressCallback = silent
-) -> tuple[Chains, tuple[Detail, ...]]:
-    """The smooth curves of edge points in photos (a folder, files, or names with arrays), on all cores, one photo per core in
-    memory; and the photos that are left out, with the reason: those that cannot be read, and those of another size than most.
+@dataclass(frozen=True)
+class PhotoChains:
+    """What `chains_of` finds."""
 
-    Raises InputError where there is no photo, or none can be read.
+    chains: Chains
+    circle: tuple[float, float, float] | None
+    """Centre (u, v) and radius (px) of the image circle: medians over the photos that show one; None where fewer than half do."""
+    skipped: tuple[Detail, ...]
+    """Photos that are left out, and why."""
+
+
+def chains_of(
+    photos: Photos,
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    options: SmoothChainOptions = SmoothChainOptions(),
+    progress: ProgressCallback = silent,
+) -> PhotoChains:
+    """The smooth curves of edge points in photos of one camera (a folder, files, or names with arrays), on all cores, one photo
+    per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size than most,
+    are left out.
+
+    Raises InputError where there is no photo, or none can be used, or the mask is of another size.
     """
     refs = photos_of(photos)
 
@@ -31,13 +49,19 @@ def chains_of(
             image = photo.read()
         except InputError as error:
             return str(error)
-        return (image.shape[1], image.shape[0]), smooth_chains(image, None, options)
+        size = (image.shape[1], image.shape[0])
+        return size, smooth_chains(image, mask if mask is not None and mask.shape == image.shape[:2] else None, options)
 
     found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     sizes = Counter(one[0] for one in found if not isinstance(one, str))
     if not sizes:
         raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos.")
     size = sizes.most_common(1)[0][0]
+    if mask is not None and mask.shape[::-1] != size:
+        raise InputError(
+            f"A mask of {size[0]}x{size[1]} px was expected, as the photos have, found {mask.shape[1]}x{mask.shape[0]} px; give "
+            "one of that size."
+        )
     used, left_out = list[tuple[str, SmoothChains]](), list[Detail]()
     for photo, one in zip(refs, found, strict=True):
         if isinstance(one, str):
@@ -47,7 +71,12 @@ def chains_of(
             left_out.append(Detail(photo.name, f"{photo.name} is skipped: {said}"))
         else:
             used.append((photo.name, one[1]))
-    return joined_chains(used, size), tuple(left_out)
+    circles = [one.circle for _, one in used if one.circle is not None]
+    circle = None
+    if 2 * len(circles) >= len(used):
+        u, v, radius = np.median(circles, axis=0).tolist()
+        circle = (u, v, radius)
+    return PhotoChains(joined_chains(used, size), circle, tuple(left_out))
 
 
 def joined_chains(photos: Sequence[tuple[str, SmoothChains | Chains]], size: tuple[int, int]) -> Chains:

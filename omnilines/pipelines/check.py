@@ -50,7 +50,8 @@ class CheckResult:
         if not self.holds:
             return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
         if found.probability < self.options.significance:
-            return f"The calibration is right to within {self.options.tolerance_px:g} px: lines ask for a drift of {drift} ({chance})."
+            within = f"{self.options.tolerance_px:g} px"
+            return f"The calibration is right to within {within}: lines ask for a drift of {drift} ({chance})."
         return f"The calibration is right as far as these photos tell, to {found.sigma_px:.1g} px over the image ({chance})."
 
     @property

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
@@ -17,6 +17,11 @@ from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
 from omnilines.structure.meeting import Meeting, meeting_directions
 from omnilines.structure.options import DirectionsOptions
+
+MEDIAN_CHI2 = 0.455
+"""Of one degree of freedom."""
+BISECTIONS = 30
+LARGEST_STRAY_RAD = 0.05
 
 
 def chain_circles(model: CameraModel, chains: WeightedChains) -> Circles:
@@ -64,12 +69,12 @@ def families_of(
 
     found = on_all_cores(look, rows, "finding directions", progress)
     of_chain = np.full(len(counted), -1)
-    direction, photo, stray, frames = [np.zeros((0, 3))], list[int](), list[float](), 0
+    direction, photo, groups, frames = [np.zeros((0, 3))], list[int](), list[int](), 0
     for k, (frame, _) in enumerate(found):
         if frame is not None:
             of_chain[rows[k]] = np.where(frame.direction_of >= 0, 3 * frames + frame.direction_of, -1)
             direction.append(frame.direction)
-            photo, stray, frames = photo + 3 * [k], stray + 3 * [frame.stray_rad], frames + 1
+            photo, groups, frames = photo + 3 * [k], groups + 3 * [len(photo)], frames + 1
     for k, (frame, meeting) in enumerate(found):
         others = np.arange(len(meeting))
         if frame is not None:
@@ -81,12 +86,35 @@ def families_of(
                 continue
             of_chain[members] = len(photo)
             direction.append(meeting.direction[[one]])
-            photo, stray = [*photo, k], [*stray, meeting.stray_rad]
-    strays = torch.tensor(stray, dtype=torch.float64).clamp_min(options.least_stray_rad)
-    return Families(
-        torch.as_tensor(np.concatenate(direction)),
-        frames,
-        torch.tensor(photo, dtype=torch.long),
-        strays,
-        torch.as_tensor(of_chain),
-    )
+            photo, groups = [*photo, k], [*groups, len(photo)]
+    of, axes = torch.as_tensor(of_chain), torch.as_tensor(np.concatenate(direction))
+    own = torch.as_tensor(_strays(circles, axes.numpy(), of_chain, np.array(groups), options))
+    return Families(axes, frames, torch.tensor(photo, dtype=torch.long), own, of)
+
+
+def _strays(
+    circles: Circles,
+    direction: Float[np.ndarray, "k 3"],
+    of_chain: Int[np.ndarray, " c"],
+    group: Int[np.ndarray, " k"],
+    options: LineOptions,
+) -> Float[np.ndarray, " c"]:
+    """Standard deviation by which the line of each chain may stray from its direction: that of the median line of its frame, or
+    its direction, raised as Student's t has it where the line lies farther off."""
+    stray = np.full(len(of_chain), options.least_stray_rad)
+    member = np.flatnonzero(of_chain >= 0)
+    own = direction[of_chain[member]]
+    off2 = np.square((circles.normal[member] * own).sum(-1))
+    noise2 = np.square((circles.noise[:, member] * own).sum(-1)).sum(0)
+    for k in np.unique(group):
+        rows = group[of_chain[member]] == k
+        if not rows.any():
+            continue
+        low, high = options.least_stray_rad, LARGEST_STRAY_RAD
+        for _ in range(BISECTIONS):
+            middle = math.sqrt(low * high)
+            wide = np.median(off2[rows] / (noise2[rows] + middle**2)) > MEDIAN_CHI2
+            low, high = (middle, high) if wide else (low, middle)
+        share = (options.freedom + 1.0) / (options.freedom + off2[rows] / (noise2[rows] + low**2))
+        stray[member[rows]] = low / np.sqrt(share)
+    return stray

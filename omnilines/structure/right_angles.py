@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from omnilines.structure.meeting import Meeting
@@ -37,9 +38,12 @@ class ScalePeak:
     """Whether chance does not make it."""
 
 
-def scale_peaks(photos: Sequence[Meeting], options: RightAngleOptions = RightAngleOptions()) -> list[ScalePeak]:
-    """Factors on z, the most likely first, from the directions of photos that were found with the factor 1."""
-    pairs = _Pairs.of(photos)
+def scale_peaks(
+    photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
+) -> list[ScalePeak]:
+    """Factors on z, the most likely first, from the directions of photos that were found with the factor 1. Photos that show the
+    same have weights that add up to 1."""
+    pairs = _Pairs.of(photos, weights)
     if not len(pairs.first):
         return []
     far = math.log(options.max_factor)
@@ -58,9 +62,10 @@ class _Pairs:
     second: Float[np.ndarray, "p 3"]
     of_first: Float[np.ndarray, "p 3 3"]
     of_second: Float[np.ndarray, "p 3 3"]
+    weight: Float[np.ndarray, " p"]
 
     @staticmethod
-    def of(photos: Sequence[Meeting]) -> "_Pairs":
+    def of(photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"]) -> "_Pairs":
         """All pairs of each photo."""
         directions, covariances = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3, 3))]
         for one in photos:
@@ -68,7 +73,8 @@ class _Pairs:
             directions.append(one.direction[both])
             covariances.append(one.covariance[both])
         direction, covariance = np.concatenate(directions), np.concatenate(covariances)
-        return _Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1])
+        weight = np.repeat(weights, [len(one) * (len(one) - 1) // 2 for one in photos])
+        return _Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1], weight)
 
 
 def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
@@ -82,9 +88,9 @@ def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
     variance = np.einsum("pi,pij,pj->p", by_first, pairs.of_first, by_first)
     variance += np.einsum("pi,pij,pj->p", by_second, pairs.of_second, by_second) + 2.0 * options.stray_rad**2
     # A normal distribution cut off at -1 and 1, over a density of 1/2.
-    inside = np.array([math.erf(math.sqrt(0.5 / one)) for one in variance])
+    inside = torch.erf(torch.as_tensor(np.sqrt(0.5 / variance))).numpy()
     ratio = 2.0 * np.exp(-0.5 * np.square(cosine[:, 0]) / variance) / (np.sqrt(2.0 * np.pi * variance) * inside)
-    return float(np.log1p(options.share * (ratio - 1.0)).sum())
+    return float(pairs.weight @ np.log1p(options.share * (ratio - 1.0)))
 
 
 def _refined(pairs: _Pairs, place: float, step: float, options: RightAngleOptions) -> ScalePeak:

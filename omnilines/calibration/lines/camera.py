@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
@@ -73,7 +73,7 @@ class LineCamera:
     """Pieces of edges that the estimate rests on."""
     residual_px: Float[np.ndarray, "n 2"]
     """From each to its line."""
-    photo: Float[np.ndarray, " n"]
+    photo: Int[np.ndarray, " n"]
     """Of each, in `photos`."""
     min_angle_deg: float
     max_angle_deg: float

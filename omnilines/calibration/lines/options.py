@@ -9,14 +9,15 @@ from omnilines.calibration.thresholds import LineStartThresholds
 class LineOptions:
     """Of the adjustment of a camera to chains of edge points."""
 
-    most_chains: int = 300
+    most_chains: int = 200
     """Of one photo, those with the most points."""
     block_px: float = 8.0
     """Length of a chain over which edge points are averaged: neighbours share their smoothing."""
     edge_sigma_px: float = 0.03
     """Standard deviation of such a mean across the edge that no number of points lowers: edges are not ideal."""
-    freedom: float = 5.0
-    """Of Student's t by which chains that are less straight than others lose weight: the smaller, the sooner."""
+    freedom: float = 3.0
+    """Of Student's t by which chains that are less straight than others, and lines that stray farther from their direction, lose
+    weight: the smaller, the sooner."""
     least_weight: float = 0.05
     """A chain with less of the weight of a straight one is of a curve of the world, or of several edges: it is left out."""
     least_stray_rad: float = 2e-4
@@ -32,7 +33,7 @@ class LineOptions:
     """Rounds end where the camera moves by less than this share of its standard deviation."""
     most_starts: int = 3
     """Start cameras that are adjusted."""
-    searches: int = 2
-    """Times that arcs are looked for in the photos with the camera found."""
+    searches: int = 1
+    """Times that arcs are looked for in the photos with the camera found, 1 or more."""
     start: LineStartThresholds = LineStartThresholds()
     """Where it starts."""

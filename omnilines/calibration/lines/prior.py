@@ -38,7 +38,7 @@ class CameraPrior:
         """About a start camera, over the part of the image in which edges are seen."""
         reach = float(angles_off_axis(model, seen_px).max())
         grid = supported_grid(model, reach)
-        bearings, valid, by_parameter, by_point = bearing_jacobian(model, grid)
+        _, valid, by_parameter, by_point = bearing_jacobian(model, grid)
         motion = (by_point @ by_parameter @ basis)[valid]
         sigma = share * 0.5 * max(model.image_size)
         information = torch.einsum("nik,nil->kl", motion, motion) / (len(motion) * sigma**2)

@@ -26,8 +26,8 @@ class Families:
     direction: Float[Tensor, "k 3"]
     frames: int
     photo: Int[Tensor, " k"]
-    stray_rad: Float[Tensor, " k"]
-    """Standard deviation by which lines of a direction stray from it."""
+    stray_rad: Float[Tensor, " c"]
+    """Standard deviation by which the line of each chain may stray from its direction."""
     of_chain: Int[Tensor, " c"]
     """Direction of each chain, -1 for none."""
 
@@ -36,7 +36,7 @@ class Families:
         """No direction."""
         nothing = torch.zeros(0, dtype=torch.long)
         zero = torch.zeros(0, dtype=torch.float64)
-        return Families(zero.reshape(0, 3), 0, nothing, zero, torch.full((chains,), -1))
+        return Families(zero.reshape(0, 3), 0, nothing, zero.new_ones(chains), torch.full((chains,), -1))
 
     @property
     def lone(self) -> int:
@@ -91,7 +91,7 @@ class LineProblem:
         by_circle = (points.by_circle[:, None] @ basis[chain])[:, 0] * scale[:, None]
         residual = torch.cat([points.px * scale, self._off(state)])
         d, n = state.direction[self._of_member], state.normal[self.members]
-        per = (self.weight[self.members] / self.families.stray_rad[self._of_member])[:, None]
+        per = (self.weight[self.members] / self.families.stray_rad[self.members])[:, None]
         by_member = (d[:, None] @ basis[self.members])[:, 0] * per
         by_kept = []
         if self.basis.shape[1]:
@@ -113,7 +113,7 @@ class LineProblem:
 
     def _off(self, state: CameraAndCircles) -> Float[Tensor, " m"]:
         off = (state.normal[self.members] * state.direction[self._of_member]).sum(-1)
-        return off * self.weight[self.members] / self.families.stray_rad[self._of_member]
+        return off * self.weight[self.members] / self.families.stray_rad[self.members]
 
     def retract(self, state: CameraAndCircles, kept: Tensor, eliminated: Tensor) -> CameraAndCircles:
         """Parameters along the basis; directions and normals across themselves; frames turned from the left."""

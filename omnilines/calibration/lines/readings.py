@@ -1,8 +1,8 @@
 """Edge points of chains as an adjustment takes them, and how far each is from the curve in which its line is seen.
 
-A chain is of one line of the world, which a central camera sees on a great circle with the normal n. Its point x, with the unit
-vector m across the edge, lies on the curve n . b(y) = 0 at y = x + t m. The distance t in pixels is the residual. As y lies on the
-curve, its derivatives are exact with first derivatives of the model alone: with g = (d b / d pixel)' n at y,
+A chain is of one line of the world, which a central camera sees on a great circle with the normal n. Its point x, with the
+unit vector m across the edge, lies on the curve n . b(y) = 0 at y = x + t m. The distance t in pixels is the residual. As y lies
+on the curve, its derivatives are exact with first derivatives of the model alone: with g = (d b / d pixel)' n at y,
 
     d t / d n = -b / (g . m),        d t / d parameters = g' (d pixel / d parameters) / (g . m).
 """

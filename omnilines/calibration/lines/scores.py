@@ -7,8 +7,8 @@ common, the covariance of the kept blocks is
 
     S^-1 (sum_c g_c g_c') S^-1
 
-(the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986). Chains of a photo may err together too: blur, a
-building that is not quite at right angles. Few photos do not tell a matrix; but they tell by how much, over all camera
+(the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986). Chains of a photo may err together too: blur,
+a building that is not quite at right angles. Few photos do not tell a matrix; but they tell by how much, over all camera
 parameters, the scores of photos are larger than independent chains explain, and that factor raises the covariance.
 """
 

@@ -1,4 +1,4 @@
-"""Which camera model suits a lens, by photos that its fit has not seen: as `calibration.select`, with lines in the place of boards.
+"""Which camera model suits a lens, by photos that its fit has not seen: `calibration.select` with lines for boards.
 
 All candidates are adjusted to the same pieces of edges with the same weights and families, those of the camera that led to them.
 What remains of a photo by the camera of all others (`calibration.held_out`) has its circles and directions fitted anew.
@@ -82,8 +82,10 @@ def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float) -
 
 
 def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> LineSelection:
-    """The model with the fewest parameters of those that predict photos as well as the best. Raises GeometryError where none could
-    be adjusted."""
+    """The model with the fewest parameters of those that predict photos as well as the best.
+
+    Raises GeometryError where none could be adjusted.
+    """
     sound = [(trial, trial.error) for trial in trials if trial.error is not None]
     if not sound:
         raise GeometryError(f"A camera model that follows the lines was expected, found none: {trials[0].failure}")

@@ -61,6 +61,12 @@ def shape_starts(
             if shape.rises(reach):
                 tried.append(_judged(nodes, shape, options))
     tried.sort(key=lambda start: -start.gain)
+    # The mean of r is 1 by chance: a gain of x or more has the probability exp(-x) at most (Markov's inequality).
+    if tried[0].gain < math.log(len(tried) * len(options.strays_px) / options.false_starts):
+        raise GeometryError(
+            f"Edges of straight lines were expected in the photos, found {len(nodes)} that bend as by chance; give photos of "
+            "buildings or rooms."
+        )
     refined = [_refined(nodes, start, options) for start in tried[: options.refined]]
     refined.sort(key=lambda start: -start.gain)
     apart: list[ShapeStart] = []
@@ -90,11 +96,27 @@ def _tried_terms(reach: float, options: LineStartThresholds) -> list[Float[np.nd
     return found
 
 
+def usual_focal(start: ShapeStart, options: LineStartThresholds = LineStartThresholds()) -> float:
+    """Focal length, in units of the shape, with which the lens is nearest to an equidistant or an equisolid one; of a lens with
+    little distortion, which is near to both with any, that with the usual field of view."""
+    reach = start.reach_px / start.shape.unit_px
+    rho = np.linspace(0.0, reach, SAMPLES)[1:]
+    h = start.shape.height(rho)[0]
+    if h[-1] > 1.0 - options.least_bend:
+        return float(reach / (h[-1] * math.tan(math.radians(options.usual_half_angle_deg))))
+    found = []
+    for half_angle in np.radians(np.arange(20.0, 160.0, 1.0)):
+        for theta in (half_angle * rho / reach, 2.0 * np.arcsin(np.sin(0.5 * half_angle) * rho / reach)):
+            focal = float((rho / np.tan(theta)) @ h / (h @ h))
+            found.append((float(np.square(np.arctan2(rho, focal * h) - theta).sum()), focal))
+    return min(found)[1]
+
+
 def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds, bend_sigma: float = math.inf) -> ShapeStart:
     """A shape with the stray that suits it best."""
     planes = planes_of(nodes, shape)
     ratios = [log_ratio(nodes, planes, stray) for stray in options.strays_px]
-    gains = [gain(ratio, options.share) for ratio in ratios]
+    gains = [gain(nodes, ratio, options.share) for ratio in ratios]
     best = int(np.argmax(gains))
     reach = float(np.linalg.norm(nodes.pixels - shape.centre, axis=-1).max())
     straight = ratios[best] + math.log(options.share / (1.0 - options.share)) > 0
@@ -102,8 +124,8 @@ def _judged(nodes: ChainNodes, shape: RadialShape, options: LineStartThresholds,
 
 
 def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds) -> ShapeStart:
-    """Gauss-Newton steps in (k1, k2, k3, centre), each chain with the probability that it is a line; the centre, and where nothing
-    tells it the curve, stay near where they began."""
+    """Gauss-Newton steps in (k1, k2, k3, centre), each chain with the probability that it is a line. The centre, and where
+    nothing tells it the curve, stay near where they began."""
     first, unit = np.concatenate([start.shape.terms, start.shape.centre / start.shape.unit_px]), start.shape.unit_px
     prior = np.array([options.term_sigma] * TERMS + [options.centre_sigma] * 2)
 
@@ -119,7 +141,7 @@ def _refined(nodes: ChainNodes, start: ShapeStart, options: LineStartThresholds)
         ratio = log_ratio(nodes, planes, best.stray_px)
         likely = 1.0 / (1.0 + np.exp(-np.clip(ratio + math.log(options.share / (1.0 - options.share)), -50.0, 50.0)))
         variance = np.square(nodes.sigma_px[:, None]) + best.stray_px**2
-        weight = likely[:, None] * (1.0 / variance - 1.0 / (variance + np.square(nodes.bend_px)))
+        weight = (nodes.weight * likely)[:, None] * (1.0 / variance - 1.0 / (variance + np.square(nodes.bend_px)))
         columns = []
         for step in STEP * np.eye(len(values)):
             columns.append((planes_of(nodes, shape_of(values + step)).bend_px - planes.bend_px) / STEP)

@@ -1,0 +1,54 @@
+"""omnilines check: photos + calibration -> whether it is still right, check.csv."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from camera_models import load
+from omnilines.commands.extract import read_mask
+from omnilines.commands.result import CommandResult
+from omnilines.files import find_photos
+from omnilines.files.folders import check_results
+from omnilines.files.sets import claimed
+from omnilines.pages.check import check_data, check_summaries
+from omnilines.pipelines.check import CHECK
+from omnilines.pipelines.check import check as pipeline
+from omnilines.pipelines.check_options import CheckOptions
+from omnilines.progress import ProgressCallback, silent
+from omnilines.records import Check
+
+
+def check(
+    photos: Sequence[Path],
+    calibration: Path,
+    out: Path | None = None,
+    *,
+    mask: Path | None = None,
+    options: CheckOptions = CheckOptions(),
+    progress: ProgressCallback = silent,
+) -> CommandResult:
+    """Say whether photos bear out a calibration, and write check.csv into `out` where it is given.
+
+    Raises InputError and GeometryError as `pipelines.check.check` does.
+    """
+    cameras, refs = load(calibration), find_photos(photos)
+    keep = None if mask is None else read_mask(mask, refs, list(cameras.values()))
+    read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
+    if out is not None:
+        check_results(out, [CHECK], read)
+    result = pipeline(refs, cameras, options, mask=keep, progress=progress)
+    files: tuple[Path, ...] = ()
+    if out is not None:
+        with claimed(out, result.file_names, read, by="check") as folder:
+            files = result.save(folder)
+    found = result.found
+    # Of what chance explains no drift is held against the camera.
+    drift = found.drift_px if found.probability < options.significance else 0.0
+    return CommandResult(
+        check_summaries(result),
+        check_data(result),
+        checks=(Check("drift beyond chance", drift, options.tolerance_px, "px", result.holds),),
+        files=files,
+        warnings=(result.verdict,),
+        details=result.skipped,
+        photos=len(refs),
+    )

@@ -1,0 +1,71 @@
+"""What a check of a calibration tells: tables and figures for `--json`."""
+
+import math
+from typing import Any
+
+from omnilines.pipelines.check import CheckResult
+from omnilines.records import Summary
+from omnilines.report.numbers import figure, with_sigma
+
+
+def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
+    """The verdict, what lines would change, and the drift by region."""
+    found = result.found
+    rows = (
+        ("photos used", f"{len(result.images)} of {len(result.images) + len(result.skipped)}"),
+        ("edges", f"{found.edges}, {found.members} of them along a direction"),
+        ("photos with lines at right angles", f"{found.frames}"),
+        ("statistic", f"{found.statistic:.1f}, chi-square of {found.freedom} degrees of freedom"),
+        ("probability of it by chance", f"{found.probability:.2g}"),
+        ("drift", f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})"),
+    )
+    names = found.model.PARAMETER_NAMES
+    changes = tuple(
+        (name, with_sigma(value, sigma))
+        for name, value, sigma in zip(names, found.change.tolist(), found.change_sigma.tolist(), strict=True)
+        if sigma > 0
+    )
+    regions = tuple(
+        (one.name, f"{_px(one.drift_px)} (known to {_px(one.sigma_px)}); {one.edges} pieces of edges, {_px(one.rms_px)} off")
+        for one in found.regions
+    )
+    return (
+        Summary("Check of a calibration", rows, (result.verdict,)),
+        Summary("Change of parameters that lines ask for", changes),
+        Summary("Drift by region", regions),
+    )
+
+
+def _px(value: float) -> str:
+    return "not seen" if math.isnan(value) else figure(value, unit="px")
+
+
+def check_data(result: CheckResult) -> dict[str, Any]:
+    """What `--json` prints; see docs/formats.md."""
+    found = result.found
+    names = found.model.PARAMETER_NAMES
+    return {
+        "holds": result.holds,
+        "verdict": result.verdict,
+        "statistic": found.statistic,
+        "freedom": found.freedom,
+        "probability": found.probability,
+        "drift_px": found.drift_px,
+        "sigma_px": found.sigma_px,
+        "change": dict(zip(names, found.change.tolist(), strict=True)),
+        "change_sigma": dict(zip(names, found.change_sigma.tolist(), strict=True)),
+        "regions": [
+            {
+                "region": one.name,
+                "edges": one.edges,
+                "rms_px": one.rms_px,
+                "drift_px": one.drift_px,
+                "sigma_px": one.sigma_px,
+            }
+            for one in found.regions
+        ],
+        "photos": list(result.images),
+        "edges": found.edges,
+        "along_directions": found.members,
+        "right_angles": found.frames,
+    }

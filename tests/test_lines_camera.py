@@ -1,0 +1,182 @@
+"""A camera from straight lines against edges drawn with known noise: exact derivatives, honest covariances, an honest check."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import omnilines as ol
+from camera_models import MODELS, CameraModel, OpenCVFisheye, model_class
+from omnilines.calibration.lines.camera import line_camera
+from omnilines.calibration.lines.check import line_check
+from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.readings import EdgeReadings, offsets
+from omnilines.calibration.lines.scores import LineScores
+from omnilines.cli import main
+from omnilines.evaluation.cameras import bearing_error_deg
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.line_camera import adjusted_camera, held_camera
+from omnilines.structure.options import DirectionsOptions
+
+FISHEYE = OpenCVFisheye([230.0, 230.8, 321.0, 238.0, -0.01, 0.002, -0.0015, 0.0001], (640, 480))
+OPTIONS = LineOptions()
+SIGMA_PX = 0.1
+
+
+def true_chains(model: CameraModel, seed: int, photos: int = 6, lines: int = 60, axes: int = 3) -> Chains:
+    """Edges along three axes at right angles (or fewer) and at random, seen from random turns, a point each 1.5 px or so, with
+    noise across the edge that all points have alone."""
+    rng = np.random.default_rng(seed)
+    image, chain, pixels, normals = [], [], [], []
+    for photo in range(photos):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        for k in range(lines):
+            way = turn[:, k % axes] if k % 4 else rng.normal(size=3)
+            way = way / np.linalg.norm(way)
+            middle = rng.normal(size=3)
+            middle *= rng.uniform(2.0, 5.0) / np.linalg.norm(middle)
+            place = middle + np.linspace(-1.0, 1.0, 60)[:, None] * way
+            if np.linalg.norm(place, axis=-1).min() < 0.5:
+                continue
+            seen, valid = model.project(place)
+            inside = valid & (seen >= 0).all(-1) & (seen < np.array(model.image_size)).all(-1)
+            inside &= place[:, 2] > math.cos(math.radians(95.0)) * np.linalg.norm(place, axis=-1)
+            if inside.sum() < 12 or not inside[np.flatnonzero(inside)[0] : np.flatnonzero(inside)[-1]].all():
+                continue
+            along = np.gradient(seen, axis=0)[inside]
+            across = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
+            image.append(photo)
+            chain.append(np.full(len(across), len(image) - 1))
+            pixels.append(seen[inside] + SIGMA_PX * rng.normal(size=(len(across), 1)) * across)
+            normals.append(across)
+    points = np.concatenate(chain)
+    return Chains(
+        tuple(f"{k}.png" for k in range(photos)),
+        model.image_size,
+        np.array(image),
+        points,
+        np.concatenate(pixels),
+        np.concatenate(normals),
+        np.full(len(points), SIGMA_PX),
+    )
+
+
+def disturbed(model: CameraModel, **changes: float) -> CameraModel:
+    values = model.named_parameters()
+    return model.with_parameters([value + changes.get(name, 0.0) for name, value in values.items()])
+
+
+CALIBRATED = [model for name, _ in MODELS for model in model_class(name).examples() if model.CALIBRATED]
+
+
+@pytest.mark.parametrize("model", CALIBRATED, ids=lambda model: model.NAME)
+def test_derivatives_of_distances_are_those_of_the_condition_that_holds_at_the_curve(model: CameraModel) -> None:
+    rng = torch.Generator().manual_seed(0)
+    size = torch.tensor(model.image_size, dtype=torch.float64)
+    place = (0.25 + 0.5 * torch.rand(40, 2, generator=rng, dtype=torch.float64)) * size
+    bearing, _ = model.unproject(place)
+    normal = torch.nn.functional.normalize(torch.linalg.cross(bearing[:20], bearing[20:]), dim=-1)
+    gradient = (normal[:, None] @ model.unproject_jacobian(place[:20]))[:, 0]
+    across = torch.nn.functional.normalize(gradient, dim=-1)
+    points, chain = place[:20] + 0.7 * across, torch.arange(20)
+    readings = EdgeReadings(torch.zeros(20, dtype=torch.long), 1, chain, points, across, torch.ones(20, dtype=torch.float64))
+    found = offsets(model, readings, normal)
+    assert bool(found.valid.all()) and float((found.px + 0.7).abs().max()) < 0.05
+
+    def off(parameters: torch.Tensor, circle: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        seen, _ = model.with_parameters(parameters).unproject(points + t[:, None] * across)
+        return (seen * circle).sum(-1)
+
+    by_parameter, by_circle, by_t = torch.autograd.functional.jacobian(off, (model.parameters, normal, found.px))
+    slope = by_t.diagonal()[:, None]
+    assert float(off(model.parameters, normal, found.px).abs().max()) < 1e-9
+    torch.testing.assert_close(found.by_parameter, -by_parameter / slope, rtol=1e-8, atol=1e-8 * float(by_parameter.abs().max()))
+    torch.testing.assert_close(found.by_circle, -by_circle.diagonal(dim1=0, dim2=1).mT / slope, rtol=1e-8, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
+def test_camera_comes_back_from_a_disturbed_start_within_its_covariance(seed: int) -> None:
+    chains = true_chains(FISHEYE, seed)
+    start = disturbed(FISHEYE, fx=6.0, fy=6.0, cx=-5.0, cy=4.0, k1=0.01)
+    done = adjusted_camera(start, chains)
+    fit = line_camera(done, chains.images, OPTIONS)
+    assert done.settled and not fit.open_terms and done.families.frames == 6
+    rms_deg, _ = bearing_error_deg(fit.model, FISHEYE, math.radians(90.0))
+    assert rms_deg < 0.1 < bearing_error_deg(start, FISHEYE, math.radians(90.0))[0]
+    change = fit.model.parameters - FISHEYE.parameters
+    distance = float(change @ torch.linalg.solve(torch.as_tensor(fit.covariance), change))
+    # Of 8 degrees of freedom; once in 1e4.
+    assert distance < 32.0
+    assert 0.99 < sum(photo.leverage for photo in fit.photos) < 1.001
+
+
+def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:
+    chains = true_chains(FISHEYE, 0, axes=1)
+    fit = line_camera(adjusted_camera(FISHEYE, chains), chains.images, OPTIONS)
+    assert any("fx" in names and "fy" in names for names in fit.open_terms)
+    assert "focal length" in fit.notes[0]
+    assert fit.sigma["fx"] > 5.0
+
+
+def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
+    done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 3))
+    scores = LineScores.of(done.problem, done.state)
+    pull = done.prior.root.mT @ done.prior.residuals(done.model, scores.camera).residual
+    unit = scores.score_covariance.diagonal().sqrt()
+    assert float(((scores.of_camera.sum(0) + pull) / unit).abs().max()) < 1e-2
+    whole = scores.photo_information(done.problem, done.state).sum(0) + scores.prior
+    torch.testing.assert_close(whole, scores.camera_information, rtol=1e-6, atol=1e-6 * float(whole.abs().max()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, False),
+        ({"fx": 1.15, "fy": 1.15}, True),
+        pytest.param({"cx": 3.0}, True, marks=pytest.mark.full),
+        pytest.param({"cy": -3.0}, True, marks=pytest.mark.full),
+    ],
+)
+def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], refused: bool) -> None:
+    chains, model = true_chains(FISHEYE, 1, photos=8), disturbed(FISHEYE, **changes)
+    weighted, families, scores, basis = held_camera(model, chains, OPTIONS, DirectionsOptions())
+    found = line_check(model, weighted, scores, basis, None, members=0, frames=families.frames)
+    assert found.refused(0.001, 0.1) is refused
+    assert found.freedom == 8
+    # A camera that is known no better than that is not contradicted.
+    wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
+    assert not line_check(model, weighted, scores, basis, wide, members=0, frames=families.frames).refused(0.001, 0.1)
+
+
+@pytest.mark.full
+def test_a_room_calibrates_and_checks_a_fisheye_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room, out = tmp_path / "room", tmp_path / "out"
+    ol.render("plain-room", "opencv-fisheye", fov_deg=190, views=6, size_px=(800, 600), seed=1).save(room)
+    assert main(["calibrate", str(room), "--pattern", "lines", "--model", "opencv-fisheye", "--out", str(out), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["data"]["open"] == [] and (out / "report.html").is_file()
+    truth, found = ol.load(room / "calibration.yaml")["cam0"], ol.load(out / "calibration.yaml")
+    assert bearing_error_deg(found["cam0"], truth, math.radians(found.estimates["cam0"].max_angle_deg or 0.0))[0] < 0.1
+    assert main(["check", str(room), "--calibration", str(room / "calibration.yaml"), "--out", str(tmp_path / "check")]) == 0
+    assert len((tmp_path / "check" / "check.csv").read_text().splitlines()) == 10
+    wrong = tmp_path / "wrong.yaml"
+    ol.save(wrong, ol.Calibration({"cam0": disturbed(truth, cx=4.0)}))
+    assert main(["check", str(room), "--calibration", str(wrong)]) == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--mirror"], ["--refine-board", "aspect"], ["--set", "calibration.searches=1"], ["--loss", "huber"]],
+)
+def test_what_does_not_count_with_lines_is_refused(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["calibrate", str(tmp_path), "--pattern", "lines", "--out", str(tmp_path / "out"), *options]
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "counts only with a target" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
