@@ -31,6 +31,7 @@ SCENE_VERBS = "extract directions given_arcs estimate_poses reconstruct adjust t
 SCENE_RESULTS = "PhotoArcs PhotoPoses Scene RectifiedViews ExtractionOptions PosingOptions MatchingOptions SceneOptions".split()
 EXPORT = "export SceneExport".split()
 DIRECTIONS = "PhotoDirections DirectionsOptions".split()
+FROM_LINES = "calibrate_lines check LineResult LinesOptions CheckResult CheckOptions".split()  # run in test_lines_camera.py
 TRUTH_RESULTS = "RenderOptions RenderedTargets RenderedScene Validation SceneValidation".split()
 TABLES = "Corners ImagePoses Segments Lines".split()
 FILES = [
@@ -45,7 +46,20 @@ LENS = camera_models.OpenCVFisheye([150.0, 150.0, 319.5, 239.5, 0.02, -0.004, 0.
 def test_exported_names_are_these() -> None:
     """A name that goes, or comes, is a decision: it stands here, in the changelog and in the documents."""
     assert sorted(ol.__all__) == sorted(
-        [*VIDEO, *VERBS, *RESULTS, *SCENE_VERBS, *SCENE_RESULTS, *EXPORT, *DIRECTIONS, *TRUTH_RESULTS, *TABLES, *FILES, *OTHERS]
+        [
+            *VIDEO,
+            *VERBS,
+            *RESULTS,
+            *SCENE_VERBS,
+            *SCENE_RESULTS,
+            *EXPORT,
+            *DIRECTIONS,
+            *FROM_LINES,
+            *TRUTH_RESULTS,
+            *TABLES,
+            *FILES,
+            *OTHERS,
+        ]
     )
     assert dir(ol) == sorted(ol.__all__) and dir(camera_models) == sorted(camera_models.__all__)
 

@@ -1,7 +1,7 @@
 """The projection uncertainty of a camera over its image, as pages draw it and state it."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ MAP_STEPS = 64
 """Pixels along the longer side of the image at which the projection uncertainty is drawn."""
 
 
+@runtime_checkable
 class CertainCamera(Protocol):
     """A camera with a covariance of its parameters, and how far off axis the data reach."""
 

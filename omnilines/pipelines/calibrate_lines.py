@@ -138,7 +138,7 @@ def calibrate_lines(
         arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
-    trials = [_trial(one, guide, start, done, options, progress) for one in candidates]
+    trials = [_trial(one, guide, start, done, lines, options, progress) for one in candidates]
     selection = chosen_trial(trials, options.held_out)
     if selection.chosen.candidate != guide:
         assert selection.chosen.model is not None
@@ -190,6 +190,7 @@ def _trial(
     guide: Candidate,
     start: CameraStart,
     done: LineAdjustment,
+    lines: LinesOptions,
     options: CalibrationOptions,
     progress: ProgressCallback,
 ) -> LineTrial:
@@ -198,7 +199,9 @@ def _trial(
     if candidate == guide:
         return trial_of(candidate, done, beyond)
     try:
-        return trial_of(candidate, readjusted_camera(start.camera(candidate.model, **candidate.options), done), beyond)
+        return trial_of(
+            candidate, readjusted_camera(start.camera(candidate.model, **candidate.options), done, lines.adjustment), beyond
+        )
     except (GeometryError, InputError) as error:
         return LineTrial(candidate, str(error))
 

@@ -41,7 +41,14 @@ def adjusted_camera(
     model, basis = start.calibrated_form(), start.calibration_basis()
     readings = longest(EdgeReadings.of(chains), options.most_chains)
     if prior is None:
-        prior = CameraPrior.of(model, basis, readings.pixels, options.prior_share)
+        prior = CameraPrior.of(
+            model,
+            basis,
+            readings.pixels,
+            options.prior_share,
+            aspect_sigma=options.aspect_sigma,
+            centre_share=options.centre_share,
+        )
     for done in range(options.rounds):
         progress("adjusting the camera to lines", done, options.rounds)
         weighted = weighted_chains(model, readings, options)
@@ -59,7 +66,7 @@ def adjusted_camera(
     return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
 
 
-def readjusted_camera(start: CameraModel, like: LineAdjustment) -> LineAdjustment:
+def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOptions) -> LineAdjustment:
     """Another camera adjusted to the same pieces of edges, with the same weights and families. Raises GeometryError where it does
     not see them."""
     model, basis, chains = start.calibrated_form(), start.calibration_basis(), like.chains
@@ -68,7 +75,14 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment) -> LineAdjustmen
     seen = float((at.valid & own).sum() / own.sum())
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
-    prior = CameraPrior.of(model, basis, chains.blocks.pixels, like.prior.share)
+    prior = CameraPrior.of(
+        model,
+        basis,
+        chains.blocks.pixels,
+        options.prior_share,
+        aspect_sigma=options.aspect_sigma,
+        centre_share=options.centre_share,
+    )
     problem = LineProblem(chains.blocks, like.families, basis, chains.weight, prior)
     begin = CameraAndCircles(model, normal, like.families.direction)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)

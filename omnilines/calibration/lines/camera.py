@@ -1,6 +1,5 @@
 """A camera adjusted to straight lines: how certain it is, what it rests on, and what the lines leave open."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +17,6 @@ from omnilines.calibration.lines.problem import CameraAndCircles, Families, Line
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.weighting import WeightedChains, residual_px
 from omnilines.least_squares.variance import VarianceFactor
-
-NORMAL = VarianceFactor(1.0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -89,8 +86,11 @@ class LineCamera:
 
     @property
     def interval_95(self) -> Float[np.ndarray, "p 2"]:
-        """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
-        return linear_intervals(self.model.parameters, torch.as_tensor(self.covariance), NORMAL.sigmas(SHARE)).numpy()
+        """Lowest and highest value of each parameter, which hold it in 95 of 100 cases: Student's, with the photos that count
+        less one as freedom, as the scatter of photos is in the covariance."""
+        freedom = max(sum(photo.straight > 0 for photo in self.photos) - 1, 1)
+        sigmas = VarianceFactor(1.0, float(freedom)).sigmas(SHARE)
+        return linear_intervals(self.model.parameters, torch.as_tensor(self.covariance), sigmas).numpy()
 
 
 def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOptions) -> LineCamera:
@@ -153,8 +153,8 @@ def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...
 
 def _open_terms(done: LineAdjustment, share: float) -> tuple[str, ...]:
     """Directions in which the camera remains about as uncertain as it was at the start, by the parameters that move most."""
-    root = torch.linalg.pinv(done.prior.root)
-    left = done.prior.root @ done.scores.covariance @ done.prior.root.mT
+    root = torch.linalg.pinv(done.prior.wide)
+    left = done.prior.wide @ done.scores.covariance @ done.prior.wide.mT
     values, vectors = torch.linalg.eigh(left)
     names = done.model.PARAMETER_NAMES
     weight = done.prior.information.diagonal().sqrt()

@@ -25,6 +25,10 @@ class LineOptions:
     prior_share: float = 0.1
     """Standard deviation, as a share of half the image's longer side, by which the start camera may be off in each direction of
     its parameters: it counts where lines say nothing."""
+    aspect_sigma: float = 0.005
+    """Standard deviation by which pixels are not square."""
+    centre_share: float = 0.06
+    """Standard deviation of the centre about that of the start, as a share of half the image's longer side."""
     open_share: float = 0.3
     """A direction of the parameters that remains uncertain by more than this share of that is named as not seen."""
     rounds: int = 12

@@ -27,14 +27,22 @@ class CameraPrior:
     """Residuals of the parameters, whitened."""
 
     start: Float[Tensor, " p"]
-    root: Float[Tensor, "r q"]
-    """P = root' root, along the basis."""
+    wide: Float[Tensor, "q q"]
+    """P = wide' wide, along the basis."""
+    usual: Float[Tensor, "u q"]
+    """What is usual of any camera: square pixels, the centre in the middle."""
     basis: Float[Tensor, "p q"]
-    share: float
-    """Of half the image's longer side, s."""
 
     @staticmethod
-    def of(model: CameraModel, basis: Float[Tensor, "p q"], seen_px: Float[Tensor, "n 2"], share: float) -> "CameraPrior":
+    def of(
+        model: CameraModel,
+        basis: Float[Tensor, "p q"],
+        seen_px: Float[Tensor, "n 2"],
+        share: float,
+        *,
+        aspect_sigma: float,
+        centre_share: float,
+    ) -> "CameraPrior":
         """About a start camera, over the part of the image in which edges are seen."""
         reach = float(angles_off_axis(model, seen_px).max())
         grid = supported_grid(model, reach)
@@ -45,11 +53,17 @@ class CameraPrior:
         unit = information.diagonal().clamp_min(1e-300).rsqrt()
         values, vectors = torch.linalg.eigh(information * unit[:, None] * unit)
         values = values.clamp_min(LEAST_SHARE)
-        return CameraPrior(model.parameters.detach().clone(), values.sqrt()[:, None] * vectors.mT / unit, basis, share)
+        wide, usual = values.sqrt()[:, None] * vectors.mT / unit, _usual(model, aspect_sigma, centre_share) @ basis
+        return CameraPrior(model.parameters.detach().clone(), wide, usual, basis)
+
+    @property
+    def root(self) -> Float[Tensor, "r q"]:
+        """Rows of all that is known."""
+        return torch.cat([self.wide, self.usual])
 
     @property
     def information(self) -> Float[Tensor, "q q"]:
-        """P."""
+        """Of all that is known."""
         return self.root.mT @ self.root
 
     def residuals(self, model: CameraModel, kept: int) -> KeptPrior:
@@ -57,3 +71,19 @@ class CameraPrior:
         change = self.basis.mT @ (model.parameters - self.start)
         padding = self.root.new_zeros(len(self.root), kept - self.root.shape[1])
         return KeptPrior(self.root @ change, torch.cat([self.root, padding], -1))
+
+
+def _usual(model: CameraModel, aspect_sigma: float, centre_share: float) -> Float[Tensor, "u p"]:
+    """Derivatives, by the parameters, of the ratio of both focal lengths and of the centre, over their standard deviations."""
+    values = model.named_parameters()
+    place = {name: k for k, name in enumerate(values)}
+    centre = centre_share * 0.5 * max(model.image_size)
+    rows = [{"cx": 1.0 / centre}, {"cy": 1.0 / centre}, {"c": 1.0 / aspect_sigma}, {"d": 1.0 / aspect_sigma}]
+    if "fx" in values and "fy" in values:
+        rows.append({"fx": -1.0 / (aspect_sigma * values["fx"]), "fy": 1.0 / (aspect_sigma * values["fy"])})
+    table = torch.zeros(len(rows), len(values), dtype=torch.float64)
+    for row, entries in zip(table, rows, strict=True):
+        for name, value in entries.items():
+            if name in place:
+                row[place[name]] = value
+    return table
