@@ -1,5 +1,6 @@
 """A camera adjusted to straight lines: how certain it is, what it rests on, and what the lines leave open."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -113,7 +114,7 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
         min_angle_deg=low,
         max_angle_deg=high,
         open_terms=open_terms,
-        notes=_notes(done, open_terms),
+        notes=(*_notes(done, open_terms), *_on_right_angles(done, basis @ done.scores.covariance @ basis.mT)),
     )
 
 
@@ -164,6 +165,28 @@ def _open_terms(done: LineAdjustment, share: float) -> tuple[str, ...]:
         size = direction.abs() / direction.abs().max()
         found.append(" ".join(names[i] for i in torch.nonzero(size > 0.5).flatten().tolist()))
     return tuple(found)
+
+
+def _on_right_angles(done: LineAdjustment, covariance: Float[Tensor, "p p"]) -> tuple[str, ...]:
+    """What right angles that are off would do, where that is more than the standard deviation of the focal length.
+
+    They are taken as exact, and all photos of one building share what they are off by: nothing in the photos shows it. An angle
+    that is off by t moves the focal length of a perspective camera by the share t, where its lines meet 45 degrees off the axis.
+    """
+    in_frame = (done.families.of_chain >= 0) & (done.families.of_chain < 3 * done.families.frames) & (done.chains.weight > 0)
+    if not bool(in_frame.any()):
+        return ()
+    stray = float(done.families.stray_rad[in_frame].median())
+    names = list(done.model.PARAMETER_NAMES)
+    focal = names.index("fx" if "fx" in names else "a0")
+    known = float(covariance[focal, focal].sqrt() / done.model.parameters[focal].abs())
+    if stray < known:
+        return ()
+    return (
+        f"Lines stray from their directions by {math.degrees(stray):.2g} degrees (median). Where the right angles of what was "
+        f"photographed are off by as much, the focal length is off by about {100 * stray:.2g} percent, which its standard "
+        "deviation does not hold.",
+    )
 
 
 def _notes(done: LineAdjustment, open_terms: tuple[str, ...]) -> tuple[str, ...]:
