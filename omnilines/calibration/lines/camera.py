@@ -183,7 +183,7 @@ def _on_right_angles(done: LineAdjustment, covariance: Float[Tensor, "p p"]) -> 
     if stray < known:
         return ()
     return (
-        f"Lines stray from their directions by {math.degrees(stray):.2g} degrees (median). Where the right angles of what was "
+        f"Lines stray from their directions by {math.degrees(stray):.2f} degrees (median). Where the right angles of what was "
         f"photographed are off by as much, the focal length is off by about {100 * stray:.2g} percent, which its standard "
         "deviation does not hold.",
     )
