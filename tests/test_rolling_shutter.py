@@ -184,7 +184,7 @@ def test_a_rig_of_two_rolling_shutters_that_run_freely() -> None:
     assert len(result.line_delays) == 2 and result.rms_px_per_axis < 1.02 * NOISE_PX
     for member, true_s in zip(result.members, truth, strict=True):
         assert member.line_delay is not None and f"{member.name}.line_delay_s" in result.names
-        assert abs(member.line_delay.delay_s - true_s) < 4 * member.line_delay.sigma_s < 1e-6
+        assert abs(member.line_delay.delay_s - true_s) < 4 * member.line_delay.sigma_s < 4e-6
     second = result.members[1]
     assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
     assert abs(second.time_offset_s - 0.0137) < 4 * second.time_offset_sigma_s < 2e-4
