@@ -10,7 +10,7 @@ import torch
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.lines.select import LineSelection
-from omnilines.pages.calibration import projection_curve, supported_circle_px
+from omnilines.pages.calibration import calibration_verdict, projection_curve, supported_circle_px
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_lines import LineResult
 from omnilines.records import Summary
@@ -33,13 +33,14 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         ("field of view supported by the data", f"{fit.min_angle_deg:.1f} to {fit.max_angle_deg:.1f} degrees off axis"),
         ("projection uncertainty in it", f"{figure(median, unit='px')} (median), {figure(largest, unit='px')} (worst)"),
     )
+    verdict = calibration_verdict(median, largest, (fit.min_angle_deg, fit.max_angle_deg), None)
     parameters = tuple((name, with_sigma(value, fit.sigma[name])) for name, value in model.named_parameters().items())
     photos = tuple(
         (p.image, f"{p.straight} edges, {p.members} along {p.directions} directions, {figure(p.rms_px, '.3f', unit='px')}")
         for p in used
     )
     summaries = [
-        Summary("Calibration from straight lines", rows, result.notes),
+        Summary("Calibration from straight lines", rows, result.notes, verdict=verdict),
         Summary("Parameters ± one standard deviation", parameters),
         Summary("Photos", photos, of_photos=True),
     ]
