@@ -6,23 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from camera_models.errors import InputError
-from camera_models.formats.disk import read_text
+from camera_models.formats.parsed_text import parsed_text
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a file; raises InputError where it is no TOML."""
-    content = read_text(path)
-    try:
-        return tomllib.loads(content)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; correct it or restore the file.") from None
-    except ValueError:  # a number of more digits than Python reads
-        raise InputError(
-            f"{path} was expected to hold numbers within reason, found one of thousands of digits; restore it."
-        ) from None
-    except RecursionError:
-        raise InputError(f"{path} is nested too deeply for a calibration; restore the file.") from None
+    content: dict[str, Any] = parsed_text(path, tomllib.loads, _syntax)
+    return content
+
+
+def _syntax(error: ValueError) -> str | None:
+    return f" is not valid TOML: {error}" if isinstance(error, tomllib.TOMLDecodeError) else None
 
 
 def toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:

@@ -12,6 +12,7 @@ from camera_models.pose import Pose
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.lines.select import LineSelection
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
@@ -50,7 +51,7 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
         row = ("line delay", f"{result.line_delay.text}, {result.line_delay.order}")
         summaries.append(Summary("Rolling shutter ± one standard deviation", (row,)))
     if selection is not None:
-        summaries.append(Summary("Camera models: RMS px per point in sample, held out", _trial_rows(selection)))
+        summaries.append(Summary("Camera models: RMS px per point in sample, held out", trial_rows(selection, "views")))
     if calibrated.next_views is not None:
         summaries.append(next_views_summary(calibrated.next_views))
     return tuple(summaries)
@@ -73,13 +74,16 @@ def _parameter_text(result: CameraCalibration, name: str, value: float) -> str:
     return with_sigma(value, sigma) + (f", 95 %: {low:.6g} to {high:.6g}" if result.curved and low < high else "")
 
 
-def _trial_rows(selection: Selection) -> tuple[tuple[str, str], ...]:
+def trial_rows(selection: Selection | LineSelection, left_out: str) -> tuple[tuple[str, str], ...]:
+    """How the candidates compare by what was left out of each fit in turn."""
     rows = []
     for trial in selection.trials:
         if trial.failure is not None:
             text = f"not fitted: {trial.failure}"
         else:
-            held_out = figure(trial.held_out_px, ".4f") if math.isfinite(trial.held_out_px) else "open without one of the views"
+            held_out = (
+                figure(trial.held_out_px, ".4f") if math.isfinite(trial.held_out_px) else f"open without one of the {left_out}"
+            )
             text = f"{figure(trial.in_sample_px, '.4f')}, {held_out}, {trial.parameters} parameters"
             text += "" if trial.monotone else ", folds back just beyond the data"
         rows.append((trial.candidate.label + (" (taken)" if trial is selection.chosen else ""), text))

@@ -1,6 +1,5 @@
 """What a calibration from straight lines tells: figures for tables and `--json`, and the sections of its report."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,7 @@ import torch
 
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
-from omnilines.calibration.lines.select import LineSelection
-from omnilines.pages.calibration import calibration_verdict, projection_curve, supported_circle_px
+from omnilines.pages.calibration import calibration_verdict, projection_curve, supported_circle_px, trial_rows
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_lines import LineResult
 from omnilines.records import Summary
@@ -45,21 +43,10 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         Summary("Photos", photos, of_photos=True),
     ]
     if len(result.selection.trials) > 1:
-        summaries.append(Summary("Camera models: RMS px across edges in sample, held out", _trial_rows(result.selection)))
+        summaries.append(
+            Summary("Camera models: RMS px across edges in sample, held out", trial_rows(result.selection, "photos"))
+        )
     return tuple(summaries)
-
-
-def _trial_rows(selection: LineSelection) -> tuple[tuple[str, str], ...]:
-    rows = []
-    for trial in selection.trials:
-        if trial.failure is not None:
-            text = f"not fitted: {trial.failure}"
-        else:
-            held_out = figure(trial.held_out_px, ".4f") if math.isfinite(trial.held_out_px) else "open without one of the photos"
-            text = f"{figure(trial.in_sample_px, '.4f')}, {held_out}, {trial.parameters} parameters"
-            text += "" if trial.monotone else ", folds back just beyond the data"
-        rows.append((trial.candidate.label + (" (taken)" if trial is selection.chosen else ""), text))
-    return tuple(rows)
 
 
 def line_calibration_data(result: LineResult) -> dict[str, Any]:

@@ -25,14 +25,17 @@ class SceneFormat(NamedTuple):
     files: tuple[str, ...]
     """Names that are written in this format, as shell patterns in lower case."""
     write: Callable[..., tuple[str, ...]]
-    """(path, scene) -> what the format has no place for."""
+    """(path, scene) -> what the format has no place for; of one that names photos, the way to them after these."""
+    parts: tuple[str, ...] = ()
+    """Files of a format that is a folder."""
+    names_photos: bool = False
 
 
 SCENE_FORMATS = (
     SceneFormat("dxf", "DXF", ("*.dxf",), write_dxf),
     SceneFormat("glb", "GLB", ("*.glb",), write_glb),
-    SceneFormat("nerfstudio", "Nerfstudio", ("*.json",), write_nerfstudio),
-    SceneFormat("limap", "LIMAP", ("*limap*",), write_limap),
+    SceneFormat("nerfstudio", "Nerfstudio", ("*.json",), write_nerfstudio, names_photos=True),
+    SceneFormat("limap", "LIMAP", ("*limap*",), write_limap, LIMAP_FILES),
 )
 
 
@@ -52,17 +55,18 @@ class SceneExport:
         """Write the file or folder; the files, and what is lost or fitted. Raises InputError where the format does not hold the
         scene, or a file cannot be written."""
         out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
-        if self.writer.name == "limap":
-            with claimed(out, LIMAP_FILES, self.read, by="export limap") as folder:
+        parts = self.writer.parts
+        if parts:
+            with claimed(out, parts, self.read, by=f"export {self.writer.name}") as folder:
                 lost = self.writer.write(folder, self.scene)
-            return tuple(out / name for name in LIMAP_FILES), lost
+            return tuple(out / name for name in parts), lost
         with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
             lost = self.writer.write(out, self.scene, *self._way())
         return (out,), lost
 
     def _way(self) -> tuple[str, ...]:
         """From a file of frames to the photos."""
-        if self.writer.name != "nerfstudio" or self.photos is None:
+        if self.photos is None:
             return ()
         way = Path(os.path.relpath(os.path.abspath(self.photos), os.path.abspath(self.out.parent))).as_posix()
         return ("" if way == "." else f"{way}/",)
@@ -83,7 +87,7 @@ def export(
     """
     path = Path(out)
     writer = _format_of(path, to_format)
-    if photos is not None and writer.name != "nerfstudio":
+    if photos is not None and not writer.names_photos:
         raise InputError(f"`photos` is for nerfstudio, whose frames name them, found {writer.name}; leave it out.")
     if photos is not None and not Path(photos).is_dir():
         raise InputError(f"`photos` was expected to be the folder of the photos, found {photos}, which is none.")
