@@ -178,7 +178,7 @@ def test_a_room_calibrates_and_checks_a_fisheye_without_a_board(tmp_path: Path, 
 
 @pytest.mark.parametrize(
     "options",
-    [["--mirror"], ["--refine-board", "aspect"], ["--set", "calibration.searches=1"], ["--loss", "huber"]],
+    [["--mirror"], ["--rolling-shutter"], ["--refine-board", "aspect"], ["--set", "calibration.searches=1"], ["--loss", "huber"]],
 )
 def test_what_does_not_count_with_lines_is_refused(
     options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

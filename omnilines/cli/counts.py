@@ -116,7 +116,11 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     "calibrate": (
         Rule(("lines.",), _of_lines, "with `pattern` lines"),
-        Rule(("loss", "mirror", "refine_board", "detection.", *OF_TARGET), _of_target, "with a target, found `pattern` lines"),
+        Rule(
+            ("loss", "mirror", "refine_board", "rolling_shutter", "detection.", *OF_TARGET),
+            _of_target,
+            "with a target, found `pattern` lines",
+        ),
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
         Rule(("split",), lambda call: not _of_table(call), "with photos, found a table"),

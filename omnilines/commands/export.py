@@ -14,5 +14,5 @@ def export(scene: Path, out: Path, *, to_format: str | None = None, photos: Path
     lines, poses = int(made.scene.lines.known.sum()), len(made.scene.poses)
     rows = (("lines", f"{lines}, in {made.scene.lines.unit.words}"), ("photos", str(poses)), ("written", str(out)))
     data = {"format": made.writer.name, "lines": lines, "photos": poses, "lost": list(lost)}
-    note = f"{out}: not kept, or changed: {'; '.join(lost)}."
+    note = f"{out}: not kept, or changed: {'; '.join(one.rstrip('.') for one in lost)}."
     return CommandResult((Summary(f"Scene -> {made.writer.title}", rows),), data, files=files, warnings=(note,))
