@@ -1,8 +1,15 @@
 """What the tests of the CSV tables share."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of the file, which is closed again: an open one fails the test that the next collection falls into."""
+    with np.load(path) as arrays:
+        return dict(arrays)
 
 
 def assert_same(a: Any, b: Any) -> None:

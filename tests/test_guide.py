@@ -167,7 +167,8 @@ def test_the_page_is_for_who_has_its_address(tmp_path: pathlib.Path, frames: lis
         with urllib.request.urlopen(address + "state.json") as answer:
             assert json.load(answer)["kept"] == 1 and answer.headers["Cache-Control"] == "no-store"
         for name in ("live.jpg", "map.jpg"):
-            picture = urllib.request.urlopen(address + name).read()
+            with urllib.request.urlopen(address + name) as answer:
+                picture = answer.read()
             assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR) is not None
         elsewhere = [
             (f"http://127.0.0.1:{port}/", {}, None),
@@ -177,10 +178,11 @@ def test_the_page_is_for_who_has_its_address(tmp_path: pathlib.Path, frames: lis
             (f"http://127.0.0.1:{port}/wrong/finish", {}, b""),
         ]
         for url, headers, body in elsewhere:
-            with pytest.raises(urllib.error.HTTPError, match="404"):
+            with pytest.raises(urllib.error.HTTPError, match="404") as refused:
                 urllib.request.urlopen(urllib.request.Request(url, data=body, headers=headers))
+            refused.value.close()
         assert not session.over.is_set()
-        urllib.request.urlopen(urllib.request.Request(address + "finish", data=b""))
+        urllib.request.urlopen(urllib.request.Request(address + "finish", data=b"")).close()
         assert session.over.is_set()
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(address)

@@ -11,6 +11,7 @@ import pytest
 import scipy.stats
 import torch
 from rig_views import BOARD, RigScene, boards_at, looking_along, mixed_rig, outward_rig
+from table_checks import read_npz
 
 from calib_patterns import pattern
 from calib_patterns.rendering import graded_background, render_target
@@ -48,7 +49,7 @@ def test_table_to_calibration_with_rig_and_covariance(mixed):
     assert list(found) == list(rig.names) == list(found.rig)
     assert [model.NAME for model in found.values()] == ["pinhole", "opencv-fisheye", "scaramuzza"]
     assert found.estimates["cam2"].sign_source == "rig"
-    joint = np.load(folder / "out/covariance.npz")
+    joint = read_npz(folder / "out/covariance.npz")
     names = joint["name"].tolist()
     assert len(names) == sum(len(model.parameters) for model in found.values()) + 12 and len(set(names)) == len(names)
     off = [found[name].parameters - truth.parameters for name, truth in zip(rig.names, rig.models, strict=True)]
@@ -141,7 +142,7 @@ def off_truth(out: Path, rig: RigScene) -> tuple[np.ndarray, np.ndarray]:
     found = load(out / "calibration.yaml")
     off = [found[name].parameters - truth.parameters for name, truth in zip(found, rig.models, strict=True)]
     off += [(found.rig[name].cam_from_rig @ rig.cam_from_rig[c].inverse()).log() for c, name in enumerate(found) if c]
-    return torch.cat(off).numpy(), np.load(out / "covariance.npz")["covariance"]
+    return torch.cat(off).numpy(), read_npz(out / "covariance.npz")["covariance"]
 
 
 def check_truth(out: Path, rig: RigScene, label: str) -> None:

@@ -49,7 +49,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
 
 @pytest.mark.slow
 def test_wheel_holds_exactly_the_three_packages(wheel: pathlib.Path) -> None:
-    names = set(zipfile.ZipFile(wheel).namelist())
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
     own = {name for name in names if not name.startswith(f"omnilines-{version('omnilines')}.dist-info/")}
     in_tree = {
         path.relative_to(ROOT).as_posix()

@@ -62,7 +62,7 @@ def scaramuzza(fov_deg: float, focal_px: float) -> Scaramuzza:
 def york_table() -> dict[str, np.ndarray]:
     """The three directions of each photo as rows."""
     rows = defaultdict(list)
-    for row in csv.DictReader((YORK / "vanishing_directions.csv").open()):
+    for row in csv.DictReader((YORK / "vanishing_directions.csv").read_text().splitlines()):
         rows[row["image"]].append([float(row[axis]) for axis in "xyz"])
     return {image: np.array(own) for image, own in rows.items()}
 
@@ -139,7 +139,7 @@ def ed_lines(grey: np.ndarray) -> np.ndarray | None:
 
 def line_rows(photos: list[str], source: CameraModel) -> list[list[str]]:
     labelled = defaultdict(list)
-    for row in csv.DictReader((YORK / "lines.csv").open()):
+    for row in csv.DictReader((YORK / "lines.csv").read_text().splitlines()):
         labelled[row["image"]].append([float(row[key]) for key in ("u1_px", "v1_px", "u2_px", "v2_px")])
     images = {image: read_photo(YORK / "images" / image) for image in photos}
     found: dict[str, dict[str, np.ndarray]] = {}

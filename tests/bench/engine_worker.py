@@ -46,7 +46,8 @@ def engine_of(scene: Street, arcs: Any, lines_only: bool) -> tuple[LineEngine, L
 
 def main() -> None:
     """See the head of the file."""
-    stored = np.load(sys.argv[1])
+    with np.load(sys.argv[1]) as arrays:
+        stored = dict(arrays)
     fields = ("rotation", "translation", "ends_m", "image", "track", "ends_px")
     scene, what = Street(*(stored[name] for name in fields)), sys.argv[2]
     torch.set_num_threads(int(sys.argv[3]))

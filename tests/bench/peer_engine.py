@@ -115,7 +115,9 @@ def timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
 
 def main() -> None:
     """See the head of the file."""
-    street, what, threads, most = dict(np.load(sys.argv[1])), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+    with np.load(sys.argv[1]) as arrays:
+        street = dict(arrays)
+    what, threads, most = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
     seconds = {}
     for steps in sorted({FEW, MANY, most}):
         (wall, own, problem), whole = adjuster(street, what, threads, steps)
