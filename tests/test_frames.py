@@ -76,6 +76,7 @@ def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsy
     assert abs(focal["fx"] - 120.0) < 0.5 and abs(focal["cx"] - 191.5) < 0.7
 
 
+@pytest.mark.full
 def test_the_example_holds(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("board.mp4").write_bytes(video.read_bytes())

@@ -21,7 +21,7 @@ PARTS = {
 CASES = [(f"{part}/{case.name}", case) for part, module in PARTS.items() for case in module.cases()]
 
 
-USUAL = 650
+USUAL = 560
 """Cases that are played by default, evenly spread over the corpus; the others with all Monte Carlo seeds."""
 
 
