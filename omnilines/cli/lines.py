@@ -28,7 +28,9 @@ PoseSource = Annotated[
         show_default=False,
     ),
 ]
-ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
+ScenePhotos = Annotated[
+    list[Path] | None, typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
     Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
