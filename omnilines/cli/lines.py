@@ -223,14 +223,15 @@ def export(
     scene: Annotated[Path, typer.Argument(help="Folder that reconstruct or adjust wrote.", metavar="SCENE", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     to_format: Annotated[
-        str | None, typer.Option("--to", help="dxf, glb, nerfstudio or limap, else told by the name of OUT.")
+        str | None, typer.Option("--to", help="dxf, glb, nerfstudio, limap or colmap, else told by the name of OUT.")
     ] = None,
     photos: Annotated[
-        Path | None, typer.Option("--photos", help="Folder of the photos, to which the frames of nerfstudio point.")
+        Path | None,
+        typer.Option("--photos", help="Folder of the photos: nerfstudio names them, masks of colmap are found in them."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio."""
+    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio, COLMAP with masks."""
     from omnilines.commands.export import export as command
 
     run(lambda progress: command(scene, out, to_format=to_format, photos=photos), as_json)
