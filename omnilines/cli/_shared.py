@@ -27,7 +27,6 @@ app = Application(
     name="omnilines",
     help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -36,7 +35,9 @@ experiment_app = Application(help="The dissertation's experiments.", no_args_is_
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
-Photos = Annotated[list[Path], typer.Argument(help="Photos, folders of them, a video, or corners.csv.", show_default=False)]
+Photos = Annotated[
+    list[Path], typer.Argument(help="Photos, folders of them, a video, a bag (BAG:/topic), or corners.csv.", show_default=False)
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
 PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
 Model = Annotated[

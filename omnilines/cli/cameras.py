@@ -1,4 +1,4 @@
-"""Commands on cameras: calibrate, convert, validate; doctor."""
+"""Commands on cameras: calibrate, convert, validate; view, doctor."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,7 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
+from omnilines.cli.completion import format_names, model_names
 from omnilines.cli.counts import IN_RIG
 from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
@@ -73,7 +74,12 @@ def calibrate(
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[
         str | None,
-        typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.", show_default=DEFAULT.model),
+        typer.Option(
+            "--model",
+            help=f"A camera model, or auto: fit all, take the best{EACH}.",
+            show_default=DEFAULT.model,
+            autocompletion=model_names,
+        ),
     ] = None,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
@@ -126,7 +132,7 @@ def guide(
     until: Annotated[
         str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
     ] = None,
-    model: Annotated[str, typer.Option("--model", help="A camera model.")] = DEFAULT.model,
+    model: Annotated[str, typer.Option("--model", help="A camera model.", autocompletion=model_names)] = DEFAULT.model,
     mirror: Mirror = DEFAULT.mirror,
     port: Annotated[int, typer.Option("--port", help="Of the page on this machine; 0: one that is free.")] = 0,
     settings: Settings = None,
@@ -163,11 +169,15 @@ def convert(
     source: Annotated[Path, typer.Argument(help="Calibration file, or folder of them.", metavar="IN", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     from_format: Annotated[
-        str | None, typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.")
+        str | None,
+        typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.", autocompletion=format_names),
     ] = None,
-    to_format: Annotated[str | None, typer.Option("--to", help="Format of OUT, else told by its name.")] = None,
+    to_format: Annotated[
+        str | None, typer.Option("--to", help="Format of OUT, else told by its name.", autocompletion=format_names)
+    ] = None,
     model: Annotated[
-        str | None, typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.")
+        str | None,
+        typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.", autocompletion=model_names),
     ] = None,
     fov_deg: Annotated[
         float | None, typer.Option("--fov", help="Field of view of a fit, degrees, else all that is known.")
@@ -227,6 +237,23 @@ def validate(
 
         options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
         return validate(out, pattern or TARGET, model, options, progress=progress)
+
+    run(command, as_json)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(help="Folder of results, or a report.", metavar="DIR", show_default=False)],
+    rerun: Annotated[bool, typer.Option("--rerun", help="The recording of a scene, in the viewer of rerun.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Open the report of a folder of results in the browser; its path where there is none."""
+
+    def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        from omnilines.commands.view import view as command
+
+        return command(folder, rerun=rerun)
 
     run(command, as_json)
 

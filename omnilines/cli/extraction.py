@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from omnilines.progress import ProgressCallback
     from omnilines.structure.options import DirectionsOptions
 
-ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
+ScenePhotos = Annotated[
+    list[Path], typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+]
 
 
 @app.command()

@@ -28,7 +28,9 @@ PoseSource = Annotated[
         show_default=False,
     ),
 ]
-ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
+ScenePhotos = Annotated[
+    list[Path] | None, typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
     Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
@@ -221,14 +223,15 @@ def export(
     scene: Annotated[Path, typer.Argument(help="Folder that reconstruct or adjust wrote.", metavar="SCENE", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     to_format: Annotated[
-        str | None, typer.Option("--to", help="dxf, glb, nerfstudio or limap, else told by the name of OUT.")
+        str | None, typer.Option("--to", help="dxf, glb, nerfstudio, limap or colmap, else told by the name of OUT.")
     ] = None,
     photos: Annotated[
-        Path | None, typer.Option("--photos", help="Folder of the photos, to which the frames of nerfstudio point.")
+        Path | None,
+        typer.Option("--photos", help="Folder of the photos: nerfstudio names them, masks of colmap are found in them."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio."""
+    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio, COLMAP with masks."""
     from omnilines.commands.export import export as command
 
     run(lambda progress: command(scene, out, to_format=to_format, photos=photos), as_json)

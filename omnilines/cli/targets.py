@@ -80,7 +80,9 @@ def detect(
 def frames(
     videos: Annotated[
         list[Path],
-        typer.Argument(help="A video, or of a rig one for each camera, or a folder of these.", show_default=False),
+        typer.Argument(
+            help="A video or a bag (BAG:/topic), of a rig one for each camera, or a folder of these.", show_default=False
+        ),
     ],
     out: Out,
     split: SplitInto = None,

@@ -14,10 +14,11 @@ from camera_models import GeometryError, InputError
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
+from omnilines.files.footage import Footage
 from omnilines.files.frames import TABLE, FrameRow, write_frames
 from omnilines.files.sets import claimed
 from omnilines.files.split import Split
-from omnilines.files.videos import Video, find_videos, together
+from omnilines.files.videos import open_videos, together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, Look, spaced, stillest
 from omnilines.pipelines.detect import corner_table
@@ -74,7 +75,7 @@ class ChosenFrames:
             for done, photo in enumerate(self.read(), 1):
                 write_png(out / photo.name, photo.pixels)
                 progress("writing frames", done, len(self.taken))
-            write_frames(out / TABLE, self.rows, [path.name for path in inputs])
+            write_frames(out / TABLE, self.rows, [lens.video.title for lens in self.lenses])
         return tuple(Path(folder) / name for name in self.names)
 
 
@@ -96,7 +97,8 @@ def frames(
     target a few runs of moving frames are looked at too: a rolling shutter that they show is named in the notes.
 
     Videos of the same rate and length belong together frame by frame, others by time from their beginning, unless the motion in
-    them says that one began earlier. Of several videos of a target the frames just before and after each instant are taken too:
+    them says that one began earlier; topics of bags (`BAG:/topic`) by their stamps. Of several videos of a target the frames
+    just before and after each instant are taken too:
     `calibrate_rig` compares the cameras' clocks by them. `split`, such as `left,right`, cuts frames that show two lenses side by
     side into those of two cameras. Raises InputError where there is no video, one cannot be decoded, or no frame shows the
     pattern.
@@ -109,7 +111,7 @@ def frames(
         True
     """
     given = [videos] if isinstance(videos, str | Path) else list(videos)
-    sources = tuple(Video.of(path) for path in find_videos(given))
+    sources = open_videos(given)
     if not sources:
         raise InputError(f"A video was expected, found none in {' '.join(map(str, given)) or 'an empty list'}; give one.")
     lenses = lenses_of(sources, Split.of(split) if isinstance(split, str) else split)
@@ -125,7 +127,7 @@ def frames(
     moving = [] if target is None or run > 1 else moving_runs(still, instants, options)
     looked, followed = search.looked_and_followed(still, moving)
     if not looked:
-        raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
+        raise InputError(f"Frames were expected in {sources[0].location}, found none that can be decoded; convert it to MP4.")
     if target is None:
         return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes + told)
     most = options.most_of_target if run == 1 else min(options.most_of_target, options.most_runs)
@@ -137,7 +139,7 @@ def frames(
     return replace(chosen, rows=rows, notes=notes + told + chosen.notes + rolling)
 
 
-def _run_frames(videos: Sequence[Video], options: FrameOptions) -> int:
+def _run_frames(videos: Sequence[Footage], options: FrameOptions) -> int:
     """How many consecutive frames are taken around each instant."""
     slowest = min(video.frames_per_s for video in videos)
     lasts_s = (options.frames_of_run - 1) / slowest
@@ -151,12 +153,12 @@ def _still(lenses: Sequence[Lens], instants: Sequence[Instant], options: FrameOp
     return list(stillest(instants, stretch_s, options))
 
 
-def _spread(videos: Sequence[Video]) -> list[PhotoArray]:
+def _spread(videos: Sequence[Footage]) -> list[PhotoArray]:
     """A few frames from all over each video."""
     found = []
     for video in videos:
         wanted = {int(index) for index in np.linspace(0, max(video.count - 1, LOOKED_FIRST), LOOKED_FIRST)}
-        found += [PhotoArray(f"{video.path.name}, frame {frame.index}", frame.pixels) for frame in video.frames(wanted)]
+        found += [PhotoArray(f"{video.title}, frame {frame.index}", frame.pixels) for frame in video.frames(wanted)]
     return found
 
 
@@ -256,7 +258,7 @@ def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Patt
             if len(lenses) == 1:
                 raise InputError(
                     f"The pattern {target.specification} was expected in at least one of the {len(looked)} stillest frames "
-                    f"of {lens.video.path}, found in none (first reason: {why}); check its counts of inner corners."
+                    f"of {lens.video.location}, found in none (first reason: {why}); check its counts of inner corners."
                 )
             notes.append(f"{lens.name}: the pattern {target.specification} was found in none of {len(looked)} frames.")
             continue
