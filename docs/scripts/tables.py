@@ -35,6 +35,21 @@ def commands() -> str:
     return table(("command", "what it does"), rows)
 
 
+def command_options() -> str:
+    """A section for each command: its arguments and options with what their help says."""
+    parts = []
+    for name, command in leaf_commands(typer.main.get_command(app)):
+        rows = []
+        for parameter in command.params:
+            shown = parameter.opts[0] if parameter.param_type_name == "option" else parameter.name
+            if shown not in ("--json", "--set"):
+                default = parameter.default
+                told = str(default) if isinstance(default, str | int | float) and not isinstance(default, bool) else ""
+                rows.append((f"`{shown}`", first_paragraph(parameter.help), told))
+        parts.append(f"### {name}\n\n{table(('argument or option', '', 'default'), rows)}")
+    return "\n".join(parts)
+
+
 def models() -> str:
     """A row for each camera model: its name, its parameters, and what its module says it is."""
     rows = []
@@ -86,7 +101,7 @@ def api() -> str:
 
 
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
-    "commands.md": {"commands": commands},
+    "commands.md": {"commands": commands, "options": command_options},
     "models.md": {"models": models, "equations": model_sections},
     "formats.md": {"formats": formats},
     "api.md": {"names": api},
