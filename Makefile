@@ -13,7 +13,7 @@ INSTALL = @echo "Installing $(1) into $(VENV); the first time takes a few minute
 	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e "$(1)"
 
-.PHONY: help setup demo test test-all lint audit bench clean
+.PHONY: help setup demo test test-all lint docs tables audit bench clean
 # Two pips must not write into one environment at a time.
 .NOTPARALLEL:
 
@@ -21,6 +21,7 @@ help:
 	@echo "make demo      install, calibrate a camera from photos it renders, rebuild the lines; ends by naming the report"
 	@echo "make test      install and run the tests          make test-all   with all Monte Carlo seeds, and every benchmark once"
 	@echo "make setup     install the omnilines command      make lint       style, types and the import contract"
+	@echo "make docs      build the site into site/         make tables     write the tables and notebooks of docs/ anew"
 	@echo "make audit     known weaknesses of the packages that constraints.txt pins (asks pypi.org)"
 	@echo "make bench     speed and accuracy tables          make clean      remove what the targets made"
 
@@ -61,6 +62,17 @@ lint: $(VENV)/.installed-lint
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# A warning, such as a link that leads nowhere, is an error.
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "Open $(CURDIR)/site/index.html"
+
+# What the program itself decides: commands, models, formats, options; notebooks from the walks.
+tables: setup
+	$(BIN)/python docs/scripts/tables.py
+	$(BIN)/python docs/scripts/walks.py --notebooks
+	$(BIN)/python -m omnilines.pages.options docs/options.md
+
 # Needs the network, hence no part of lint. Its own packages are no concern of ours either.
 audit:
 	$(PYTHON) -m venv .venv-audit
@@ -79,4 +91,4 @@ bench: $(VENV)/.installed-test .venv-peers/.installed
 		-o python_files="bench_*.py" -o python_functions="bench_*" $(PYTEST_ARGS)
 
 clean:
-	rm -rf $(VENV) .venv-peers .venv-audit build dist demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-peers .venv-audit build dist demo site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,4 +1,4 @@
-"""Stated ellipsoids of 95 percent hold the truth in 92 to 98 percent of draws (`coverage_scenes.py`); docs/uncertainty.md has
+"""Stated ellipsoids of 95 percent hold the truth in 92 to 98 percent of draws (`coverage_scenes.py`); line_uncertainty.md has
 the table."""
 
 import pytest

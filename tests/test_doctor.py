@@ -29,7 +29,7 @@ def test_what_is_absent_or_lies_over_another_is_told(monkeypatch: pytest.MonkeyP
     known = importlib.metadata.version
 
     def version(name: str) -> str:
-        if name in ("kornia", "pyarrow"):
+        if name in ("trimesh", "pyarrow"):
             raise importlib.metadata.PackageNotFoundError(name)
         return "5.0" if name == "opencv-python" else known(name)
 
@@ -37,7 +37,7 @@ def test_what_is_absent_or_lies_over_another_is_told(monkeypatch: pytest.MonkeyP
     result = doctor(check=False)
     assert result.data["extras"]["parquet"] == "pip install 'omnilines[parquet]'"
     absent, over = result.warnings
-    assert absent.startswith("not installed: kornia") and over.startswith(f"opencv-python lies over {OPENCV}")
+    assert absent.startswith("not installed: trimesh") and over.startswith(f"opencv-python lies over {OPENCV}")
 
 
 @pytest.mark.full

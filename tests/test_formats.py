@@ -1,7 +1,6 @@
 """The law suite: every registered file format, every camera model, every example; adding a format adds no test here."""
 
 import fnmatch
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -340,23 +339,3 @@ def test_short_cuts(tmp_path: Path) -> None:
         read(tmp_path / "notes.txt")
     with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "absent.yaml")
-
-
-def test_readme_lists_every_format_with_its_models() -> None:
-    text = (ROOT / "README.md").read_text()
-    section = text[text.index("\n## Files\n") : text.index("\n## Conventions\n")]
-    rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in re.findall(r"^\| `.*\|$", section, re.M)]
-    assert [row[0].strip("`") for row in rows] == sorted(FORMAT_NAMES)
-    for name, _, models, rigs in rows:
-        target = format_named(name.strip("`"))
-        known = {form.model for form in target.FORMS}
-        assert set(re.findall(r"`([\w-]+)`", models)) == known or (models == "all" and known == dict(MODELS).keys()), name
-        assert rigs.startswith("yes") is target.RIGS, name
-
-
-def test_documented_file_names_are_those_of_the_registry() -> None:
-    text = (ROOT / "docs" / "formats.md").read_text()
-    section = text[text.index("\n## Formats of other tools\n") : text.index("\n## Tables\n")]
-    rows = re.findall(r"^\| `([\w-]+)` \| (`.*`) \|$", section, re.M)
-    found = [(name, tuple(re.findall(r"`([^`]+)`", files))) for name, files in rows]
-    assert found == [(entry.name, entry.files) for entry in FORMATS]

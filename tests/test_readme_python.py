@@ -1,6 +1,5 @@
-"""The ten lines of Python in the README, as they stand there, on rendered photos of one camera."""
+"""The ten lines of Python in docs/api.md, as they stand there, on rendered photos of one camera."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,21 +7,20 @@ import pytest
 
 import omnilines as ol
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "api.md"
 SIZE = (560, 560)
 
 
 def lines_of_python() -> list[str]:
-    """The code of the section."""
-    section = re.search(r"^## From Python\n(.*?)^## ", README.read_text(), re.M | re.S)
-    assert section is not None
-    code = [line[4:] for line in section[1].splitlines() if line.startswith("    ")]
+    """The code above the first heading of the second level."""
+    above = PAGE.read_text(encoding="utf-8").partition("\n## ")[0]
+    code = [line[4:] for line in above.splitlines() if line.startswith("    ")]
     assert code[0] == "import omnilines as ol" and len([line for line in code if line]) <= 12
     return code
 
 
 @pytest.mark.slow
-def test_the_lines_of_the_readme_lead_from_photos_to_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lines_of_the_page_lead_from_photos_to_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     board = ol.render("checkerboard:8x6:32.5mm", "opencv-fisheye", fov_deg=180.0, views=8, size_px=SIZE)
     assert isinstance(board, ol.RenderedTargets)
     board.save(tmp_path / "board")
