@@ -71,7 +71,11 @@ def test_commands_written_in_the_documents_exist() -> None:
         re.findall(r"^ {4,}(.+)$", written, re.M)
         + "".join(re.findall(r"^```bash\n(.*?)^```$", written, re.M | re.S)).splitlines()
     )
-    calls = [call for line in code for call in re.findall(r"(?:^(?:\$ )?|\|\| )omnilines (?!--threads|--install-completion)([^|]+)", line)]
+    calls = [
+        call
+        for line in code
+        for call in re.findall(r"(?:^(?:\$ )?|\|\| )omnilines (?!--threads|--install-completion)([^|]+)", line)
+    ]
     assert len(calls) > 100
     for call in calls:
         names = [name for name in COMMANDS if f"{call} ".startswith(f"{name} ")]
