@@ -34,6 +34,8 @@ class Hypotheses:
     """The arcs of other photos that agree, -1 after the last."""
     candidates: Int[np.ndarray, " n"]
     """Arcs of other photos that could show its line, and look like it."""
+    neighbours: Bool[np.ndarray, "m m"]
+    """The photos that each was compared with."""
 
 
 def find_hypotheses(
@@ -75,7 +77,7 @@ def find_hypotheses(
     found = on_all_cores(work, parts, "matching arcs", progress)
     back = np.searchsorted(asked, place[every])
     depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
-    return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates)
+    return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates, neighbours)
 
 
 def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:
