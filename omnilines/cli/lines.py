@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -111,6 +111,7 @@ def reconstruct(
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
     split: SplitInto = None,
+    cluster: Cluster = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -119,6 +120,7 @@ def reconstruct(
         raise InputError(
             "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
+    from omnilines.commands.cluster import workers
     from omnilines.commands.frames import with_frames
     from omnilines.commands.reconstruct import reconstruct_photos
 
@@ -142,13 +144,14 @@ def reconstruct(
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        return with_frames(
-            lambda paths: reconstruct_photos(
-                paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-                scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
-            ),
-            photos or [], out, split=split, progress=progress,
-        )  # fmt: skip
+        with workers(cluster, progress=progress) as executor:
+            return with_frames(
+                lambda paths: reconstruct_photos(
+                    paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                    scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, executor=executor, progress=progress,
+                ),
+                photos or [], out, split=split, progress=progress,
+            )  # fmt: skip
 
     run(reconstructed, as_json, kept=out / "work")
 
