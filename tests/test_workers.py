@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -35,14 +36,19 @@ SIZE, VIEWS, PATTERN = (320, 240), 5, "checkerboard:8x6:30mm"
 
 
 class Scene:
-    """Photos of a room and of a board by one camera, worked on by this process."""
+    """Photos of a room, worked on by this process, and of a board."""
 
     def __init__(self, folder: Path, views: int) -> None:
-        self.room, self.board = folder / "room", folder / "board"
+        self.folder, self.room = folder, folder / "room"
         render_scene(self.room, scene="plain-room", views=views, size=SIZE)
-        render_targets(self.board, PATTERN, MODEL, RenderOptions(190.0, views, (640, 480)))
         self.cameras: Calibration = load(self.room / "calibration.yaml")
         self.arcs = ol.extract(self.room, self.cameras)
+
+    @cached_property
+    def board(self) -> Path:
+        """Photos of a board."""
+        render_targets(self.folder / "board", PATTERN, MODEL, RenderOptions(190.0, VIEWS, (640, 480)))
+        return self.folder / "board"
 
     def require_same_arcs(self, other: PhotoArcs) -> None:
         """Equal to the last bit."""
@@ -182,7 +188,7 @@ def test_no_dask_no_address_and_no_scheduler_are_told(
 
 
 def test_a_scheduler_of_dask_finds_what_this_process_does(scene: Scene) -> None:
-    quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", **quiet
     ) as local:
@@ -217,7 +223,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, Callable[..., subprocess.Po
         started.append(process)
         return process
 
-    start("scheduler", "--host", "127.0.0.1", "--port", where.rpartition(":")[2], "--no-dashboard")
+    start("scheduler", "--host", "127.0.0.1", "--port", where.rpartition(":")[2], "--dashboard-address", "127.0.0.1:0")
     until = time.monotonic() + 120.0
     while not answers(where):
         assert time.monotonic() < until
@@ -236,7 +242,7 @@ def test_four_processes_of_a_scheduler_find_what_this_process_does_though_they_a
     tmp_path: Path, scheduler: tuple[str, Callable[..., subprocess.Popen[bytes]]]
 ) -> None:
     where, worker = scheduler
-    scene = Scene(tmp_path, 40)
+    scene = Scene(tmp_path, 24)
     running = [worker() for _ in range(4)]
     rng = np.random.default_rng(3)
     stop = threading.Event()

@@ -71,7 +71,7 @@ def _distributed() -> ModuleType:
 
 @contextmanager
 def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
-    """A scheduler and a process of one thread for each core, on no port but those of this machine, without a page."""
+    """A scheduler and a process of one thread for each core, which listen on this machine only."""
     import dask
 
     each = {name: "1" for name in (THREADS, *POOLS)}
@@ -79,7 +79,12 @@ def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
     with (
         dask.config.set(settings),
         distributed.LocalCluster(
-            n_workers=cores(), threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=logging.CRITICAL
+            n_workers=cores(),
+            threads_per_worker=1,
+            host="127.0.0.1",
+            # Any free port: Dask's own, which another scheduler may have, brings a warning.
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
         ) as cluster,
     ):
         yield cluster
