@@ -193,7 +193,8 @@ PERMISSIVE = (
 
 
 def test_all_that_is_run_has_a_permissive_licence() -> None:
-    installed = closure([*PYPROJECT["project"]["dependencies"], *PYPROJECT["project"]["optional-dependencies"]["parquet"]])
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    installed = closure([*PYPROJECT["project"]["dependencies"], *extras["parquet"], *extras["cluster"]])
     assert len(installed) > 25
     for name in installed:
         about = metadata(name)
@@ -203,7 +204,21 @@ def test_all_that_is_run_has_a_permissive_licence() -> None:
         assert parts and all(part in PERMISSIVE for part in parts), (name, stated)
 
 
-HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2", "matplotlib", "numba", "pycolmap", "pyarrow", "rerun")
+HEAVY = (
+    "torch",
+    "cv2",
+    "scipy",
+    "kornia",
+    "plotly",
+    "trimesh",
+    "jinja2",
+    "matplotlib",
+    "numba",
+    "pycolmap",
+    "pyarrow",
+    "rerun",
+    "dask",
+)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["validate", "--help"]])

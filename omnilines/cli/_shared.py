@@ -62,6 +62,10 @@ SplitInto = Annotated[
     str | None,
     typer.Option("--split", help="Lenses side by side in every image, as left,right; one above the other, as top/bottom."),
 ]
+Cluster = Annotated[
+    str | None,
+    typer.Option("--cluster", help="Who works on the photos: local (processes), or HOST:PORT of a Dask scheduler."),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 

@@ -12,6 +12,7 @@ from camera_models.formats import FORMATS
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.cli._shared import (
     BlurPx,
+    Cluster,
     Json,
     LossName,
     Mirror,
@@ -96,11 +97,13 @@ def calibrate(
         bool, typer.Option("--rolling-shutter", help="Of videos: estimate how long after one row the next one is exposed.")
     ] = False,
     split: SplitInto = None,
+    cluster: Cluster = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
     from omnilines.commands.calibrate_inputs import CalibrationInputs, calibrate_inputs
+    from omnilines.commands.cluster import workers
     from omnilines.pipelines.line_options import LinesOptions
 
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
@@ -117,7 +120,10 @@ def calibrate(
         """What these options ask for."""
         stages = Stages(FrameOptions(), DetectionOptions(), options, LinesOptions())
         frames, detection, set_options, lines = with_settings(stages, settings or ())
-        return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, lines=lines, progress=progress)
+        with workers(cluster, progress=progress) as executor:
+            return calibrate_inputs(
+                given, out, set_options, frames=frames, detection=detection, lines=lines, executor=executor, progress=progress
+            )
 
     run(command, as_json)
 

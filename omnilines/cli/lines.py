@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -66,7 +66,9 @@ MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or ca
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
 PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
 PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
+Device = Annotated[
+    str, typer.Option("--device", help="cpu or cuda (never tried on one): where lines are triangulated and adjusted.")
+]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 MaybeRefine = Annotated[
     str | None,
@@ -113,6 +115,7 @@ def reconstruct(
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
     split: SplitInto = None,
+    cluster: Cluster = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -121,6 +124,7 @@ def reconstruct(
         raise InputError(
             "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
+    from omnilines.commands.cluster import workers
     from omnilines.commands.frames import with_frames
     from omnilines.commands.reconstruct import reconstruct_photos
 
@@ -144,13 +148,14 @@ def reconstruct(
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        return with_frames(
-            lambda paths: reconstruct_photos(
-                paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-                scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
-            ),
-            photos or [], out, split=split, progress=progress,
-        )  # fmt: skip
+        with workers(cluster, progress=progress) as executor:
+            return with_frames(
+                lambda paths: reconstruct_photos(
+                    paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                    scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, executor=executor, progress=progress,
+                ),
+                photos or [], out, split=split, progress=progress,
+            )  # fmt: skip
 
     run(reconstructed, as_json, kept=out / "work")
 

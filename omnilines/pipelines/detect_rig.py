@@ -3,7 +3,9 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
@@ -176,6 +178,7 @@ def detect_rig(
     perhaps_mirrored: Sequence[str] | None = None,
     camera: str | None = None,
     options: DetectionOptions = DetectionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
@@ -183,8 +186,8 @@ def detect_rig(
     `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them;
     those of the same name are of the same instant. With `camera` all are of one camera of that name, which sees several targets
     that are fixed to one another, such as the faces of a cube. Where no tag is read in the photos of a camera among
-    `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are. Raises InputError where no
-    camera sees a target.
+    `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are. `executor` as in `detect`.
+    Raises InputError where no camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> found.image_sizes, found.corners.frames[:2]
@@ -207,7 +210,7 @@ def detect_rig(
         perhaps = perhaps_mirrored is None or name in perhaps_mirrored
         for board in boards:
             try:
-                looked = _look(own, board, perhaps, mirrored, options, progress)
+                looked = _look(own, board, perhaps, mirrored=mirrored, options=options, executor=executor, progress=progress)
                 found.append(CameraCorners(name, looked))
             except InputError as error:
                 notes.append(f"Camera {name}: {error}")
@@ -278,17 +281,20 @@ def _look(
     photos: Sequence[Photo],
     pattern: Pattern,
     perhaps_mirrored: bool,
+    *,
     mirrored: bool,
     options: DetectionOptions,
+    executor: Executor | None,
     progress: ProgressCallback,
 ) -> PhotoCorners:
+    look = partial(detect, photos, pattern, recognise=False, options=options, executor=executor, progress=progress)
     try:
-        return detect(photos, pattern, mirrored=mirrored, recognise=False, options=options, progress=progress)
+        return look(mirrored=mirrored)
     except InputError:
         # Tags are not read in a mirror image; the corners of a plain board are found either way.
         if pattern.plain_grid is not None or not perhaps_mirrored or mirrored:
             raise
-        return detect(photos, pattern, mirrored=True, recognise=False, options=options, progress=progress)
+        return look(mirrored=True)
 
 
 def _numbering(pattern: Pattern) -> Numbering:
