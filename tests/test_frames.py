@@ -113,6 +113,9 @@ def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path)
     assert found.corners.times_s is not None
     taken = {row.image: row.time_s for row in chosen.taken}
     assert np.allclose(found.corners.times_s, [taken[image] for image in found.corners.images], atol=1e-6)
+    in_memory = ol.detect_rig(chosen.photos(), BOARD)
+    assert in_memory.corners.times_s is not None and in_memory.corners.images == found.corners.images
+    assert np.allclose(in_memory.corners.times_s, found.corners.times_s, atol=1e-6)
     runs = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=2, frames_of_run=3))
     numbers = sorted({row.index for row in runs.taken})
     assert 4 <= len(numbers) <= 6 and sum(a + 1 == b for a, b in itertools.pairwise(numbers)) >= 3

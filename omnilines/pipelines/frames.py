@@ -61,7 +61,8 @@ class ChosenFrames:
                 if self.lenses[row.lens].video == video:
                     wanted.setdefault(row.index, []).append(row)
             for frame in video.frames(wanted.keys()):
-                yield from (PhotoArray(row.image, self.lenses[row.lens].of(frame.pixels)) for row in wanted[frame.index])
+                for row in wanted[frame.index]:
+                    yield PhotoArray(row.image, self.lenses[row.lens].of(frame.pixels), row.time_s)
 
     def photos(self) -> list[PhotoArray]:
         """`read`, all in memory: for `detect`, `extract` and the like."""
