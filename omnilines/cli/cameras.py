@@ -19,6 +19,7 @@ from omnilines.cli._shared import (
     Out,
     PatternSpec,
     Photos,
+    Plots,
     Seed,
     Settings,
     Size,
@@ -90,6 +91,7 @@ def calibrate(
         bool, typer.Option("--rolling-shutter", help="Of videos: estimate how long after one row the next one is exposed.")
     ] = False,
     split: SplitInto = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -113,7 +115,7 @@ def calibrate(
         frames, detection, set_options, lines = with_settings(stages, settings or ())
         return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, lines=lines, progress=progress)
 
-    run(command, as_json)
+    run(command, as_json, plots=plots)
 
 
 @app.command()
@@ -209,6 +211,7 @@ def validate(
     pattern: Annotated[
         str | None, typer.Option("--pattern", help="Target without --scene; default checkerboard:8x6:30mm.")
     ] = None,
+    plots: Plots = None,
     as_json: Json = False,
 ) -> None:
     """Render photos with a known camera, calibrate and reconstruct from the files, compare with the truth."""
@@ -228,7 +231,7 @@ def validate(
         options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
         return validate(out, pattern or TARGET, model, options, progress=progress)
 
-    run(command, as_json)
+    run(command, as_json, plots=plots)
 
 
 @app.command()

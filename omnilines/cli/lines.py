@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -111,6 +111,7 @@ def reconstruct(
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
     split: SplitInto = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -137,7 +138,7 @@ def reconstruct(
     )
     if not photos:
         assert segments is not None
-        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
         return
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
@@ -150,7 +151,7 @@ def reconstruct(
             photos or [], out, split=split, progress=progress,
         )  # fmt: skip
 
-    run(reconstructed, as_json, kept=out / "work")
+    run(reconstructed, as_json, kept=out / "work", plots=plots)
 
 
 def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
@@ -170,7 +171,7 @@ def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any
 
 def _from_segments(
     calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", robust: bool,
-    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool,
+    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool, plots: Path | None,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
@@ -180,6 +181,7 @@ def _from_segments(
             progress=progress,
         ),
         as_json,
+        plots=plots,
     )  # fmt: skip
 
 
@@ -200,6 +202,7 @@ def adjust(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     device: Device = "cpu",
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -213,7 +216,7 @@ def adjust(
         loss=loss,
         device=device,
     )
-    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
 
 
 @app.command()

@@ -101,7 +101,7 @@ for (const slider of document.querySelectorAll(".reveal input"))
   slider.addEventListener("input", () => slider.closest("section").style.setProperty("--revealed", `${slider.value}%`));
 
 // Tables of more than two rows are sorted by a click on the title of a column: first upwards, then downwards.
-for (const table of document.querySelectorAll(".scroll table")) {
+for (const table of document.querySelectorAll(".scroll table:not(.in-order)")) {
   const body = table.tBodies[0], titles = [...table.tHead.rows[0].cells];
   if (body.rows.length < 3) continue;
   titles.forEach((title, column) => {
