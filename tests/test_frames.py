@@ -63,6 +63,16 @@ def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
     assert all(row.reason for row in chosen.rows)
 
 
+def test_frames_of_several_targets_are_those_of_each(video: Path) -> None:
+    alone = ol.frames(video, BOARD, options=OPTIONS)
+    other = "charuco:5x4:30mm:22mm:DICT_4X4_50"
+    both = ol.frames(video, f"{other}, {BOARD}", options=OPTIONS)
+    assert [row.index for row in both.taken] == [row.index for row in alone.taken] and len(both.taken) >= 8
+    assert [row.corners for row in both.rows] == [row.corners for row in alone.rows]
+    with pytest.raises(InputError, match=f"{other} or aprilgrid:6x6:35mm:0.3:36h11 was expected in at least one"):
+        ol.frames(video, f"{other},aprilgrid:6x6:35mm:0.3:36h11", options=OPTIONS)
+
+
 def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", str(video), "--pattern", BOARD, "--model", "opencv-fisheye", "--out", str(tmp_path / "out")])

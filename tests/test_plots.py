@@ -15,11 +15,21 @@ from omnilines.records import Polyline
 from omnilines.report.paper import paper_figures
 
 
-def test_every_figure_of_a_report_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table = write_csv(tmp_path / "corners.csv", CORNERS, corner_rows())
-    given = ["calibrate", table, "--image-size", "640x480", "--model", "opencv-fisheye", "--out", tmp_path / "out"]
+def of_corners(folder: Path) -> list[object]:
+    """A calibration from a table."""
+    table = write_csv(folder / "corners.csv", CORNERS, corner_rows())
+    return ["calibrate", table, "--image-size", "640x480", "--model", "opencv-fisheye", "--out", folder / "out"]
+
+
+def test_a_folder_that_is_none_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
-    assert "is no folder" in refused(capsys, *given, "--plots", tmp_path / "file") and not (tmp_path / "out").exists()
+    assert "is no folder" in refused(capsys, *of_corners(tmp_path), "--plots", tmp_path / "file")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.full
+def test_every_figure_of_a_report_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = of_corners(tmp_path)
     status, said, _ = run(capsys, *given, "--plots", tmp_path / "figures", "--json")
     labels = re.findall(r'<div class="plot" role="group" aria-label="([^"]*)"', (tmp_path / "out/report.html").read_text())
     names = [f"{n:02d}-{'-'.join(re.findall('[a-z0-9]+', label.lower()))}" for n, label in enumerate(labels, 1)]

@@ -113,7 +113,7 @@ def calibrate_inputs(
                 read=read,
                 progress=progress,
             ),
-            patterns[0],
+            given.pattern,
         )
     options = replace(options, model=given.models.get("", options.model))
     if given.lines:

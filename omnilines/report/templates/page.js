@@ -52,6 +52,12 @@
   await new Promise((resume) => requestAnimationFrame(() => setTimeout(resume))); // what can be read is shown before any figure
   for (const plot of plots) {
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
+    if (layout.scene && plot.clientWidth < 600) {
+      // On a narrow page the names would hide the scene: they stand below it.
+      plot.style.aspectRatio = 0.8;
+      layout.legend = { ...layout.legend, orientation: "h", y: 0, yanchor: "top" };
+      layout.margin = { ...layout.margin, b: 130 };
+    }
     await Plotly.newPlot(plot, data, { ...layout, template: template() }, config);
     if (layout.meta?.lines) pickable(plot, layout.meta);
     await new Promise((resume) => setTimeout(resume)); // let the page answer between figures
