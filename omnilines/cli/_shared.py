@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -65,6 +66,9 @@ SplitInto = Annotated[
 Cluster = Annotated[
     str | None,
     typer.Option("--cluster", help="Who works on the photos: local (processes), or HOST:PORT of a Dask scheduler."),
+]
+Plots = Annotated[
+    Path | None, typer.Option("--plots", help="Folder for every figure of the report, as PNG and SVG.", show_default=False)
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
@@ -186,11 +190,21 @@ def progress() -> "Iterator[ProgressCallback]":
         yield tell
 
 
-def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, kept: Path | None = None) -> None:
+def run(
+    command: "Callable[[ProgressCallback], CommandResult]",
+    as_json: bool,
+    kept: Path | None = None,
+    plots: Path | None = None,
+) -> None:
     """Run a command, print its result, and exit with 1 where a check does not hold.
 
-    `kept` is the folder from which the same command goes on where it was stopped.
+    `kept` is the folder from which the same command goes on where it was stopped; `plots` is one for the figures of its report.
     """
+    if plots is not None:
+        from omnilines.commands.plots import with_plots
+        from omnilines.files.folders import check_results
+
+        check_results(plots, ())
     goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
     if kept is None:
         goes_on = " before its results were whole; the same command begins anew"
@@ -199,6 +213,8 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
         typer.echo(f"note: {note}", err=True)
     with progress() as tell:
         result = command(tell)
+        if plots is not None:
+            result = with_plots(result, plots, tell)
     whole = "--json" if result.report is None else result.report.name
     with said_in_full():
         for note in (*result.warnings, *told(result.details, result.photos, whole)):
@@ -260,3 +276,5 @@ def _print_tables(result: "CommandResult") -> None:
         typer.echo(printable(verdict))
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))
+    if result.then and result.holds:
+        typer.echo(printable(f"Next: {shlex.join(['omnilines', *result.then])}"))

@@ -20,6 +20,7 @@ from omnilines.cli._shared import (
     Out,
     PatternSpec,
     Photos,
+    Plots,
     Seed,
     Settings,
     Size,
@@ -98,6 +99,7 @@ def calibrate(
     ] = False,
     split: SplitInto = None,
     cluster: Cluster = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -125,7 +127,7 @@ def calibrate(
                 given, out, set_options, frames=frames, detection=detection, lines=lines, executor=executor, progress=progress
             )
 
-    run(command, as_json)
+    run(command, as_json, plots=plots)
 
 
 @app.command()
@@ -225,6 +227,7 @@ def validate(
     pattern: Annotated[
         str | None, typer.Option("--pattern", help="Target without --scene; default checkerboard:8x6:30mm.")
     ] = None,
+    plots: Plots = None,
     as_json: Json = False,
 ) -> None:
     """Render photos with a known camera, calibrate and reconstruct from the files, compare with the truth."""
@@ -244,7 +247,7 @@ def validate(
         options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
         return validate(out, pattern or TARGET, model, options, progress=progress)
 
-    run(command, as_json)
+    run(command, as_json, plots=plots)
 
 
 @app.command()

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Cluster, Json, Out, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, Out, Plots, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -64,6 +64,7 @@ def directions(
     ] = False,
     mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
     split: SplitInto = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -83,7 +84,7 @@ def directions(
             photos, out, split=split, progress=progress,
         )  # fmt: skip
 
-    run(found, as_json)
+    run(found, as_json, plots=plots)
 
 
 def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions, DirectionsOptions]":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Cluster, Json, LossName, Out, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -116,6 +116,7 @@ def reconstruct(
     seed: Seed = 0,
     split: SplitInto = None,
     cluster: Cluster = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -143,7 +144,7 @@ def reconstruct(
     )
     if not photos:
         assert segments is not None
-        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
         return
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
@@ -157,7 +158,7 @@ def reconstruct(
                 photos or [], out, split=split, progress=progress,
             )  # fmt: skip
 
-    run(reconstructed, as_json, kept=out / "work")
+    run(reconstructed, as_json, kept=out / "work", plots=plots)
 
 
 def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
@@ -177,7 +178,7 @@ def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any
 
 def _from_segments(
     calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", robust: bool,
-    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool,
+    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool, plots: Path | None,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
@@ -187,6 +188,7 @@ def _from_segments(
             progress=progress,
         ),
         as_json,
+        plots=plots,
     )  # fmt: skip
 
 
@@ -207,6 +209,7 @@ def adjust(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     device: Device = "cpu",
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -220,7 +223,7 @@ def adjust(
         loss=loss,
         device=device,
     )
-    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
 
 
 @app.command()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos, read_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -88,4 +88,5 @@ def _written(result: CalibrationResult, out: Path, read: Sequence[Path], progres
         warnings=result.warnings,
         details=result.details,
         photos=len(result.views),
+        then=with_calibration(files[0]),
     )

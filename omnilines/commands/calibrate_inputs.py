@@ -117,7 +117,7 @@ def calibrate_inputs(
                 executor=executor,
                 progress=progress,
             ),
-            patterns[0],
+            given.pattern,
         )
     options = replace(options, model=given.models.get("", options.model))
     if given.lines:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from omnilines.commands.calibrate import PAGE, photos_beside
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import read_rig_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -105,4 +105,5 @@ def _written(
         warnings=result.notes,
         details=view_details(result.views),
         photos=len(result.views),
+        then=with_calibration(files[0]),
     )

@@ -55,7 +55,9 @@ def detect(
     title = f"Corners of {found.inputs['pattern']}"
     summary = Summary(title, rows, (f"{len(found.corners)} corners in {files[0]}",), of_photos=True)
     given = len(rows) + len(skipped)
-    return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given)
+    size = "x".join(map(str, found.image_size))
+    then = ("calibrate", str(files[0]), "--image-size", size, "--out", "result")
+    return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given, then=then)
 
 
 def _one_camera(calibration: Path) -> CameraModel:

@@ -55,6 +55,7 @@ def extract(
         warnings=arcs.notes,
         details=arcs.skipped_details,
         photos=len(refs),
+        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), "--poses", "sfm", "--out", "scene"),
     )
 
 

@@ -45,7 +45,8 @@ def frames(
     check_results(out, [TABLE], videos)
     chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
     files = chosen.save(out, progress)
-    return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes)
+    then = () if pattern_spec is None else ("calibrate", str(out), "--pattern", pattern_spec, "--out", "result")
+    return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes, then=then)
 
 
 def with_frames(

@@ -221,4 +221,5 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
         warnings=notes,
         details=scene.details,
         photos=given,
+        then=("export", str(folder), "lines.dxf") if len(scene.lines) else (),
     )
