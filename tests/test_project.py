@@ -199,7 +199,8 @@ def test_all_that_is_run_has_a_permissive_licence() -> None:
     for name in installed:
         about = metadata(name)
         classifiers = [text.rpartition("::")[2] for text in about.get_all("Classifier") or [] if text.startswith("License")]
-        stated = [about["License-Expression"]] if about["License-Expression"] else classifiers or [str(about["License"])]
+        expression = about.get("License-Expression")
+        stated = [expression] if expression else classifiers or [str(about.get("License"))]
         parts = [part.strip().lower() for text in stated for part in re.split(r" AND | OR ", text)]
         assert parts and all(part in PERMISSIVE for part in parts), (name, stated)
 
