@@ -30,6 +30,7 @@ from omnilines.files.bags import is_bag, split_topics
 from omnilines.files.topics import Topic
 from omnilines.files.videos import find_videos, open_videos
 from omnilines.footage.options import FrameOptions
+from omnilines.guide.source import Source
 
 BOARD = "checkerboard:8x6:30mm"
 LENS = camera_models.OpenCVFisheye([120.0, 120.0, 191.5, 143.5, 0.02, -0.004, 0.0, 0.0], (384, 288))
@@ -298,6 +299,15 @@ def test_a_rig_is_calibrated_from_its_bag(tmp_path: Path, capsys: pytest.Capture
     assert np.allclose(found.rig["right"].cam_from_rig.translation, [-0.05, 0.0, 0.0], atol=1e-3)
     table = (out / "frames" / "frames.csv").read_text()
     assert f"left/000003.png,{path.name}:/left/image_raw/compressed,3,3.000000" in table
+
+
+def test_guide_takes_a_topic(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "a.bag", plain(ROS["ros1"], "/cam", 6))
+    source = Source(f"{path}:/cam", 5.0)
+    assert source.ends and source.path == path and len(list(source.frames())) == 3
+    both = write_bag(tmp_path / "both", [shot for name in ("/a", "/b") for shot in plain(ROS["cdr"], name, 2)])
+    with pytest.raises(InputError, match="One topic of a bag was expected as `source`, found 2"):
+        Source(f"{both}:/a,/b", 5.0)
 
 
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
