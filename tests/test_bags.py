@@ -225,6 +225,23 @@ def test_mcap_of_foxglove(encoding: str, indexed: bool, tmp_path: Path) -> None:
     assert np.array_equal(frames[2].pixels[..., 0], grey(2))
 
 
+def test_a_topic_of_several_channels_is_one(tmp_path: Path) -> None:
+    """Each publisher has its own, of which one may have sent nothing."""
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedImage", "protobuf", b"")
+        image = cv2.imencode(".png", grey(0))[1].tobytes()
+        channels = [writer.register_channel("/camera", "protobuf", schema, {"publisher": str(k)}) for k in range(3)]
+        for k in range(4):
+            stamp = BEGIN_NS + k * STEP_NS
+            writer.add_message(channels[k % 2], stamp, foxglove("protobuf", stamp, image), stamp)
+        writer.finish()
+    (topic,) = open_videos([path])
+    assert topic.count == 4 and len(list(topic.frames())) == 4
+
+
 def test_mcap_of_ros_1(tmp_path: Path) -> None:
     store = ROS["ros1"]
     message = raw(store, BEGIN_NS, grey(0), "mono8")
