@@ -30,6 +30,7 @@ from omnilines.files.bags import is_bag, split_topics
 from omnilines.files.topics import Topic
 from omnilines.files.videos import find_videos, open_videos
 from omnilines.footage.options import FrameOptions
+from omnilines.guide.source import Source
 
 BOARD = "checkerboard:8x6:30mm"
 LENS = camera_models.OpenCVFisheye([120.0, 120.0, 191.5, 143.5, 0.02, -0.004, 0.0, 0.0], (384, 288))
@@ -224,6 +225,23 @@ def test_mcap_of_foxglove(encoding: str, indexed: bool, tmp_path: Path) -> None:
     assert np.array_equal(frames[2].pixels[..., 0], grey(2))
 
 
+def test_a_topic_of_several_channels_is_one(tmp_path: Path) -> None:
+    """Each publisher has its own, of which one may have sent nothing."""
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedImage", "protobuf", b"")
+        image = cv2.imencode(".png", grey(0))[1].tobytes()
+        channels = [writer.register_channel("/camera", "protobuf", schema, {"publisher": str(k)}) for k in range(3)]
+        for k in range(4):
+            stamp = BEGIN_NS + k * STEP_NS
+            writer.add_message(channels[k % 2], stamp, foxglove("protobuf", stamp, image), stamp)
+        writer.finish()
+    (topic,) = open_videos([path])
+    assert topic.count == 4 and len(list(topic.frames())) == 4
+
+
 def test_mcap_of_ros_1(tmp_path: Path) -> None:
     store = ROS["ros1"]
     message = raw(store, BEGIN_NS, grey(0), "mono8")
@@ -298,6 +316,15 @@ def test_a_rig_is_calibrated_from_its_bag(tmp_path: Path, capsys: pytest.Capture
     assert np.allclose(found.rig["right"].cam_from_rig.translation, [-0.05, 0.0, 0.0], atol=1e-3)
     table = (out / "frames" / "frames.csv").read_text()
     assert f"left/000003.png,{path.name}:/left/image_raw/compressed,3,3.000000" in table
+
+
+def test_guide_takes_a_topic(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "a.bag", plain(ROS["ros1"], "/cam", 6))
+    source = Source(f"{path}:/cam", 5.0)
+    assert source.ends and source.path == path and len(list(source.frames())) == 3
+    both = write_bag(tmp_path / "both", [shot for name in ("/a", "/b") for shot in plain(ROS["cdr"], name, 2)])
+    with pytest.raises(InputError, match="One topic of a bag was expected as `source`, found 2"):
+        Source(f"{both}:/a,/b", 5.0)
 
 
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:

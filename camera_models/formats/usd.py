@@ -68,6 +68,8 @@ class Usd(CalibrationFormat):
         begins = list(_PRIM.finditer(content))
         if not content.startswith("#usda") or not begins:
             raise InputError("USD text with a prim `def Camera` was expected, found none; save the stage as .usda.")
+        if content.count("{") != content.count("}"):
+            raise InputError("USD text was expected with as many { as }, found others: it is cut short; copy it again.")
         cameras: dict[str, CameraModel] = {}
         poses: dict[str, Pose] = {}
         beside: dict[str, list[str]] = {}
@@ -93,10 +95,11 @@ class Usd(CalibrationFormat):
             raise InputError(
                 f"The lens of {name} was expected without {', '.join(lost)}, for which the camera model has no place."
             )
-        absent = [key for key in _K if key not in given]
+        # What is not there has the schema's own value, which is not 0.
+        absent = [key for key in form.order or () if key not in given]
         if absent:
             raise InputError(f"{prefix}{absent[0]} is missing in {name}; add it.")
-        values = {key: _number(given.get(key, "0"), f"{key} of {name}") for key in form.order or ()}
+        values = {key: _number(given[key], f"{key} of {name}") for key in form.order or ()}
         shifted = [value - _CENTRE if key in ("cx", "cy") else value for key, value in values.items()]
         return form.camera(shifted, size, name), [f"{prefix}{key}" for key in (*values, "imageSize", *_THIN_PRISM)]
 

@@ -167,18 +167,22 @@ def _of_mcap(stream: Any) -> _Bag:
         for schema, channel, message in every([topic]):
             yield Message(message.log_time, _ros2_name(schema), channel.message_encoding, message.data)
 
-    summary = SeekingReader(stream).get_summary()
     topics: dict[str, _Channel] = {}
+
+    def add(channel: Any, schema: Any, count: int) -> None:
+        """Several channels may be of one topic."""
+        before = topics[channel.topic].total if channel.topic in topics else 0
+        topics[channel.topic] = _Channel(_ros2_name(schema), before + count)
+
+    summary = SeekingReader(stream).get_summary()
     if summary is None or summary.statistics is None or not summary.channels:
         for schema, channel, _ in every(None):
-            count = topics[channel.topic].total if channel.topic in topics else 0
-            topics[channel.topic] = _Channel(_ros2_name(schema), count + 1)
+            add(channel, schema, 1)
         return _Bag(topics, messages)
     for chunk in summary.chunk_indexes:
         _require_readable(chunk.compression, chunk.uncompressed_size)
     for number, channel in summary.channels.items():
-        count = summary.statistics.channel_message_counts.get(number, 0)
-        topics[channel.topic] = _Channel(_ros2_name(summary.schemas.get(channel.schema_id)), count)
+        add(channel, summary.schemas.get(channel.schema_id), summary.statistics.channel_message_counts.get(number, 0))
     return _Bag(topics, messages)
 
 

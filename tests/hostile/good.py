@@ -25,6 +25,9 @@ FX = 170.25
 SIZE = (646, 482)
 LENS = camera_models.OpenCVFisheye([FX, 171.5, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], SIZE)
 PINHOLE = camera_models.Pinhole([FX, 171.5, 325.0, 236.0, 0.0, -0.01, 0.003, 0.001, 0.0001, 0, 0, 0, 0], SIZE)
+ODD = camera_models.OpenCVFisheye([171.5, FX, 325.0, 236.0, -0.01, 0.003, 0.0, 0.0], SIZE)
+SQUARE = camera_models.OpenCVFisheye([FX, FX, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], SIZE)
+PLAIN = camera_models.Pinhole([FX, 171.5, 325.0, 236.0, *([0.0] * 9)], SIZE, 0)
 POLYNOMIAL = camera_models.Scaramuzza([325.0, 236.0, 1.0, 0.0, 0.0, FX, -1.2e-3, 1e-7, -2e-9], SIZE)
 SPEC = "checkerboard:7x5:30mm"
 POSES = [
@@ -52,6 +55,10 @@ FILES: dict[str, tuple[str, str, tuple[camera_models.CameraModel, ...]]] = {
     "anipose": ("calibration.toml", "anipose", (LENS, PINHOLE)),
     "caliscope": ("camera_array.toml", "caliscope", (LENS, PINHOLE)),
     "mc-calib": ("calibrated_cameras_data.yml", "mc-calib", (LENS, PINHOLE)),
+    "aria": ("aria.json", "aria", (LENS, PLAIN)),
+    "ftheta": ("ftheta.json", "ftheta", (ODD,)),
+    "openmvg": ("sfm_data.json", "openmvg", (SQUARE,)),
+    "usd": ("rig.usda", "usd", (LENS, PINHOLE)),
     "metashape": ("metashape.xml", "metashape", (LENS,)),
     "nerfstudio": ("transforms.json", "nerfstudio", (LENS,)),
     "opensfm": ("camera_models.json", "opensfm", (LENS, PINHOLE)),
