@@ -130,7 +130,7 @@ def test_a_notebook_runs(name: str, tmp_path: pathlib.Path) -> None:
     blocks = [part for part in walks.parts_of(page) if isinstance(part, walks.Block)]
     assert len(cells) == len(blocks) > 3
     for cell, block in zip(cells, blocks, strict=True):
-        printed = "".join(output.text for output in cell.outputs if output.output_type == "stream")
+        printed = "".join(output.text for output in cell.outputs if output.get("name") == "stdout")
         if block.shown is not None:
             walks.printed_anew(block.shown, printed)
 

@@ -82,21 +82,20 @@ def formats() -> str:
 
 
 def api() -> str:
-    """A directive of mkdocstrings for each public name of `omnilines`: verbs first, then what they hand back, then options."""
+    """A directive of mkdocstrings for each public name of `omnilines`, in the order of the data flow: verbs first, then what they
+    hand back, then options, whose fields have a page of their own."""
     kinds: dict[str, list[str]] = {"Verbs": [], "Results and tables": [], "Options": [], "Errors and progress": []}
-    for name in omnilines.__all__:
-        verb, place = name[0].islower(), omnilines._HOME_OF[name]
-        errors = place in ("camera_models.errors", "omnilines.progress")
-        kind = (
-            "Verbs"
-            if verb
-            else "Options"
-            if name.endswith("Options")
-            else "Errors and progress"
-            if errors
-            else "Results and tables"
-        )
-        kinds[kind].append(f"::: {place}.{name}\n")
+    for name, place in omnilines._HOME_OF.items():
+        if name[0].islower():
+            kind = "Verbs"
+        elif name.endswith("Options"):
+            kind = "Options"
+        elif place in ("camera_models.errors", "omnilines.progress"):
+            kind = "Errors and progress"
+        else:
+            kind = "Results and tables"
+        more = "    options:\n      members: false\n" if kind == "Options" else ""
+        kinds[kind].append(f"::: {place}.{name}\n{more}")
     return "\n".join("\n".join([f"## {kind}\n", *names]) for kind, names in kinds.items())
 
 

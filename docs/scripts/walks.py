@@ -120,15 +120,13 @@ def _off(a: str | None, b: str | None, share: float, least: float) -> bool:
 
 
 def notebook_of(page: str) -> str:
-    """A walk as a notebook (JSON, without outputs)."""
+    """A walk as a notebook (JSON, without outputs), which lies beside the page."""
     cells = []
     for part in parts_of(page):
         if isinstance(part, str) and part.strip():
-            text = re.sub(r"\]\((?!https?:)(?:\.\./)*([\w./-]+)(?:\{[^}]*\})?", r"](../\1", part.strip())
-            cells.append({"cell_type": "markdown", "metadata": {}, "source": re.sub(r"\]\(\.\./(\w+\.md)", r"](../\1", text)})
+            cells.append({"cell_type": "markdown", "metadata": {}, "source": part.strip()})
         elif isinstance(part, Block):
-            code = part.code.rstrip("\n")
-            source = re.sub(r"^omnilines", "!omnilines", code, flags=re.M) if part.language == "bash" else code
+            source = ("%%bash\n" if part.language == "bash" else "") + part.code.rstrip("\n")
             cells.append({"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [], "source": source})
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     named = [{"id": f"cell{k}", **cell} for k, cell in enumerate(cells)]
