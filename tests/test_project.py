@@ -8,11 +8,10 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
-from typing import Any
 
 import pytest
+import tables
 import typer
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -46,16 +45,7 @@ def table(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line[1:-1].split("|")] for line in found[1].splitlines()]
 
 
-def leaf_commands(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every command of the command line, sub-commands written with a blank."""
-    for name, command in group.commands.items():
-        if hasattr(command, "commands"):
-            yield from leaf_commands(command, f"{prefix}{name} ")
-        else:
-            yield f"{prefix}{name}", command
-
-
-COMMANDS = dict(leaf_commands(typer.main.get_command(app)))
+COMMANDS = dict(tables.leaf_commands(typer.main.get_command(app)))
 
 
 def test_every_command_takes_json_and_has_it_documented() -> None:
