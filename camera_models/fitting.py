@@ -6,13 +6,13 @@ bearing keeps its direction, so poses and lines stay what they are.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 from torch import Tensor
 
@@ -74,12 +74,13 @@ def convert(
     target_name: str,
     fov_deg: float | int | None = None,
     held: Mapping[str, float] | None = None,
+    tied: Sequence[str] = (),
     **options: Any,
 ) -> Conversion:
     """The camera of another model that is nearest to `model`, within `fov_deg` across and inside the image.
 
     Without `fov_deg` it is all that the image of the source sees. Parameters of the target named in `held` keep the values given
-    there. `options` go to the target (`degree`, `coefficients`).
+    there, those in `tied` have one value. `options` go to the target (`degree`, `coefficients`).
 
     Raises InputError for an unknown model, a field of view out of range or one that the target cannot hold: beyond its largest
     angle, a mirror where the target has none, a model without parameters to fit.
@@ -92,9 +93,9 @@ def convert(
     # A model is its own start, with all its coefficients, unless options ask for others.
     own = type(model) is target and target.CALIBRATED and not options
     start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
-    fitted = _refine(start, bearings, pixels, held)
+    fitted = _refine(start, bearings, pixels, held, tied)
     for rival in fitted.rivals(half):
-        other = _refine(rival, bearings, pixels, held)
+        other = _refine(rival, bearings, pixels, held, tied)
         # Where both are exact, rounding must not decide.
         if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
             fitted = other
@@ -220,14 +221,15 @@ def _start(model: CameraModel, target: type[CameraModel], mirror: bool, half: fl
         raise
 
 
-def _directions(model: CameraModel, held: Mapping[str, float]) -> Float[Tensor, "p q"]:
-    """The directions that a calibration estimates, and one for each affine parameter that these leave open; none moves `held`."""
+def _directions(model: CameraModel, held: Mapping[str, float], stands_for: Int[Tensor, " p"]) -> Float[Tensor, "p q"]:
+    """The directions that a calibration estimates, and one for each affine parameter that these leave open; none moves `held`,
+    and each parameter moves as the one does that stands for it."""
     names = model.PARAMETER_NAMES
     units = torch.eye(len(names), dtype=torch.float64)
     free = torch.tensor([[0.0 if name in held else 1.0] for name in names], dtype=torch.float64)
     basis = units[:, :0]
     affine = units[:, [index for index, name in enumerate(names) if name in AFFINE]]
-    for direction in (free * torch.cat([model.calibration_basis(), affine], -1)).unbind(-1):
+    for direction in (free * torch.cat([model.calibration_basis(), affine], -1))[stands_for].unbind(-1):
         wider = torch.cat([basis, direction[:, None]], -1)
         if int(torch.linalg.matrix_rank(wider)) > basis.shape[1]:
             basis = wider
@@ -239,15 +241,18 @@ def _refine(
     bearings: Float[Tensor, "n 3"],
     pixels: Float[Tensor, "n 2"],
     held: Mapping[str, float] | None = None,
+    tied: Sequence[str] = (),
 ) -> CameraModel:
     """Least squares of the distance in pixels; a bearing outside the domain counts from the edge that stands for it."""
     held = held or {}
     values = start.named_parameters() | {name: held[name] for name in start.PARAMETER_NAMES if name in held}
+    names = list(values)
+    stands_for = torch.tensor([names.index(tied[0] if name in tied else name) for name in names])
     start = start.with_parameters(list(values.values()))
-    basis = _directions(start, held)
+    basis = _directions(start, held, stands_for)
 
     def moved(step: np.ndarray) -> CameraModel:
-        return start.with_parameters(start.parameters + basis @ torch.as_tensor(step))
+        return start.with_parameters((start.parameters + basis @ torch.as_tensor(step))[stands_for])
 
     def residual(step: np.ndarray) -> np.ndarray:
         return (moved(step).project(bearings)[0] - pixels).flatten().numpy()

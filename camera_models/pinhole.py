@@ -87,14 +87,15 @@ class Pinhole(CameraModel):
 
     @classmethod
     def examples(cls) -> Sequence["Pinhole"]:
-        """Barrel with tangential terms, rational wide angle, pincushion with skew, the dissertation's ideal camera, and one that
-        ends at a pole."""
+        """Barrel with tangential terms, rational wide angle, pincushion with skew, the dissertation's ideal camera, one that
+        ends at a pole, and one of square pixels."""
         return (
             cls([600.0, 602.0, 640.3, 478.9, 0.0, -0.28, 0.09, 2e-4, -3e-4, -0.012, 0, 0, 0], (1280, 960)),
             cls([450.0, 451.0, 655.0, 370.0, 0.0, 0.9, 0.05, -1e-4, 2e-4, 0.001, 1.2, 0.22, 0.01], (1280, 720), 8),
             cls([900.0, 905.0, 330.0, 245.0, 1.5, 0.06, 0.01, 0.0, 0.0, 0.0, 0, 0, 0], (640, 480)),
             cls([1520.4, 1525.9, 302.32, 246.87, *([0.0] * 9)], (640, 480), 0),
             cls([900.0, 901.0, 640.2, 480.4, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.05, 0.0], (1280, 960), 8),
+            cls([820.0, 820.0, 651.2, 470.6, 0.0, -0.21, 0.06, 1e-4, -2e-4, -0.008, 0, 0, 0], (1280, 960)),
         )
 
     def with_parameters(self, parameters: Array | Sequence[float | int]) -> "Pinhole":

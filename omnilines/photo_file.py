@@ -28,37 +28,40 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, holds
     other numbers than 8 or 16 bit ones, or more pixels than MOST_PIXELS or than fit into memory.
     """
-    file = Path(path)
-    content = read_bytes(file)
+    return decoded_photo(read_bytes(Path(path)), str(Path(path)))
+
+
+def decoded_photo(content: bytes, name: str) -> UInt[np.ndarray, "h w *channels"]:
+    """As `read_photo`, of the content of a file; errors say its name."""
     data = np.frombuffer(content, dtype=np.uint8)
     if not len(data):
-        raise InputError(f"The image {file} is empty (0 bytes); copy it again.")
-    _require_room(file, size_of_photo(content))
+        raise InputError(f"The image {name} is empty (0 bytes); copy it again.")
+    _require_room(name, size_of_photo(content))
     try:
         with quiet_codecs():
             pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise InputError(f"The image {file} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
+        raise InputError(f"The image {name} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
     if pixels.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"The image {file} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
+        raise InputError(f"The image {name} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
     return pixels
 
 
-def _require_room(file: Path, size: tuple[int, int] | None) -> None:
+def _require_room(name: str, size: tuple[int, int] | None) -> None:
     """Raises InputError where a photo of this size should not be decoded."""
     if size is None:
         return
     pixels, available = size[0] * size[1], available_bytes()
     if pixels > MOST_PIXELS:
         raise InputError(
-            f"The image {file} was expected to have at most {MOST_PIXELS / 1e6:.0f} megapixels, found {size[0]} x {size[1]} px; "
+            f"The image {name} was expected to have at most {MOST_PIXELS / 1e6:.0f} megapixels, found {size[0]} x {size[1]} px; "
             "give a smaller one."
         )
     if available is not None and 3 * pixels > available:
         raise InputError(
-            f"Memory for the image {file} of {size[0]} x {size[1]} px was expected, found {available / 1e9:.1f} GB; give a "
+            f"Memory for the image {name} of {size[0]} x {size[1]} px was expected, found {available / 1e9:.1f} GB; give a "
             "smaller one, or more memory."
         )
 

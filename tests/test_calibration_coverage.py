@@ -94,7 +94,9 @@ def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
 
 
 @pytest.mark.parametrize("seeds", [5, pytest.param(200, marks=pytest.mark.full)])
-@pytest.mark.parametrize(("name", "views", "noise_px"), [("unified", 9, 0.4), ("double-sphere", 6, 1.0)])
+@pytest.mark.parametrize(
+    ("name", "views", "noise_px"), [pytest.param("unified", 9, 0.4, marks=pytest.mark.full), ("double-sphere", 6, 1.0)]
+)
 def test_intervals_in_a_curved_valley(name, views, noise_px, seeds):
     """Standard deviations cover 80 and 52 percent there; it is said, and the intervals hold."""
     truth, reach = LENSES[name]

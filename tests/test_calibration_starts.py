@@ -59,7 +59,9 @@ def test_boards_out_to_105_degrees(model, seeds):
 
 
 @pytest.mark.parametrize("model", SPHERES)
-@pytest.mark.parametrize("reach_deg", [50.0, pytest.param(76.0, marks=pytest.mark.full), 89.0])
+@pytest.mark.parametrize(
+    "reach_deg", [pytest.param(50.0, marks=pytest.mark.full), pytest.param(76.0, marks=pytest.mark.full), 89.0]
+)
 def test_sphere_models_start_too(model, reach_deg):
     """On another model's lens, which they hold to a small share of the noise."""
     result = calibrate_camera(ladder_corners(LADDER_LENS, reach_deg, 0), SIZE, model)

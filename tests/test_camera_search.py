@@ -200,7 +200,7 @@ def test_complete_photos_are_not_read_again(photo_set: Set, monkeypatch: pytest.
     np.testing.assert_array_equal(again.corners.pixels, whole.corners.pixels)
 
 
-@pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.full)])
 def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = detect(photo_set.folder, BOARD)
     monkeypatch.setattr(calibrate_module, "detect", lambda *_, **__: reduced(whole, photo_set))

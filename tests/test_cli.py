@@ -99,6 +99,7 @@ def test_calibrate_from_photos(photos, tmp_path, capsys):
 def test_detect_writes_the_corners_that_calibrate_reads(photos, tmp_path, capsys):
     status, out, _ = run(capsys, "detect", photos, "--pattern", SPEC, "--out", tmp_path)
     assert status == 0 and "35 corners" in out
+    assert out.endswith(f"Next: omnilines calibrate {tmp_path / 'corners.csv'} --image-size 640x480 --out result\n")
     table = read_csv(tmp_path / "corners.csv")
     assert len(table) == 5 * 35
     status, out, _ = run(
@@ -115,6 +116,7 @@ def test_corners_csv_to_calibration(tmp_path, capsys):
         tmp_path / "out",
     )  # fmt: skip
     assert status == 0 and "rms_px_per_axis" in out
+    assert f"Next: omnilines reconstruct PHOTOS --calibration {tmp_path / 'out/calibration.yaml'} " in out
     model = camera_models.load(tmp_path / "out/calibration.yaml")["cam0"]
     np.testing.assert_allclose(model.parameters.numpy()[:4], LENS.parameters.numpy()[:4], atol=1e-3)
 

@@ -60,15 +60,33 @@ def test_system_is_solved_on_its_constraint(monkeypatch: pytest.MonkeyPatch, nar
     assert abs(found.weakest()[0] / values[0] - 1) < 1e-4
 
 
-def test_superlu_gives_what_the_band_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_superlu_gives_what_the_band_gives() -> None:
     pattern, blocks, dense, _ = system(0)
     np.testing.assert_allclose(sparse_matrix(pattern, blocks).toarray(), dense, rtol=1e-14, atol=1e-14)
     sparse, banded = SparseFactor.of(pattern, blocks), BandFactor.of(pattern, blocks)
     assert sparse is not None and banded is not None
-    monkeypatch.setattr(reduced_system, "SOLVED_AT_ONCE", 200)
     np.testing.assert_allclose(sparse.inverse_blocks(pattern, DIM), banded.inverse_blocks(pattern, DIM), rtol=1e-8, atol=1e-10)
     blocks[pattern.diagonal[4]] *= -1
     assert SparseFactor.of(pattern, blocks) is None and BandFactor.of(pattern, blocks) is None
+
+
+@pytest.mark.parametrize("zeros", [False, True])
+def test_the_inverse_of_a_grid_follows_from_its_factor(zeros: bool) -> None:
+    """A net of loops, whose band is wide; with zeros inside its blocks, of which the factor keeps none."""
+    side = 7
+    rng = np.random.default_rng(5)
+    at = np.arange(side * side).reshape(side, side)
+    ties = np.concatenate([np.stack([at[:, :-1].ravel(), at[:, 1:].ravel()], 1), np.stack([at[:-1].ravel(), at[1:].ravel()], 1)])
+    pattern = pair_pattern(np.arange(0, 2 * len(ties) + 1, 2), ties.ravel().astype(np.int32), side * side)
+    blocks = rng.standard_normal((len(pattern.row), DIM, DIM))
+    if zeros:
+        blocks[:, [0, 0, 1, 2], [1, 2, 0, 0]] = 0.0
+    blocks[pattern.diagonal] = 12.0 * np.eye(DIM)
+    dense = sparse_matrix(pattern, blocks).toarray()
+    cells = np.linalg.inv(dense).reshape(side * side, DIM, side * side, DIM).transpose(0, 2, 1, 3)
+    factor = SparseFactor.of(pattern, blocks)
+    assert factor is not None and pattern.reach >= side
+    np.testing.assert_allclose(factor.inverse_blocks(pattern, DIM), cells[pattern.row, pattern.column], rtol=1e-10, atol=1e-12)
 
 
 def test_a_shuffled_path_is_put_in_order() -> None:

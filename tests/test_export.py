@@ -15,7 +15,9 @@ import omnilines as ol
 from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Scaramuzza, save
 from camera_models.pose import Pose
 from omnilines.cli import main
-from omnilines.files import write_lines, write_poses, write_segments
+from omnilines.files import write_lines, write_png, write_poses, write_segments
+from omnilines.photo_file import read_photo
+from omnilines.posing._pycolmap import pycolmap
 from omnilines.records import ImagePoses, Lines, Segments
 
 FAR_M = np.array([500_000.0, 5_400_000.0, 300.0])
@@ -152,9 +154,9 @@ def test_limap_itself_reads_them(folder: Path, tmp_path: Path) -> None:
     [
         (
             "{scene} {out}/lines.dwg",
-            "A name that tells the format was expected (*.dxf, *.glb, *.json, *limap*), found 'lines.dwg'",
+            "A name that tells the format was expected (*.dxf, *.glb, *.json, *limap*, *colmap*), found 'lines.dwg'",
         ),
-        ("{scene} {out}/lines.dxf --to dwg", "A format of scenes is one of dxf, glb, nerfstudio, limap, found 'dwg'"),
+        ("{scene} {out}/lines.dxf --to dwg", "A format of scenes is one of dxf, glb, nerfstudio, limap, colmap, found 'dwg'"),
         ("{out} {out}/lines.dxf", "found no calibration.yaml in it"),
         ("{scene} {out}/lines.dxf --photos {out}", "--photos is for nerfstudio"),
         ("{scene} {out}/t.json --photos {out}/nowhere", "which is none"),
@@ -178,3 +180,49 @@ def test_a_scene_without_poses_has_no_frames(folder: Path, tmp_path: Path) -> No
     table.write_text(table.read_text().splitlines()[0] + "\n")
     with pytest.raises(InputError, match=r"poses"):
         ol.export(folder, tmp_path / "transforms.json").save()
+
+
+def test_colmap_for_splatting_is_read_by_pycolmap(tmp_path: Path) -> None:
+    """A fisheye of 200 degrees whose image circle is black outside: native camera, poses, points to begin from, masks."""
+    lens = OpenCVFisheye([80.0, 80.5, 159.5, 119.5, 0.01, -0.002, 0.0, 0.0], (320, 240))
+    folder = scene(tmp_path / "scene", Calibration({"cam0": lens}))
+    column, row = np.meshgrid(np.arange(320), np.arange(240))
+    inside = (column - 160.0) ** 2 + (row - 119.0) ** 2 <= 115.0**2
+    photos = tmp_path / "data" / "images"
+    (photos / "in").mkdir(parents=True)
+    for k in range(3):
+        picture = np.where(inside, np.random.default_rng(k).integers(60, 200, (240, 320)), 0).astype(np.uint8)
+        write_png(photos / "in" / f"{k}.png", picture)
+    files, lost = ol.export(folder, tmp_path / "data", to_format="colmap", photos=photos).save()
+    assert {path.relative_to(tmp_path / "data").as_posix() for path in files} == {
+        *(f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")),
+        *(f"masks/in/{k}.png.png" for k in range(3)),
+    }
+    assert any("lines" in one for one in lost)
+    model = pycolmap().Reconstruction(tmp_path / "data" / "sparse" / "0")
+    (camera,) = model.cameras.values()
+    assert camera.model.name == "OPENCV_FISHEYE" and model.num_images() == 3
+    bearings = np.random.default_rng(0).normal([0, 0, 2.0], 0.7, (40, 3))
+    bearings = bearings[bearings[:, 2] > 0.2]
+    np.testing.assert_allclose(np.array(camera.img_from_cam(bearings)) - 0.5, lens.project(bearings)[0], atol=1e-6)
+    poses = ol.read_poses(folder / "poses.csv")
+    for image in model.images.values():
+        k = poses.images.index(image.name)
+        ours = poses.cam_from_world[k]
+        np.testing.assert_allclose(image.cam_from_world().matrix()[:, :3], ours.rotation, atol=1e-9)
+    points = np.array([point.xyz for point in model.points3D.values()])
+    ends = ends_of(folder)
+    way = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1, keepdims=True)
+    off = np.linalg.norm(np.cross(points[:, None] - ends[:, 0], way), axis=-1).min(-1)
+    assert len(points) > 1000 and off.max() < 1e-6
+    mask = read_photo(tmp_path / "data" / "masks" / "in" / "1.png.png") > 0
+    bearing = lens.unproject(np.stack([column, row], -1).astype(float))[0]
+    wanted = inside & (bearing[..., 2] > 0)
+    # The rim is found a little inside, where it is not blurred.
+    assert (mask & ~wanted).mean() < 0.002 and (wanted & ~mask).mean() < 0.02
+    _, told = ol.export(folder, tmp_path / "other_colmap").save()
+    assert any("image circles" in one for one in told)
+    write_png(photos / "in" / "0.png", picture[:100])
+    with pytest.raises(InputError, match="expected to be 320x240 px as its camera, found 320x100"):
+        ol.export(folder, tmp_path / "more_colmap", photos=photos).save()
+    assert not (tmp_path / "more_colmap").exists()

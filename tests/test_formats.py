@@ -23,7 +23,20 @@ EXAMPLES = [(name, index, model) for name, _ in MODELS for index, model in enume
 PAIRS = [(entry.name, model, f"{entry.name}-{name}-{index}") for entry in FORMATS for name, index, model in EXAMPLES]
 EACH_PAIR = pytest.mark.parametrize(("name", "model"), [pair[:2] for pair in PAIRS], ids=[pair[2] for pair in PAIRS])
 EACH = pytest.mark.parametrize("name", FORMAT_NAMES)
-LONG_TO_FIT = ("kalibr", "basalt", "mrcal", "ros", "anipose", "caliscope", "mc-calib", "metashape", "nerfstudio")
+LONG_TO_FIT = (
+    "kalibr",
+    "basalt",
+    "mrcal",
+    "ros",
+    "anipose",
+    "caliscope",
+    "mc-calib",
+    "metashape",
+    "nerfstudio",
+    "openmvg",
+    "aria",
+    "usd",
+)
 
 
 def suffixes(name: str) -> tuple[str, ...]:

@@ -63,6 +63,16 @@ def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
     assert all(row.reason for row in chosen.rows)
 
 
+def test_frames_of_several_targets_are_those_of_each(video: Path) -> None:
+    alone = ol.frames(video, BOARD, options=OPTIONS)
+    other = "charuco:5x4:30mm:22mm:DICT_4X4_50"
+    both = ol.frames(video, f"{other}, {BOARD}", options=OPTIONS)
+    assert [row.index for row in both.taken] == [row.index for row in alone.taken] and len(both.taken) >= 8
+    assert [row.corners for row in both.rows] == [row.corners for row in alone.rows]
+    with pytest.raises(InputError, match=f"{other} or aprilgrid:6x6:35mm:0.3:36h11 was expected in at least one"):
+        ol.frames(video, f"{other},aprilgrid:6x6:35mm:0.3:36h11", options=OPTIONS)
+
+
 def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", str(video), "--pattern", BOARD, "--model", "opencv-fisheye", "--out", str(tmp_path / "out")])
@@ -76,6 +86,7 @@ def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsy
     assert abs(focal["fx"] - 120.0) < 0.5 and abs(focal["cx"] - 191.5) < 0.7
 
 
+@pytest.mark.full
 def test_the_example_holds(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("board.mp4").write_bytes(video.read_bytes())
@@ -113,6 +124,9 @@ def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path)
     assert found.corners.times_s is not None
     taken = {row.image: row.time_s for row in chosen.taken}
     assert np.allclose(found.corners.times_s, [taken[image] for image in found.corners.images], atol=1e-6)
+    in_memory = ol.detect_rig(chosen.photos(), BOARD)
+    assert in_memory.corners.times_s is not None and in_memory.corners.images == found.corners.images
+    assert np.allclose(in_memory.corners.times_s, found.corners.times_s, atol=1e-6)
     runs = ol.frames(tmp_path, BOARD, options=FrameOptions(most_of_target=2, frames_of_run=3))
     numbers = sorted({row.index for row in runs.taken})
     assert 4 <= len(numbers) <= 6 and sum(a + 1 == b for a, b in itertools.pairwise(numbers)) >= 3

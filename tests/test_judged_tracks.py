@@ -56,6 +56,7 @@ def test_rough_poses_are_taken_and_spoken_of(seed: int) -> None:
     assert "rough" in note
 
 
+@pytest.mark.full
 def test_every_other_reading_is_named_when_the_table_was_written_so() -> None:
     segments, poses = scene(12, 5, seed=0)
     true = poses.cam_from_world

@@ -54,7 +54,7 @@ TOLD = (
 )
 
 
-@pytest.mark.parametrize("given", [("--threads", "1"), ("--threads", "2")], ids=" ".join)
+@pytest.mark.parametrize("given", [pytest.param(("--threads", "1"), marks=pytest.mark.full), ("--threads", "2")], ids=" ".join)
 def test_torch_opencv_and_linear_algebra_use_as_many_threads_as_we(given: tuple[str, str], tmp_path: Path) -> None:
     wanted = min(int(given[1]), machine.cores())
     env = {name: value for name, value in os.environ.items() if name not in (*machine.POOLS, machine.THREADS)}

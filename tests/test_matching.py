@@ -273,7 +273,15 @@ def test_an_arc_that_leads_elsewhere_asks_for_another_photo() -> None:
             others = [j for j in members if j != i and not (k == 1 and i == members[0] and j == members[2])]
             support[i, : len(others)] = others
     blank = np.zeros(len(arcs))
-    found = Hypotheses(np.zeros((len(arcs), 2)), blank, blank, agreement, support.astype(np.int32), blank.astype(np.int64))
+    found = Hypotheses(
+        np.zeros((len(arcs), 2)),
+        blank,
+        blank,
+        agreement,
+        support.astype(np.int32),
+        blank.astype(np.int64),
+        every_neighbour(arcs.images),
+    )
     assert tracks_module._enough_views(arcs, track, 3, found, 4, OPTIONS.tracks.min_agreement).tolist() == [3, 4, 3]
     assert tracks_module._enough_views(arcs, track, 3, found, 3, OPTIONS.tracks.min_agreement).tolist() == [3, 3, 3]
     # Seen alike on one side only.

@@ -27,7 +27,7 @@ def test_the_chance_of_so_many_is_that_of_all_outcomes() -> None:
     chance = rng.uniform(0.0, 1.0, (6, 5))
     could = rng.random((6, 5)) < 0.8
     times = rng.integers(0, 4, 6)
-    for line, found in enumerate(at_least(chance, could, times)):
+    for line, found in enumerate(at_least(chance[could], np.nonzero(could)[0], times)):
         expected = 0.0
         for outcome in itertools.product((0, 1), repeat=int(could[line].sum())):
             come = np.array(outcome, dtype=bool)
@@ -61,14 +61,16 @@ def test_places_beside_a_line_are_counted_once_and_only_where_an_arc_looks_like_
         arcs.px_rad,
         arcs.colours,
         arcs.starts,
+        np.array([0, 1]),
+        np.array([0]),
         REACH_PX,
         MOST_CHI_SQUARE,
         OPTIONS.hypotheses.min_overlap_share,
         OPTIONS.likeness,
     )
     half = SIGMA_PX * math.sqrt(MOST_CHI_SQUARE / 2.0)
-    assert abs(width[0, 0] - 2.0 * half) < 0.01
-    assert abs(beside[0, 0] - (2.0 * half + 0.5)) < 0.02
+    assert abs(width[0] - 2.0 * half) < 0.01
+    assert abs(beside[0] - (2.0 * half + 0.5)) < 0.02
 
 
 def fence(noise_px: float) -> tuple[list, Pose, torch.Tensor, np.ndarray, np.ndarray, torch.Tensor]:

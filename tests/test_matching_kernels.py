@@ -14,6 +14,7 @@ from omnilines import progress
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching import hypotheses
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.asked import AskedLines
 from omnilines.matching.hypotheses import find_hypotheses
 from omnilines.matching.kernels import hypothesis as kernel
 from omnilines.matching.kernels import voting as voting_kernel
@@ -315,8 +316,8 @@ def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.Monke
             np.testing.assert_array_equal(one, other)
     assert every is not None
     rows = np.array([3, 77, 401])
-    for one, other in zip(vars(find_hypotheses(arcs, near, rows=rows)).values(), vars(every).values(), strict=True):
-        np.testing.assert_array_equal(one, other[rows])
+    for name, one in vars(find_hypotheses(arcs, near, rows=rows)).items():
+        np.testing.assert_array_equal(one, near if name == "neighbours" else getattr(every, name)[rows])
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -330,7 +331,18 @@ def test_lines_near_arcs_are_those_of_a_plain_search(name: str) -> None:
     spans = (ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * torch.as_tensor(np.stack([low, low + 0.2], -1))).numpy()
     gate = rng.uniform(1.0, 12.0, len(arcs)) * arcs.px_rad
     rows = np.sort(rng.permutation(len(arcs))[:120])
-    arc, line = near_lines(rows, arcs.packed, truth.direction.numpy(), truth.moment.numpy(), spans, gate[rows])
+    asked = AskedLines.every(arcs.images, len(ends))
+    arc, line = near_lines(
+        rows,
+        arcs.image,
+        arcs.packed,
+        truth.direction.numpy(),
+        truth.moment.numpy(),
+        spans,
+        gate[rows],
+        asked.starts,
+        asked.lines,
+    )
     centre, bearings = arcs.planes.centre[rows], torch.as_tensor(arcs.packed[rows, :6]).unflatten(1, (2, 3))
     moment = truth[None].moment_about(centre[:, None].expand(120, len(ends), 3))
     angle = torch.asin((bearings @ (moment / moment.norm(dim=-1, keepdim=True)).mT).abs().clamp_max(1)).amax(1)
@@ -346,15 +358,23 @@ def test_lines_near_arcs_are_those_of_a_plain_search(name: str) -> None:
     pairs = np.argwhere(expected.numpy())
     np.testing.assert_array_equal(np.stack([arc, line], -1), np.stack([rows[pairs[:, 0]], pairs[:, 1]], -1))
     assert len(pairs) > 40
+    # Photos that are asked for some of the lines only find these.
+    chosen = rng.random((arcs.images, len(ends))) < 0.5
+    starts = np.concatenate([[0], np.cumsum(chosen.sum(1))])
+    lines_of = (truth.direction.numpy(), truth.moment.numpy(), spans)
+    some_arc, some_line = near_lines(rows, arcs.image, arcs.packed, *lines_of, gate[rows], starts, np.nonzero(chosen)[1])
+    kept = chosen[arcs.image[arc], line]
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(np.stack([some_arc, some_line]), np.stack([arc[kept], line[kept]]))
 
 
 def test_the_list_of_near_lines_grows() -> None:
     arcs = room("fisheye").arcs(0.3, 1)
     truth = room("fisheye").truth()
     everywhere = np.repeat([[-np.inf, np.inf]], len(truth), 0)
-    arc, line = near_lines(
-        np.arange(len(arcs)), arcs.packed, truth.direction.numpy(), truth.moment.numpy(), everywhere, np.full(len(arcs), 1.5)
-    )
+    asked, gate = AskedLines.every(arcs.images, len(truth)), np.full(len(arcs), 1.5)
+    lines_of = (truth.direction.numpy(), truth.moment.numpy(), everywhere)
+    arc, line = near_lines(np.arange(len(arcs)), arcs.image, arcs.packed, *lines_of, gate, asked.starts, asked.lines)
     assert len(arc) > 4096 and len(np.unique(arc * len(truth) + line)) == len(arc)
     assert bool((np.diff(arc * len(truth) + line) > 0).all())
 

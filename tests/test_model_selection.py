@@ -100,7 +100,8 @@ def of_views(corners: Corners, views: list[int]) -> Corners:
     return Corners(np.searchsorted(views, corners.view[rows]), names, names, corners.board_m[rows], corners.pixels[rows])
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [0, 1])
 def test_views_that_no_good_model_fits_do_not_choose_the_model(shared_data, seed):
     """Corners of a real lens with four views that bend, are misread or misnumbered: a model that is too stiff keeps them."""
     corners, size = read_corners(shared_data / "calibration/gopro/corners.csv"), (3840, 2880)
@@ -136,8 +137,8 @@ def test_held_out_error_is_that_of_refitting():
     assert held_out(alone, CameraAndBoards(fit.model, poses[:1])).rms_px == np.inf
 
 
-@pytest.mark.parametrize("fov_deg", [190, 220])
-@pytest.mark.parametrize("sigma_px", [0.01, 0.03])
+@pytest.mark.parametrize("fov_deg", [pytest.param(190, marks=pytest.mark.full), 220])
+@pytest.mark.parametrize("sigma_px", [0.01, pytest.param(0.03, marks=pytest.mark.full)])
 def test_degree_follows_an_equidistant_lens_to_the_rim(fov_deg, sigma_px):
     """By default: degree 4 is off by 0.05 and 0.3 degrees, and rejects up to 40 percent of the outer third."""
     f = 470 / np.radians(fov_deg / 2)

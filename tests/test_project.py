@@ -71,7 +71,11 @@ def test_commands_written_in_the_documents_exist() -> None:
         re.findall(r"^ {4,}(.+)$", written, re.M)
         + "".join(re.findall(r"^```bash\n(.*?)^```$", written, re.M | re.S)).splitlines()
     )
-    calls = [call for line in code for call in re.findall(r"(?:^(?:\$ )?|\|\| )omnilines (?!--threads)([^|]+)", line)]
+    calls = [
+        call
+        for line in code
+        for call in re.findall(r"(?:^(?:\$ )?|\|\| )omnilines (?!--threads|--install-completion)([^|]+)", line)
+    ]
     assert len(calls) > 100
     for call in calls:
         names = [name for name in COMMANDS if f"{call} ".startswith(f"{name} ")]
@@ -189,17 +193,33 @@ PERMISSIVE = (
 
 
 def test_all_that_is_run_has_a_permissive_licence() -> None:
-    installed = closure([*PYPROJECT["project"]["dependencies"], *PYPROJECT["project"]["optional-dependencies"]["parquet"]])
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    installed = closure([*PYPROJECT["project"]["dependencies"], *extras["parquet"], *extras["cluster"]])
     assert len(installed) > 25
     for name in installed:
         about = metadata(name)
         classifiers = [text.rpartition("::")[2] for text in about.get_all("Classifier") or [] if text.startswith("License")]
-        stated = [about["License-Expression"]] if about["License-Expression"] else classifiers or [str(about["License"])]
+        expression = about.get("License-Expression")
+        stated = [expression] if expression else classifiers or [str(about.get("License"))]
         parts = [part.strip().lower() for text in stated for part in re.split(r" AND | OR ", text)]
         assert parts and all(part in PERMISSIVE for part in parts), (name, stated)
 
 
-HEAVY = ("torch", "cv2", "scipy", "kornia", "plotly", "trimesh", "jinja2", "matplotlib", "numba", "pycolmap", "pyarrow", "rerun")
+HEAVY = (
+    "torch",
+    "cv2",
+    "scipy",
+    "kornia",
+    "plotly",
+    "trimesh",
+    "jinja2",
+    "matplotlib",
+    "numba",
+    "pycolmap",
+    "pyarrow",
+    "rerun",
+    "dask",
+)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["validate", "--help"]])

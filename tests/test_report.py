@@ -21,7 +21,7 @@ from playwright.sync_api import Locator, Page, sync_playwright
 from camera_models.errors import InputError
 from camera_models.pose import Pose
 from omnilines import report
-from omnilines.records import Check, ImagePoses, Lines, Polyline, Summary, ViewResult
+from omnilines.records import Check, ImagePoses, Lines, Polyline, Segments, Summary, ViewResult
 from omnilines.report import page as report_page
 from omnilines.report import plots, tables
 
@@ -74,6 +74,13 @@ def some_lines() -> Lines:
     return Lines(names, ends, np.full(5, 7), np.full(5, 0.25), np.full(5, 0.0012), status)
 
 
+def some_segments() -> Segments:
+    """Track 2 in the wide photo and in one that cannot be read, track 0 in the small one, and an arc of no track."""
+    tracks = tuple(f"track {k}" for k in range(5))
+    image, track = np.array([0, 2, 1, 1, 0]), np.array([2, 2, 0, -1, 2])
+    return Segments(image, ("wide.jpg", "small.png", "broken.jpg"), track, tracks, np.zeros((5, 2, 2)))
+
+
 def camera_ring(n: int) -> ImagePoses:
     """Cameras on a circle of radius 1 m at height 1 m that look at the origin."""
     poses = []
@@ -114,6 +121,7 @@ def every_section(photo_folder: pathlib.Path, curves: list[Polyline]) -> list[re
             groups=["rows"] * 3 + ["columns"] * 2,
             cameras=camera_ring(8),
             truth_m=some_lines().ends_m[:4],
+            segments=some_segments(),
         ),
     ]
 
@@ -381,6 +389,10 @@ def test_scene_holds_lines_boards_cameras_and_truth() -> None:
     assert len(by_name["a"]["x"]) == 2 * 4 and by_name["a"]["x"][3] is None
     assert by_name["a"]["text"][4] == "track 1: ok, 7 views<br>largest sigma across 1.2 mm, residual 0.25 px"
     assert "4 of 5 tracks have a line" in markup(section)
+    assert "meta" not in spec["layout"]
+    (spec,) = specs(report.scene_section(lines=lines, segments=some_segments()))
+    seen = {"track 0": [1], "track 1": [], "track 2": [0, 2], "track 3": []}
+    assert spec["layout"]["meta"] == {"photos": ["wide.jpg", "small.png", "broken.jpg"], "lines": seen}
     # Each pyramid opens along its optical axis: here towards the origin, from its centre.
     pyramids = np.array([by_name["cameras"][k] for k in "xyz"], dtype=float).T.reshape(6, -1, 3)
     centres = cameras.cam_from_world.centre.numpy()

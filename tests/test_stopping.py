@@ -61,7 +61,14 @@ def left_behind(folder):
     return [path for path in folder.rglob("*") if path.name.endswith((".part", ".tmp"))]
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.full),
+        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.full),
+    ],
+)
 def test_a_signal_ends_a_pool_of_threads_at_once(room, tmp_path, number, status):
     process = started(room, tmp_path / "scene", "arcs", IN_THREADS)
     assert process.stderr.readline() == b"begun\n"

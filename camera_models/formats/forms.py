@@ -36,6 +36,11 @@ class Form:
         return tuple(name for item in self.order for name in (("fx", "fy") if item == "f" else (item,)))
 
     @property
+    def tied(self) -> tuple[str, ...]:
+        """Parameters for which one value stands in the file."""
+        return ("fx", "fy") if "f" in (self.order or ()) else ()
+
+    @property
     def held(self) -> dict[str, float]:
         """Parameters that a camera fitted to this form must have at a given value."""
         names: Sequence[str] = getattr(model_class(self.model), "PARAMETER_NAMES", tuple(self.fixed))

@@ -161,7 +161,7 @@ def _fits(
             if (form.ends_deg >= half_deg) is not reaches:
                 continue
             try:
-                fitted = convert(camera, form.model, fov_deg, form.held, **form.options)
+                fitted = convert(camera, form.model, fov_deg, form.held, form.tied, **form.options)
             except InputError as error:
                 # What was found, of "expected ..., found that ...; do ...".
                 said = str(error)

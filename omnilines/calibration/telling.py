@@ -111,9 +111,10 @@ class _Design:
             size = camera.matrix.shape[-1]
             matrix = torch.zeros(count, size, size, dtype=torch.float64)
             for name, own, variance in zip(camera.names, camera.matrix, camera.noise, strict=True):
-                matrix[instants[name]] += own
-                seen[number, instants[name]] = 1.0
-                noise[number, instants[name]] = variance
+                place = instants[name]
+                matrix[place] += own
+                seen[number, place] = 1.0
+                noise[number, place] = max(noise[number, place], variance)
             matrices.append(matrix)
         return _Design(tuple(matrices), seen, noise)
 

@@ -4,6 +4,7 @@ torch and cv2 are imported by the commands themselves, so that `--help` answers 
 """
 
 import contextlib
+import os
 import sys
 from typing import Any, NoReturn
 
@@ -26,6 +27,7 @@ __all__ = ["app", "cameras", "experiments", "extraction", "lines", "main", "scen
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: an error that the user can mend is one sentence on standard error and exit status 2; so is a signal that ends
     the command, with the status 128 + its number."""
+    _take_closed_streams()
     try:
         with stoppable():
             status = app(arguments, standalone_mode=False)
@@ -44,6 +46,16 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         _refuse("more memory than there is was asked for; give fewer or smaller photos, or a smaller size.")
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _take_closed_streams() -> None:
+    """Where a standard stream is closed its number would go to the next file that is opened, and what compiled code prints into
+    it, or what keeps a decoder quiet on it, would go to that file."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
 
 
 def _refuse(sentence: str) -> NoReturn:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,7 +28,6 @@ app = Application(
     name="omnilines",
     help="Calibrate fisheye and omnidirectional cameras, and rebuild the straight lines they see as metric 3D lines.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -36,7 +36,9 @@ experiment_app = Application(help="The dissertation's experiments.", no_args_is_
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
-Photos = Annotated[list[Path], typer.Argument(help="Photos, folders of them, a video, or corners.csv.", show_default=False)]
+Photos = Annotated[
+    list[Path], typer.Argument(help="Photos, folders of them, a video, a bag (BAG:/topic), or corners.csv.", show_default=False)
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
 PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
 Model = Annotated[
@@ -60,6 +62,13 @@ Settings = Annotated[
 SplitInto = Annotated[
     str | None,
     typer.Option("--split", help="Lenses side by side in every image, as left,right; one above the other, as top/bottom."),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option("--cluster", help="Who works on the photos: local (processes), or HOST:PORT of a Dask scheduler."),
+]
+Plots = Annotated[
+    Path | None, typer.Option("--plots", help="Folder for every figure of the report, as PNG and SVG.", show_default=False)
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
@@ -181,11 +190,21 @@ def progress() -> "Iterator[ProgressCallback]":
         yield tell
 
 
-def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, kept: Path | None = None) -> None:
+def run(
+    command: "Callable[[ProgressCallback], CommandResult]",
+    as_json: bool,
+    kept: Path | None = None,
+    plots: Path | None = None,
+) -> None:
     """Run a command, print its result, and exit with 1 where a check does not hold.
 
-    `kept` is the folder from which the same command goes on where it was stopped.
+    `kept` is the folder from which the same command goes on where it was stopped; `plots` is one for the figures of its report.
     """
+    if plots is not None:
+        from omnilines.commands.plots import with_plots
+        from omnilines.files.folders import check_results
+
+        check_results(plots, ())
     goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
     if kept is None:
         goes_on = " before its results were whole; the same command begins anew"
@@ -194,6 +213,8 @@ def run(command: "Callable[[ProgressCallback], CommandResult]", as_json: bool, k
         typer.echo(f"note: {note}", err=True)
     with progress() as tell:
         result = command(tell)
+        if plots is not None:
+            result = with_plots(result, plots, tell)
     whole = "--json" if result.report is None else result.report.name
     with said_in_full():
         for note in (*result.warnings, *told(result.details, result.photos, whole)):
@@ -255,3 +276,5 @@ def _print_tables(result: "CommandResult") -> None:
         typer.echo(printable(verdict))
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))
+    if result.then and result.holds:
+        typer.echo(printable(f"Next: {shlex.join(['omnilines', *result.then])}"))

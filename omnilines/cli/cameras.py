@@ -1,4 +1,4 @@
-"""Commands on cameras: calibrate, convert, validate; doctor."""
+"""Commands on cameras: calibrate, convert, validate; view, doctor."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from camera_models.formats import FORMATS
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.cli._shared import (
     BlurPx,
+    Cluster,
     Json,
     LossName,
     Mirror,
@@ -19,6 +20,7 @@ from omnilines.cli._shared import (
     Out,
     PatternSpec,
     Photos,
+    Plots,
     Seed,
     Settings,
     Size,
@@ -30,6 +32,7 @@ from omnilines.cli._shared import (
     parse_size,
     run,
 )
+from omnilines.cli.completion import format_names, model_names
 from omnilines.cli.counts import IN_RIG
 from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
@@ -73,7 +76,12 @@ def calibrate(
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[
         str | None,
-        typer.Option("--model", help=f"A camera model, or auto: fit all, take the best{EACH}.", show_default=DEFAULT.model),
+        typer.Option(
+            "--model",
+            help=f"A camera model, or auto: fit all, take the best{EACH}.",
+            show_default=DEFAULT.model,
+            autocompletion=model_names,
+        ),
     ] = None,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
     coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
@@ -90,11 +98,14 @@ def calibrate(
         bool, typer.Option("--rolling-shutter", help="Of videos: estimate how long after one row the next one is exposed.")
     ] = False,
     split: SplitInto = None,
+    cluster: Cluster = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Photos or corners.csv of one camera or a rig -> calibration.yaml, report.html."""
     from omnilines.commands.calibrate_inputs import CalibrationInputs, calibrate_inputs
+    from omnilines.commands.cluster import workers
     from omnilines.pipelines.line_options import LinesOptions
 
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
@@ -111,9 +122,12 @@ def calibrate(
         """What these options ask for."""
         stages = Stages(FrameOptions(), DetectionOptions(), options, LinesOptions())
         frames, detection, set_options, lines = with_settings(stages, settings or ())
-        return calibrate_inputs(given, out, set_options, frames=frames, detection=detection, lines=lines, progress=progress)
+        with workers(cluster, progress=progress) as executor:
+            return calibrate_inputs(
+                given, out, set_options, frames=frames, detection=detection, lines=lines, executor=executor, progress=progress
+            )
 
-    run(command, as_json)
+    run(command, as_json, plots=plots)
 
 
 @app.command()
@@ -126,7 +140,7 @@ def guide(
     until: Annotated[
         str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
     ] = None,
-    model: Annotated[str, typer.Option("--model", help="A camera model.")] = DEFAULT.model,
+    model: Annotated[str, typer.Option("--model", help="A camera model.", autocompletion=model_names)] = DEFAULT.model,
     mirror: Mirror = DEFAULT.mirror,
     port: Annotated[int, typer.Option("--port", help="Of the page on this machine; 0: one that is free.")] = 0,
     settings: Settings = None,
@@ -163,11 +177,15 @@ def convert(
     source: Annotated[Path, typer.Argument(help="Calibration file, or folder of them.", metavar="IN", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     from_format: Annotated[
-        str | None, typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.")
+        str | None,
+        typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.", autocompletion=format_names),
     ] = None,
-    to_format: Annotated[str | None, typer.Option("--to", help="Format of OUT, else told by its name.")] = None,
+    to_format: Annotated[
+        str | None, typer.Option("--to", help="Format of OUT, else told by its name.", autocompletion=format_names)
+    ] = None,
     model: Annotated[
-        str | None, typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.")
+        str | None,
+        typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.", autocompletion=model_names),
     ] = None,
     fov_deg: Annotated[
         float | None, typer.Option("--fov", help="Field of view of a fit, degrees, else all that is known.")
@@ -209,6 +227,7 @@ def validate(
     pattern: Annotated[
         str | None, typer.Option("--pattern", help="Target without --scene; default checkerboard:8x6:30mm.")
     ] = None,
+    plots: Plots = None,
     as_json: Json = False,
 ) -> None:
     """Render photos with a known camera, calibrate and reconstruct from the files, compare with the truth."""
@@ -227,6 +246,23 @@ def validate(
 
         options = replace(options, fov_deg=190.0 if fov_deg is None else fov_deg)
         return validate(out, pattern or TARGET, model, options, progress=progress)
+
+    run(command, as_json, plots=plots)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(help="Folder of results, or a report.", metavar="DIR", show_default=False)],
+    rerun: Annotated[bool, typer.Option("--rerun", help="The recording of a scene, in the viewer of rerun.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Open the report of a folder of results in the browser; its path where there is none."""
+
+    def command(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        from omnilines.commands.view import view as command
+
+        return command(folder, rerun=rerun)
 
     run(command, as_json)
 

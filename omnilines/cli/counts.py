@@ -117,13 +117,13 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "calibrate": (
         Rule(("lines.",), _of_lines, "with `pattern` lines"),
         Rule(
-            ("loss", "mirror", "refine_board", "rolling_shutter", "detection.", *OF_TARGET),
+            ("loss", "mirror", "refine_board", "rolling_shutter", "cluster", "detection.", *OF_TARGET),
             _of_target,
             "with a target, found `pattern` lines",
         ),
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
-        Rule(("split",), lambda call: not _of_table(call), "with photos, found a table"),
+        Rule(("split", "cluster"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
         Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "time_offsets", "calibration.rig.", "calibration.clocks."), _of_rig, IN_RIG),
@@ -149,7 +149,10 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     "scene": (Rule(("texture_m", "textured"), lambda call: call.has("textures"), "with `textures`"),),
     "reconstruct": (
-        Rule(("mask", "extraction."), lambda call: not call.has("segments"), "without `segments`: arcs are not looked for then"),
+        Rule(
+            ("mask", "cluster", "extraction."), lambda call: not call.has("segments"),
+            "without `segments`: arcs are not looked for then",
+        ),
         Rule(("split",), _of_photos, WITH_PHOTOS),
         Rule(("robust",), _of_segments, "with `segments` in place of photos: wrong arcs of photos are always left out"),
         Rule(("pose_sigma_deg", "pose_sigma_m"), _of_segments, "with `segments` in place of photos"),

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Out, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, Out, Plots, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from omnilines.progress import ProgressCallback
     from omnilines.structure.options import DirectionsOptions
 
-ScenePhotos = Annotated[list[Path], typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
+ScenePhotos = Annotated[
+    list[Path], typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+]
 
 
 @app.command()
@@ -23,10 +25,12 @@ def extract(
     out: Out,
     mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
     split: SplitInto = None,
+    cluster: Cluster = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Find arcs of straight lines in photos -> segments.csv and pictures."""
+    from omnilines.commands.cluster import workers
     from omnilines.commands.extract import extract as command
     from omnilines.commands.frames import with_frames
     from omnilines.extraction import ExtractionOptions
@@ -36,10 +40,13 @@ def extract(
 
     def extracted(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        return with_frames(
-            lambda paths: command(paths, calibration, out, mask=mask, options=options, progress=progress),
-            photos, out, split=split, progress=progress,
-        )  # fmt: skip
+        with workers(cluster, progress=progress) as executor:
+            return with_frames(
+                lambda paths: command(
+                    paths, calibration, out, mask=mask, options=options, executor=executor, progress=progress
+                ),
+                photos, out, split=split, progress=progress,
+            )  # fmt: skip
 
     run(extracted, as_json)
 
@@ -57,6 +64,7 @@ def directions(
     ] = False,
     mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
     split: SplitInto = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -76,7 +84,7 @@ def directions(
             photos, out, split=split, progress=progress,
         )  # fmt: skip
 
-    run(found, as_json)
+    run(found, as_json, plots=plots)
 
 
 def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions, DirectionsOptions]":

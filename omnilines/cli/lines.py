@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Json, LossName, Out, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -28,7 +28,9 @@ PoseSource = Annotated[
         show_default=False,
     ),
 ]
-ScenePhotos = Annotated[list[Path] | None, typer.Argument(help="Photos, folders of photos, or a video.", show_default=False)]
+ScenePhotos = Annotated[
+    list[Path] | None, typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
     Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
@@ -64,7 +66,9 @@ MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or ca
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
 PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
 PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
+Device = Annotated[
+    str, typer.Option("--device", help="cpu or cuda (never tried on one): where lines are triangulated and adjusted.")
+]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 MaybeRefine = Annotated[
     str | None,
@@ -111,6 +115,8 @@ def reconstruct(
     recording: Annotated[bool, typer.Option("--recording", help="Write a recording for the rerun viewer too.")] = False,
     seed: Seed = 0,
     split: SplitInto = None,
+    cluster: Cluster = None,
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -119,6 +125,7 @@ def reconstruct(
         raise InputError(
             "Photos, or `segments` with a table of matched segments, were expected, found neither; give one of them."
         )
+    from omnilines.commands.cluster import workers
     from omnilines.commands.frames import with_frames
     from omnilines.commands.reconstruct import reconstruct_photos
 
@@ -137,20 +144,21 @@ def reconstruct(
     )
     if not photos:
         assert segments is not None
-        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
         return
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        return with_frames(
-            lambda paths: reconstruct_photos(
-                paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-                scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, progress=progress,
-            ),
-            photos or [], out, split=split, progress=progress,
-        )  # fmt: skip
+        with workers(cluster, progress=progress) as executor:
+            return with_frames(
+                lambda paths: reconstruct_photos(
+                    paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                    scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, executor=executor, progress=progress,
+                ),
+                photos or [], out, split=split, progress=progress,
+            )  # fmt: skip
 
-    run(reconstructed, as_json, kept=out / "work")
+    run(reconstructed, as_json, kept=out / "work", plots=plots)
 
 
 def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":
@@ -170,7 +178,7 @@ def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any
 
 def _from_segments(
     calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", robust: bool,
-    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool,
+    pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool, plots: Path | None,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
@@ -180,6 +188,7 @@ def _from_segments(
             progress=progress,
         ),
         as_json,
+        plots=plots,
     )  # fmt: skip
 
 
@@ -200,6 +209,7 @@ def adjust(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     device: Device = "cpu",
+    plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -213,7 +223,7 @@ def adjust(
         loss=loss,
         device=device,
     )
-    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json)
+    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
 
 
 @app.command()
@@ -221,14 +231,15 @@ def export(
     scene: Annotated[Path, typer.Argument(help="Folder that reconstruct or adjust wrote.", metavar="SCENE", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     to_format: Annotated[
-        str | None, typer.Option("--to", help="dxf, glb, nerfstudio or limap, else told by the name of OUT.")
+        str | None, typer.Option("--to", help="dxf, glb, nerfstudio, limap or colmap, else told by the name of OUT.")
     ] = None,
     photos: Annotated[
-        Path | None, typer.Option("--photos", help="Folder of the photos, to which the frames of nerfstudio point.")
+        Path | None,
+        typer.Option("--photos", help="Folder of the photos: nerfstudio names them, masks of colmap are found in them."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio."""
+    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio, COLMAP with masks."""
     from omnilines.commands.export import export as command
 
     run(lambda progress: command(scene, out, to_format=to_format, photos=photos), as_json)

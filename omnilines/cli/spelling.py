@@ -57,6 +57,8 @@ class _Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Raises InputError where an argument is empty, an option stands in the place of a value, or is given twice."""
+        if ctx.resilient_parsing:  # a shell asks how a command that is being written may go on
+            return super().parse_args(ctx, args)
         takers = {name for option in self.params if _takes_value(option) for name in option.opts}
         flags = {name for option in self.params if not isinstance(option, typer.core.TyperArgument) for name in option.opts}
         for before, after in zip(["", *args], args, strict=False):

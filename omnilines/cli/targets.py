@@ -7,6 +7,7 @@ import typer
 
 from omnilines.cli._shared import (
     BlurPx,
+    Cluster,
     FovDeg,
     Json,
     Mirror,
@@ -54,11 +55,13 @@ def detect(
         Path | None, typer.Option("--calibration", help="calibration.yaml of the camera, which leads to more corners.")
     ] = None,
     mirror: Mirror = False,
+    cluster: Cluster = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Find target corners in photos -> corners.csv."""
     from calib_patterns import DetectionOptions
+    from omnilines.commands.cluster import workers
     from omnilines.commands.detect import detect as command
     from omnilines.commands.frames import with_frames
 
@@ -66,12 +69,14 @@ def detect(
 
     def detected(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""
-        return with_frames(
-            lambda paths: command(
-                paths, pattern, out, calibration=calibration, mirror=mirror, options=options, progress=progress
-            ),
-            photos, out, pattern, mirror=mirror, detection=options, progress=progress,
-        )  # fmt: skip
+        with workers(cluster, progress=progress) as executor:
+            return with_frames(
+                lambda paths: command(
+                    paths, pattern, out, calibration=calibration, mirror=mirror, options=options, executor=executor,
+                    progress=progress,
+                ),
+                photos, out, pattern, mirror=mirror, detection=options, progress=progress,
+            )  # fmt: skip
 
     run(detected, as_json)
 
@@ -80,7 +85,9 @@ def detect(
 def frames(
     videos: Annotated[
         list[Path],
-        typer.Argument(help="A video, or of a rig one for each camera, or a folder of these.", show_default=False),
+        typer.Argument(
+            help="A video or a bag (BAG:/topic), of a rig one for each camera, or a folder of these.", show_default=False
+        ),
     ],
     out: Out,
     split: SplitInto = None,

@@ -1,12 +1,13 @@
 """omnilines calibrate: photos or corners.csv -> calibration.yaml, corners.csv, report.html."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos, read_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -27,17 +28,19 @@ def calibrate_photos(
     options: CalibrationOptions = CalibrationOptions(),
     *,
     detection: DetectionOptions = DetectionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Calibrate one camera from photos of a target, and write calibration, corners and report into `out`.
+    """Calibrate one camera from photos of a target, and write calibration, corners and report into `out`; `executor` as in
+    `detect`.
 
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
     options.require_of_models([options.model])
     check_results(out, NAMES, photos)
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
-    found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, progress=progress)
-    done = _written(calibrate(found, options=options, progress=progress), out, photos, progress)
+    found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, executor=executor, progress=progress)
+    done = _written(calibrate(found, options=options, executor=executor, progress=progress), out, photos, progress)
     if cameras := shared_frames(find_photos(photos)):
         one = (
             f"Photos of the same names lie in {' and '.join(cameras[:2])}, and were taken to be of one camera; give the folders "
@@ -85,4 +88,5 @@ def _written(result: CalibrationResult, out: Path, read: Sequence[Path], progres
         warnings=result.warnings,
         details=result.details,
         photos=len(result.views),
+        then=with_calibration(files[0]),
     )

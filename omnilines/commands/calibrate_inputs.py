@@ -1,6 +1,7 @@
 """omnilines calibrate: which of its ways goes with what is given: photos, videos or a table, of one camera or a rig."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -82,9 +83,11 @@ def calibrate_inputs(
     frames: FrameOptions,
     detection: DetectionOptions,
     lines: LinesOptions = LinesOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback,
 ) -> CommandResult:
-    """Calibrate from what is given and write the results into `out`; videos through their frames, which are written too."""
+    """Calibrate from what is given and write the results into `out`; videos through their frames, which are written too.
+    `executor` as in `detect`."""
     # Of one video too, a rolling shutter is told by frames that follow one another.
     frames = replace(frames, follow=frames.follow or options.rolling_shutter)
     patterns = [text.strip() for text in (given.pattern or "").split(",")]
@@ -111,9 +114,10 @@ def calibrate_inputs(
                 camera=None if given.several_cameras else CAMERA,
                 detection=detection,
                 read=read,
+                executor=executor,
                 progress=progress,
             ),
-            patterns[0],
+            given.pattern,
         )
     options = replace(options, model=given.models.get("", options.model))
     if given.lines:
@@ -121,6 +125,8 @@ def calibrate_inputs(
     if given.table is not None:
         return calibrate_corners(given.table, given.image_sizes[""], out, options, progress=progress)
     return from_frames(
-        lambda paths: calibrate_photos(paths, given.pattern or "", out, options, detection=detection, progress=progress),
+        lambda paths: calibrate_photos(
+            paths, given.pattern or "", out, options, detection=detection, executor=executor, progress=progress
+        ),
         given.pattern or "",
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omnilines.calibration.options import CalibrationOptions
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration_lines import line_calibration_data, line_calibration_summaries
@@ -47,4 +47,5 @@ def calibrate_line_photos(
         warnings=result.notes,
         details=result.details,
         photos=len(result.fit.photos) + len(result.skipped),
+        then=with_calibration(files[0]),
     )

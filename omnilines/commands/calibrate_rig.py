@@ -1,11 +1,12 @@
 """omnilines calibrate with several cameras: folders of photos or corners.csv -> calibration.yaml with the rig, report.html."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 from calib_patterns import DetectionOptions
 from omnilines.commands.calibrate import PAGE, photos_beside
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import read_rig_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -25,12 +26,13 @@ def calibrate_rig_photos(
     camera: str | None = None,
     detection: DetectionOptions = DetectionOptions(),
     read: Sequence[Path] = (),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate a rig from a folder with one sub-folder of photos per camera, or from these sub-folders; photos of the same name
     are of the same instant. With `camera` all photos are of one camera of that name, which sees several boards.
 
-    `read` are the files that the setup is from.
+    `read` are the files that the setup is from; `executor` as in `detect`.
     Raises InputError or GeometryError with one sentence.
     """
     setup.require_photos()
@@ -46,9 +48,10 @@ def calibrate_rig_photos(
         perhaps_mirrored=perhaps,
         camera=camera,
         options=detection,
+        executor=executor,
         progress=progress,
     )
-    return _written(found, setup, out, [*folders, *read], progress)
+    return _written(found, setup, out, [*folders, *read], executor, progress)
 
 
 def calibrate_rig_corners(
@@ -68,10 +71,17 @@ def calibrate_rig_corners(
     check_results(out, (*RIG_FILES, PAGE), [corners_csv, *read])
     corners = read_rig_corners(corners_csv)
     found = RigCorners.of_table(corners, image_sizes, corners_csv, photos_beside(corners_csv, corners.images[0]))
-    return _written(found, setup, out, [corners_csv, *read], progress)
+    return _written(found, setup, out, [corners_csv, *read], None, progress)
 
 
-def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path], progress: ProgressCallback) -> CommandResult:
+def _written(
+    found: RigCorners,
+    setup: RigSetup,
+    out: Path,
+    read: Sequence[Path],
+    executor: Executor | None,
+    progress: ProgressCallback,
+) -> CommandResult:
     result = calibrate_rig(
         found,
         options=setup.options,
@@ -80,6 +90,7 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path]
         start=setup.start,
         hold=setup.hold,
         time_offsets=setup.time_offsets,
+        executor=executor,
         progress=progress,
     )
     with claimed(out, (*result.file_names, PAGE), read, by="calibrate"):
@@ -94,4 +105,5 @@ def _written(found: RigCorners, setup: RigSetup, out: Path, read: Sequence[Path]
         warnings=result.notes,
         details=view_details(result.views),
         photos=len(result.views),
+        then=with_calibration(files[0]),
     )

@@ -1,6 +1,7 @@
 """omnilines detect: photos -> corners.csv."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +25,11 @@ def detect(
     calibration: Path | None = None,
     mirror: bool = False,
     options: DetectionOptions = DetectionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write the corners of a target seen in photos to `out/corners.csv`; a `calibration` of the camera leads to more of them.
+    Photos are looked through by the workers of an `executor`, where one is given.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the pattern, or the calibration is
     not that of one camera and these photos.
@@ -34,7 +37,9 @@ def detect(
     camera = None if calibration is None else _one_camera(calibration)
     read = [*photos, *([] if calibration is None else [calibration])]
     check_results(out, [pipeline.CORNERS], read)
-    found = pipeline.detect(photos, pattern_spec, camera=camera, mirrored=mirror, options=options, progress=progress)
+    found = pipeline.detect(
+        photos, pattern_spec, camera=camera, mirrored=mirror, options=options, executor=executor, progress=progress
+    )
     with claimed(out, [pipeline.CORNERS], read, by="detect"):
         files = found.save(out)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
@@ -50,7 +55,9 @@ def detect(
     title = f"Corners of {found.inputs['pattern']}"
     summary = Summary(title, rows, (f"{len(found.corners)} corners in {files[0]}",), of_photos=True)
     given = len(rows) + len(skipped)
-    return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given)
+    size = "x".join(map(str, found.image_size))
+    then = ("calibrate", str(files[0]), "--image-size", size, "--out", "result")
+    return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given, then=then)
 
 
 def _one_camera(calibration: Path) -> CameraModel:

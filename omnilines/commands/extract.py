@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,13 @@ def extract(
     *,
     mask: Path | None = None,
     options: ExtractionOptions = ExtractionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write the arcs seen in photos to `out/segments.csv` and a picture of each photo with its arcs to `out/pictures`.
 
-    The white pixels of the image `mask` are looked at. Raises InputError as `pipelines.arcs.extract` does.
+    The white pixels of the image `mask` are looked at, by the workers of an `executor` where one is given.
+    Raises InputError as `pipelines.arcs.extract` does.
     """
     cameras, refs = load(calibration), find_photos(photos)
     require_distinct_stems(refs)
@@ -42,7 +45,7 @@ def extract(
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
     check_results(out, [TABLE, *pictures], read)
-    arcs = pipeline(refs, cameras, mask=keep, options=options, progress=progress)
+    arcs = pipeline(refs, cameras, mask=keep, options=options, executor=executor, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
     return CommandResult(
@@ -52,6 +55,7 @@ def extract(
         warnings=arcs.notes,
         details=arcs.skipped_details,
         photos=len(refs),
+        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), "--poses", "sfm", "--out", "scene"),
     )
 
 

@@ -1,4 +1,5 @@
-"""omnilines frames: videos -> the frames worth keeping, and frames.csv, which says why. Other commands take videos through it."""
+"""omnilines frames: videos and bags -> the frames worth keeping, and frames.csv, which says why. Other commands take them through
+it."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -44,7 +45,8 @@ def frames(
     check_results(out, [TABLE], videos)
     chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
     files = chosen.save(out, progress)
-    return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes)
+    then = () if pattern_spec is None else ("calibrate", str(out), "--pattern", pattern_spec, "--out", "result")
+    return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes, then=then)
 
 
 def with_frames(
@@ -109,18 +111,18 @@ def _summaries(chosen: ChosenFrames, out: Path) -> list[Summary]:
             ("taken", f"{len(taken)} frames"),
             *((reason, f"{count} frames") for reason, count in left.most_common(4)),
         ]
-        title = f"Frames of {lens.video.path.name}" + (f", {lens.name}" if lens.split else "")
+        title = f"Frames of {lens.video.title}" + (f", {lens.name}" if lens.split else "")
         found.append(Summary(title, tuple(lines), (f"written to {out}",)))
     return found
 
 
 def _data(chosen: ChosenFrames) -> dict[str, object]:
     return {
-        "videos": list(dict.fromkeys(str(lens.video.path) for lens in chosen.lenses)),
+        "videos": list(dict.fromkeys(lens.video.location for lens in chosen.lenses)),
         "looked_at": len(chosen.rows),
         "taken": len(chosen.taken),
         "frames": [
-            {"image": row.image, "video": chosen.lenses[row.lens].video.path.name, "frame": row.index, "time_s": row.time_s,
+            {"image": row.image, "video": chosen.lenses[row.lens].video.title, "frame": row.index, "time_s": row.time_s,
              "motion_px": row.motion_px, "sharpness": row.sharpness, "corners": row.corners, "taken": row.taken,
              "reason": row.reason}
             for row in chosen.rows

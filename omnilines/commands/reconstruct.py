@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,13 +63,15 @@ def reconstruct_photos(
     mask: Path | None = None,
     colmap: bool = False,
     recording: bool = False,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
     `poses` is a source of `estimate_poses`. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos,
     where poses leave the scale open. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
-    would be found in them. `colmap` and `recording` add a COLMAP model and a recording for the rerun viewer.
+    would be found in them; the workers of an `executor` find those. `colmap` and `recording` add a COLMAP model and a
+    recording for the rerun viewer.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
@@ -101,8 +104,9 @@ def reconstruct_photos(
         require_poses(distance, estimate_poses(refs, cameras, poses))
     if given is None:
         arcs = extract(
-            refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, progress=progress
-        )
+            refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, executor=executor,
+            progress=progress,
+        )  # fmt: skip
     else:
         arcs = given_arcs(given, refs, cameras, appearance=options.matching.appearance, name=str(segments), progress=progress)
     posed = estimate_poses(
@@ -217,4 +221,5 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
         warnings=notes,
         details=scene.details,
         photos=given,
+        then=("export", str(folder), "lines.dxf") if len(scene.lines) else (),
     )

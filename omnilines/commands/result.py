@@ -25,6 +25,8 @@ class CommandResult:
     """And of single photos."""
     photos: int | None = None
     """How many photos were given, where that is known."""
+    then: tuple[str, ...] = ()
+    """The command that most often comes next, as words after `omnilines`; capital letters stand for what the user has."""
 
     @property
     def notes(self) -> list[str]:
@@ -38,6 +40,11 @@ class CommandResult:
     def holds(self) -> bool:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
+
+
+def with_calibration(path: Path) -> tuple[str, ...]:
+    """What a calibration is most often for."""
+    return ("reconstruct", "PHOTOS", "--calibration", str(path), "--poses", "sfm", "--out", "scene")
 
 
 def known_numbers(value: Any) -> Any:

@@ -13,7 +13,9 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel
 from camera_models.errors import InputError
@@ -28,6 +30,7 @@ from omnilines.records import ImagePoses, Lines
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 LINES_FILE = "lines.txt"
 """Of a model without lines, and of its lines."""
+_GREY = "128 128 128"
 _STALE = ("images.bin", "points3D.bin", "frames.bin", "frames.txt")
 """Files that are not written here and that COLMAP would read; the format of the cameras looks for those of its own."""
 
@@ -73,13 +76,15 @@ def write_colmap_scene(
     lines: Lines | None = None,
     *,
     remarks: Sequence[str] = (),
+    points_m: Float[np.ndarray, "n 3"] | None = None,
 ) -> tuple[Path, ...]:
     """Write the files into a folder, which is made where it is absent; the lines are those that are known.
 
-    Without lines there is no lines.txt, and COLMAP's reconstruction from known poses may begin with the model. The cameras of
-    photos are named in `poses` (the first camera where they are not). `remarks` stand at the top of cameras.txt. Raises
-    InputError where COLMAP does not hold a camera exactly (`colmap_cameras` fits it), the photo of a pose has no camera or a
-    name with a blank, which would end it, a number is not finite, or the folder holds parts of another model.
+    Without lines there is no lines.txt, and COLMAP's reconstruction from known poses may begin with the model; `points_m` are
+    written as points that no photo is said to see. The cameras of photos are named in `poses` (the first camera where they are
+    not). `remarks` stand at the top of cameras.txt. Raises InputError where COLMAP does not hold a camera exactly
+    (`colmap_cameras` fits it), the photo of a pose has no camera or a name with a blank, which would end it, a number is not
+    finite, or the folder holds parts of another model.
     """
     check_colmap_folder(folder, poses.images)
     colmap, calibration = format_named("colmap"), Calibration(dict(cameras))
@@ -88,7 +93,7 @@ def write_colmap_scene(
     texts = {
         camera_file: "".join(f"# {remark}\n" for remark in remarks) + str(camera_text),
         folder / "images.txt": _images(folder / "images.txt", number, poses),
-        folder / "points3D.txt": "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n",
+        folder / "points3D.txt": _points(folder / "points3D.txt", points_m),
     }
     if lines is not None:
         texts[folder / LINES_FILE] = _lines(folder / LINES_FILE, lines)
@@ -114,6 +119,14 @@ def _images(path: Path, number: Mapping[str, str], poses: ImagePoses) -> str:
             raise InputError(f"The camera of {image} was expected to be one of {known}, found '{camera}'; correct the poses.")
         rows += [f"{k} {' '.join(values)} {number[camera]} {image}", ""]
     return "\n".join(rows) + "\n"
+
+
+def _points(path: Path, points_m: Float[np.ndarray, "n 3"] | None) -> str:
+    rows = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
+    if points_m is not None:
+        cells = [number_cells(column, path, name) for column, name in zip(points_m.T, "xyz", strict=True)]
+        rows += [f"{k} {' '.join(row)} {_GREY} 0" for k, row in enumerate(zip(*cells, strict=True), 1)]
+    return "\n".join([*rows, ""])
 
 
 def _lines(path: Path, lines: Lines) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from camera_models.formats.disk import read_text, write_atomically
+from omnilines.files.photos import Photo, PhotoArray
 from omnilines.files.tables import read_table
 
 TABLE = "frames.csv"
@@ -47,6 +48,13 @@ def read_times(folder: str | Path) -> dict[str, float]:
         return {}
     table = read_table(path, COLUMNS)
     return dict(zip(table.columns["image"], table.within(LATEST_S, "time_s")[:, 0].tolist(), strict=True))
+
+
+def times_of(photos: Sequence[Photo], folder: Path | None) -> dict[str, float]:
+    """When photos were taken, by their names, of those of which it is known: frames in memory, and what `read_times` says of a
+    folder."""
+    beside = {} if folder is None else read_times(folder)
+    return beside | {one.name: one.time_s for one in photos if isinstance(one, PhotoArray) and one.time_s is not None}
 
 
 def write_frames(path: str | Path, rows: Sequence[FrameRow], videos: Sequence[str]) -> None:

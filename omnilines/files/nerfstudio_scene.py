@@ -4,6 +4,7 @@
 the cameras.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Our camera frame from that of OpenGL."""
 
 
-def write_nerfstudio(path: Path, scene: SceneTables, photos: str = "") -> tuple[str, ...]:
-    """Write the photos with a pose, `photos` being the path from the file to their folder; what is fitted or lost.
+def write_nerfstudio(path: Path, scene: SceneTables, photos: Path | None = None) -> tuple[str, ...]:
+    """Write the photos with a pose, by their names in the folder `photos` as seen from the file; what is fitted or lost.
 
     Cameras that Nerfstudio does not have are fitted by the nearest that it has, and the error is stated. Raises InputError where
     none comes near, or no photo has a pose.
@@ -41,12 +42,14 @@ def write_nerfstudio(path: Path, scene: SceneTables, photos: str = "") -> tuple[
     lenses = {name: writer.lens(model) for name, model in fit.calibration.items()}
     alone = next(iter(lenses.values())) if len(lenses) == 1 else {}
     names = scene.poses.cameras or (next(iter(lenses)),) * len(scene.poses)
+    way = "" if photos is None else Path(os.path.relpath(os.path.abspath(photos), os.path.abspath(path.parent))).as_posix()
+    before = f"{way}/" if way not in ("", ".") else ""
     frames: list[dict[str, Any]] = []
     for index, (image, camera) in enumerate(zip(scene.poses.images, names, strict=True)):
         if camera not in lenses:
             raise InputError(f"{path}: the camera of {image} was expected to be one of {', '.join(lenses)}, found '{camera}'.")
         world_from_camera = np.array(matrix_of_pose(scene.poses.cam_from_world[index].inverse())) @ _OPENGL
         own = {} if alone else lenses[camera]
-        frames.append({"file_path": f"{photos}{image}", **own, "transform_matrix": world_from_camera.tolist()})
+        frames.append({"file_path": f"{before}{image}", **own, "transform_matrix": world_from_camera.tolist()})
     write_atomically(path, json_text({**alone, FRAMES: frames}))
     return (*said, "lines", "uncertainties")

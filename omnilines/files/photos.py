@@ -44,6 +44,8 @@ class PhotoArray:
 
     name: str
     pixels: UInt[np.ndarray, "h w *channels"]
+    time_s: float | None = None
+    """When it was taken, of frames of a video."""
 
     def read(self) -> UInt[np.ndarray, "h w *channels"]:
         """The pixels."""

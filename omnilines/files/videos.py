@@ -1,49 +1,36 @@
-"""Videos on disk: found by their suffix, read frame by frame by OpenCV's FFmpeg, never whole in memory."""
+"""Videos on disk: found by their suffix, read frame by frame by OpenCV's FFmpeg, never whole in memory; bags beside them."""
 
 import contextlib
 import os
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
 from camera_models.formats.values import is_text
+from omnilines.files.bags import is_bag, split_topics, topics_of
+from omnilines.files.footage import Footage, Frame
 from omnilines.files.photos import PHOTO_SUFFIXES
+from omnilines.files.topics import Topic
 from omnilines.photo_file import quiet_codecs
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".insv", ".360")
 
+LEAST_DECODED = 0.9
+"""Of the length that a video states."""
 LATEST_MS = 1e10
 """Of a frame, four months: containers may state any time."""
 
 
 @dataclass(frozen=True)
-class Frame:
-    """A frame of a video."""
-
-    index: int
-    """From 0, of those that can be decoded."""
-    time_s: float
-    """From the beginning of the video, as its container says; by the frame rate where it does not."""
-    pixels: UInt8[np.ndarray, "h w 3"]
-    """BGR, upright as the container says."""
-
-
-@dataclass(frozen=True)
-class Video:
+class Video(Footage):
     """A video file that can be read."""
-
-    path: Path
-    frames_per_s: float
-    count: int
-    """Of its frames, as the container says: an estimate."""
-    image_size: tuple[int, int]
 
     @staticmethod
     def of(path: str | Path) -> "Video":
@@ -62,14 +49,19 @@ class Video:
         return Video(file, rate if 1.0 <= rate <= 1000.0 else 30.0, int(count) if 0 < count < 1e8 else 0, size)
 
     @property
+    def title(self) -> str:
+        """The name of the file."""
+        return self.path.name
+
+    @property
     def name(self) -> str:
-        """Of the camera that took it, where nothing else is known."""
+        """The name of the file without its suffix."""
         return self.path.stem
 
     @property
-    def duration_s(self) -> float:
-        """About; 0 where the container does not say."""
-        return self.count / self.frames_per_s
+    def stamped(self) -> bool:
+        """Each video begins at 0."""
+        return False
 
     def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
         """All frames, or those of the indices wanted, in order; ends where the video does, or where it is damaged."""
@@ -85,6 +77,15 @@ class Video:
                     yield Frame(index, 1e-3 * time_ms if 0 < time_ms < LATEST_MS else index / self.frames_per_s, pixels)
                 index += 1
 
+    def doubts(self, times_s: Float[np.ndarray, " n"]) -> tuple[str, ...]:
+        """That it ends before the length it states."""
+        if times_s[-1] >= LEAST_DECODED * self.duration_s:
+            return ()
+        return (
+            f"The video {self.title} states {self.duration_s:.1f} s, and cannot be decoded after {times_s[-1]:.1f} s: it is "
+            "damaged or cut short; copy it again.",
+        )
+
 
 def is_video(path: str | Path) -> bool:
     """Whether the name is that of a video."""
@@ -95,22 +96,34 @@ def find_videos(paths: Sequence[str | Path]) -> list[Path]:
     """The videos among files, and in folders that hold videos and no photos, in order of their names; none where there are
     photos alone. Files in folders whose name begins with a dot are left out.
 
-    Raises InputError where there are both, or a folder cannot be read.
+    A bag is as many videos as it has topics with images, each as `BAG:/topic`; where it has several, those that are named
+    (`BAG:/one,/two`). Raises InputError where there are videos and photos, a folder or bag cannot be read, or topics of a bag
+    are to be named.
     """
     videos: list[Path] = []
     others: list[Path] = []
     for path in map(Path, paths):
-        files = _files_in(path) if path.is_dir() else []
-        inside = [file for file in files if is_video(file)]
-        if is_video(path) and not path.is_dir():
+        bag, topics = split_topics(path)
+        files = _files_in(path) if path.is_dir() and not is_bag(path) else []
+        inside = [file for file in files if is_video(file) or is_bag(file)]
+        if is_bag(bag):
+            videos += topics_of(bag, topics)
+        elif is_video(path) and not path.is_dir():
             videos.append(path)
         elif inside and not any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
-            videos += inside
+            videos += [video for file in inside for video in (topics_of(file, ()) if is_bag(file) else [file])]
         else:
             others.append(path)
     if videos and others:
         raise InputError(f"Videos or photos were expected, found {videos[0]} and {others[0]}; give them one after the other.")
     return list(dict.fromkeys(videos))
+
+
+def open_videos(paths: Sequence[str | Path]) -> tuple[Footage, ...]:
+    """What `find_videos` finds, opened; the times of topics count from the first stamp of all."""
+    found = [Topic.of(path) if is_bag(split_topics(path)[0]) else Video.of(path) for path in find_videos(paths)]
+    first_ns = min((one.origin_ns for one in found if isinstance(one, Topic)), default=0)
+    return tuple(replace(one, origin_ns=first_ns) if isinstance(one, Topic) else one for one in found)
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -120,12 +133,12 @@ def _files_in(folder: Path) -> list[Path]:
         raise InputError(f"The folder {folder} cannot be read ({error.strerror}); give one that can be.") from None
 
 
-def alike(one: Video, other: Video) -> bool:
+def alike(one: Footage, other: Footage) -> bool:
     """Whether the frames of two videos may belong together by their numbers: rate and length agree."""
     return abs(one.frames_per_s - other.frames_per_s) < 1e-3 * one.frames_per_s and abs(one.count - other.count) <= 1
 
 
-def together(videos: Sequence[Video], instants: Sequence[tuple[int, ...]]) -> Iterator[tuple[Frame, ...]]:
+def together(videos: Sequence[Footage], instants: Sequence[tuple[int, ...]]) -> Iterator[tuple[Frame, ...]]:
     """The frames of all videos at some instants, each the number of a frame of every video; numbers do not fall from one to the
     next. It ends with the first video that does."""
     sources = [_Following(video.frames({instant[k] for instant in instants})) for k, video in enumerate(videos)]

@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import norm
 
+from omnilines.footage.options import FrameOptions
+
 
 def lead_s(
     first_s: Float[np.ndarray, " n"],
@@ -77,9 +79,11 @@ def _independent_share(one: Float[np.ndarray, " n"], two: Float[np.ndarray, " m"
     return 1.0 / (1.0 + 2.0 * float(memory[: ended[0] if len(ended) else None].sum()))
 
 
-def put_together(times_s: Sequence[Float[np.ndarray, " _"]], leads_s: Sequence[float]) -> list[tuple[int, ...]]:
+def put_together(
+    times_s: Sequence[Float[np.ndarray, " _"]], leads_s: Sequence[float], most_gap_share: float = FrameOptions.most_gap_share
+) -> list[tuple[int, ...]]:
     """Each frame of the slowest video with the nearest of each other one by time, where that is ahead by so much; from where all
-    have begun to where the first of them ends."""
+    have begun to where the first of them ends, but for those to which another has none near: it was not recorded."""
     half_s = [0.5 * (_gap_s(own) if len(own) > 1 else 0.0) for own in times_s]
     # No frame of the others then stands in two instants.
     slowest = int(np.argmax(half_s))
@@ -93,4 +97,6 @@ def put_together(times_s: Sequence[Float[np.ndarray, " _"]], leads_s: Sequence[f
         later = np.minimum(after, len(own) - 1)
         nearest.append(np.where(np.abs(own[later] - wanted) < np.abs(own[before] - wanted), later, before))
         inside &= (wanted >= own[0] - most_s - 1e-9) & (wanted <= own[-1] + most_s + 1e-9)
+        # Half a gap is as far as the phase of another camera goes; a frame that is missing leaves a whole one.
+        inside &= np.abs(own[nearest[-1]] - wanted) <= 2 * most_gap_share * most_s + 1e-9
     return [tuple(int(own[k]) for own in nearest) for k in np.flatnonzero(inside)]

@@ -33,6 +33,9 @@ class FrameOptions:
     """Runs that would last longer, of videos of a low rate, are not taken: they do not tell that."""
     most_runs: int = 24
     """Instants that are taken at most with their runs."""
+    most_gap_share: float = 0.75
+    """Of the time between two frames: frames of two cameras that are farther apart are not put together, since one was not
+    recorded. The phase of cameras that run freely is 0.5 at most."""
     least_overlap: float = 0.5
     """Share of the shorter of two videos that the other shows too, at least."""
     significance: float = 1e-3

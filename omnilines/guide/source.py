@@ -14,7 +14,9 @@ from jaxtyping import UInt
 
 from camera_models import InputError
 from omnilines.files import PHOTO_SUFFIXES, read_photo
-from omnilines.files.videos import Video
+from omnilines.files.bags import is_bag, split_topics
+from omnilines.files.footage import Footage
+from omnilines.files.videos import Video, open_videos
 from omnilines.photo_file import quiet_codecs
 
 WAIT_S = 0.2
@@ -34,6 +36,9 @@ class Source:
         if self.live:
             return
         path = Path(self.given)
+        if self._of_bag:
+            self._footage()
+            return
         if not os.path.lexists(path):
             raise InputError(
                 f"A camera (0, 1, ...), a video or a folder was expected as `source`, found '{self.given}', which does not exist."
@@ -41,7 +46,19 @@ class Source:
         if path.is_dir():
             _photos_in(path)
         else:
-            Video.of(path)
+            self._footage()
+
+    @property
+    def _of_bag(self) -> bool:
+        return is_bag(split_topics(self.given)[0])
+
+    def _footage(self) -> Footage:
+        if not self._of_bag:
+            return Video.of(self.given)
+        found = open_videos([self.given])
+        if len(found) > 1:
+            raise InputError(f"One topic of a bag was expected as `source`, found {len(found)}; guide one camera at a time.")
+        return found[0]
 
     @property
     def live(self) -> bool:
@@ -50,13 +67,13 @@ class Source:
 
     @property
     def ends(self) -> bool:
-        """Whether it is a video, the frames of which are the same each time."""
-        return not self.live and not Path(self.given).is_dir()
+        """Whether it is a video or a topic of a bag, the frames of which are the same each time."""
+        return not self.live and (self._of_bag or not Path(self.given).is_dir())
 
     @property
     def path(self) -> Path | None:
-        """Of a video or a folder."""
-        return None if self.live else Path(self.given)
+        """Of a video, a bag or a folder."""
+        return None if self.live else split_topics(self.given)[0]
 
     def frames(self) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
         """One after the other; None where there is none yet. A video ends, a camera and a folder do not.
@@ -64,8 +81,7 @@ class Source:
         Raises InputError where no camera opens."""
         if self.live:
             return _of_camera(int(self.given))
-        path = Path(self.given)
-        return _of_folder(path) if path.is_dir() else _of_video(path, self.frames_per_s)
+        return _of_footage(self._footage(), self.frames_per_s) if self.ends else _of_folder(Path(self.given))
 
 
 def _of_camera(index: int) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
@@ -87,8 +103,7 @@ def _shots(capture: cv2.VideoCapture) -> Iterator[UInt[np.ndarray, "h w *channel
         capture.release()
 
 
-def _of_video(path: Path, frames_per_s: float) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
-    video = Video.of(path)
+def _of_footage(video: Footage, frames_per_s: float) -> Iterator[UInt[np.ndarray, "h w *channels"] | None]:
     step = max(1, round(video.frames_per_s / frames_per_s))
     return (frame.pixels for frame in video.frames() if frame.index % step == 0)
 

@@ -20,6 +20,12 @@ from jaxtyping import Float
 
 from omnilines.least_squares.band import BandFactor, band_width
 from omnilines.least_squares.pattern import PairPattern
+from omnilines.least_squares.selected_inverse import (
+    elimination_pattern,
+    factor_values,
+    inverse_blocks_at,
+    inverse_in_pattern,
+)
 
 LEAST_DAMPING = 1e-9
 """Damping from which the matrix is definite along the gauge without help."""
@@ -29,7 +35,7 @@ FULL_BAND = 0.1
 DENSE_SIZE = 300
 """Columns up to which the smallest eigenvalue comes from the dense matrix."""
 SOLVED_AT_ONCE = 1 << 22
-"""Numbers in the columns of the inverse that SuperLU solves for at once."""
+"""Numbers in the columns of the inverse that are solved for at once."""
 
 
 @runtime_checkable
@@ -82,20 +88,16 @@ class SparseFactor:
         return self.factor.solve(right)
 
     def inverse_blocks(self, pattern: PairPattern, dim: int) -> Float[np.ndarray, "blocks d d"]:
-        """The blocks of S^-1 that the pattern has: columns of the inverse, as many at once as memory allows."""
-        size = dim * pattern.kept
-        blocks = np.zeros((len(pattern.row), dim, dim))
-        at_once = max(1, SOLVED_AT_ONCE // (size * dim))
-        for low in range(0, pattern.kept, at_once):
-            high = min(pattern.kept, low + at_once)
-            right = np.zeros((size, dim * (high - low)))
-            right[dim * low : dim * high] = np.eye(dim * (high - low))
-            columns = self.factor.solve(right).reshape(pattern.kept, dim, high - low, dim)
-            own = np.flatnonzero((pattern.row >= low) & (pattern.row < high))
-            # The inverse is symmetric: row i of the block (i, j) is column i of the inverse at j.
-            found = columns[pattern.column[own], :, pattern.row[own] - low]
-            blocks[own] = found.transpose(0, 2, 1)
-        return blocks
+        """The blocks of S^-1 that the pattern has, from the factor alone (`selected_inverse.py`)."""
+        order = self.factor.perm_c
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        lower = scipy.sparse.csc_array(self.factor.L)
+        own = scipy.sparse.tril(sparse_matrix(pattern, np.ones((len(pattern.row), dim, dim)))[place][:, place], -1).tocsc()
+        starts, rows = elimination_pattern(own.indptr, own.indices)
+        values = factor_values(starts, rows, lower.indptr, lower.indices, lower.data)
+        below, on = inverse_in_pattern(starts, rows, values, self.factor.U.diagonal())
+        return inverse_blocks_at(starts, rows, below, on, order, pattern.row, pattern.column, dim)
 
 
 def _factor(pattern: PairPattern, blocks: Float[np.ndarray, "blocks d d"]) -> Factor | None:

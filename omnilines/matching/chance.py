@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from camera_models import CameraModel
 from omnilines.geometry.line import PlueckerLines
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.asked import AskedLines
 from omnilines.matching.kernels.chance import at_least, shown_and_beside
 from omnilines.matching.known_lines import mean_colours
 from omnilines.matching.options import MatchingOptions
@@ -30,12 +31,14 @@ def chance_of_lines(
     own: Int[np.ndarray, " n"],
     cameras: Sequence[CameraModel],
     *,
+    neighbours: Bool[np.ndarray, "m m"] | None = None,
     options: MatchingOptions = MatchingOptions(),
 ) -> Float[np.ndarray, " l"]:
     """Probability that as many photos would show each of l lines if it were not there, between 0 and 1.
 
     `positions_m` are the ends of each line along it, `own` is the line of every arc, -1 for none, and `cameras` has one for each
-    photo. A photo shows a line where one of its own arcs lies there, or another that fits and looks like it.
+    photo. A photo shows a line where one of its own arcs lies there, or another that fits and looks like it. Asked are the photos
+    that show a line by its own arcs and their `neighbours`, all without these.
     """
     if not len(lines):
         return np.zeros(0)
@@ -43,6 +46,9 @@ def chance_of_lines(
     rows = np.flatnonzero(own >= 0)
     against = ((arcs.packed[rows, 3:6] - arcs.packed[rows, :3]) * direction[own[rows]]).sum(-1) < 0
     colours = mean_colours(arcs, rows, own[rows], against, len(lines))
+    asked = AskedLines.every(arcs.images, len(lines))
+    if neighbours is not None:
+        asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
     width_px, beside_px = shown_and_beside(
         direction,
         moment,
@@ -53,42 +59,52 @@ def chance_of_lines(
         arcs.px_rad,
         arcs.colours,
         arcs.starts,
+        asked.starts,
+        asked.lines,
         options.chance.reach_px,
         options.explained.max_chi_square,
         options.hypotheses.min_overlap_share,
         options.likeness,
     )
+    # Line by line from here on, those of each line photo by photo.
+    by_line = np.argsort(asked.lines, kind="stable")
+    line, photo = asked.lines[by_line], asked.photos[by_line]
+    width_px, beside_px = width_px[by_line], beside_px[by_line]
     shown = ~np.isnan(width_px)
-    times = shown.sum(1)
+    times = np.bincount(line, shown, minlength=len(lines)).astype(np.int64)
     # One arc more than there are, as wide as those that show the line: no chance is 0.
-    one_px = np.nansum(width_px, 1) / np.maximum(times, 1)
-    chance = np.minimum((beside_px + one_px[:, None]) / (2.0 * options.chance.reach_px + one_px[:, None]), 1.0)
-    distance_m = _distances_m(lines, positions_m, arcs)
-    near = distance_m <= options.chance.farther * np.where(shown, distance_m, 0.0).max(1, keepdims=True)
-    could = shown | (near & (_lengths_px(lines, positions_m, arcs, cameras) >= options.chance.min_length_px))
-    return at_least(chance, could, times)
-
-
-def _distances_m(lines: PlueckerLines, positions_m: Float[np.ndarray, "l 2"], arcs: ViewedArcs) -> Float[np.ndarray, "l m"]:
-    """From the middle of each line to each photo."""
+    one_px = (np.bincount(line, np.nan_to_num(width_px), minlength=len(lines)) / np.maximum(times, 1))[line]
+    chance = np.minimum((beside_px + one_px) / (2.0 * options.chance.reach_px + one_px), 1.0)
     middle = lines.point_at(torch.as_tensor(positions_m.mean(1))).numpy()
-    return np.linalg.norm(middle[:, None] - arcs.poses.centre.numpy(), axis=-1)
+    distance_m = np.linalg.norm(middle[line] - arcs.poses.centre.numpy()[photo], axis=-1)
+    farthest_m = np.zeros(len(lines))
+    np.maximum.at(farthest_m, line[shown], distance_m[shown])
+    near = distance_m <= options.chance.farther * farthest_m[line]
+    lengths_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
+    could = shown | (near & (lengths_px >= options.chance.min_length_px))
+    return at_least(chance[could], line[could], times)
 
 
 def _lengths_px(
-    lines: PlueckerLines, positions_m: Float[np.ndarray, "l 2"], arcs: ViewedArcs, cameras: Sequence[CameraModel]
-) -> Float[np.ndarray, "l m"]:
-    """Length of the part of each line in the field of each photo, whether something hides it or not."""
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    arcs: ViewedArcs,
+    cameras: Sequence[CameraModel],
+    asked: AskedLines,
+) -> Float[np.ndarray, " k"]:
+    """Length of the part of each line in the field of each photo that is asked for it, whether something hides it or not."""
     share = torch.linspace(0.0, 1.0, SAMPLES, dtype=torch.float64)
     low, high = torch.as_tensor(positions_m).T[..., None]
     points = lines[:, None].point_at(low + share * (high - low))
-    lengths = np.zeros((len(lines), len(cameras)))
+    lengths = np.zeros(len(asked.lines))
     with torch.no_grad():
         for photo, model in enumerate(cameras):
-            pixels, valid = (part.numpy() for part in model.project(arcs.poses[photo].transform(points)))
+            part = slice(asked.starts[photo], asked.starts[photo + 1])
+            own = points[torch.as_tensor(asked.lines[part])]
+            pixels, valid = (one.numpy() for one in model.project(arcs.poses[photo].transform(own)))
             step = np.diff(pixels, axis=1)
             if model.PERIODIC:
                 step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
             inside: Bool[np.ndarray, "l k"] = valid & ((pixels >= -0.5) & (pixels <= np.array(model.image_size) - 0.5)).all(-1)
-            lengths[:, photo] = np.where(inside[:, 1:] & inside[:, :-1], np.linalg.norm(step, axis=-1), 0.0).sum(1)
+            lengths[part] = np.where(inside[:, 1:] & inside[:, :-1], np.linalg.norm(step, axis=-1), 0.0).sum(1)
     return lengths

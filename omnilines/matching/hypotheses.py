@@ -13,7 +13,7 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 MAX_SUPPORTERS = 96
 """Arcs that are remembered for each arc."""
 AT_ONCE = 256
-"""Arcs that a core works on at a time."""
+"""Arcs that a core works on at a time, and photos whose neighbours are looked for."""
 PLACES = 64
 """Parts that each coordinate of a bearing is cut into."""
 
@@ -34,6 +34,8 @@ class Hypotheses:
     """The arcs of other photos that agree, -1 after the last."""
     candidates: Int[np.ndarray, " n"]
     """Arcs of other photos that could show its line, and look like it."""
+    neighbours: Bool[np.ndarray, "m m"]
+    """The photos that each was compared with."""
 
 
 def find_hypotheses(
@@ -75,7 +77,7 @@ def find_hypotheses(
     found = on_all_cores(work, parts, "matching arcs", progress)
     back = np.searchsorted(asked, place[every])
     depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
-    return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates)
+    return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates, neighbours)
 
 
 def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:
@@ -104,8 +106,11 @@ def neighbouring_photos(
     every = ~np.eye(count, dtype=bool)
     if count - 1 <= most:
         return every
-    distance = np.linalg.norm(centres_m[:, None] - centres_m, axis=-1) * (2.5 - 1.5 * np.clip(axes @ axes.T, -1.0, 1.0))
-    distance[~every] = np.inf
     near = np.zeros_like(every)
-    np.put_along_axis(near, np.argsort(distance, axis=1, kind="stable")[:, :most], True, 1)
+    for low in range(0, count, AT_ONCE):
+        own = slice(low, low + AT_ONCE)
+        stretch = 2.5 - 1.5 * np.clip(axes[own] @ axes.T, -1.0, 1.0)
+        distance = np.linalg.norm(centres_m[own, None] - centres_m, axis=-1) * stretch
+        distance[~every[own]] = np.inf
+        np.put_along_axis(near[own], np.argsort(distance, axis=1, kind="stable")[:, :most], True, 1)
     return near | near.T

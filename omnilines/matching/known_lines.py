@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.asked import AskedLines
 from omnilines.matching.kernels.hypothesis import likenesses
 from omnilines.matching.kernels.track import near_lines
 from omnilines.matching.options import LikenessOptions, MatchingOptions
@@ -66,9 +67,15 @@ class KnownLines:
         along = arcs.packed[:, 3:6] - arcs.packed[:, :3]
         return likenesses(self.colours, arcs.colours, line, arc, (along[arc] * self.direction[line]).sum(-1) < 0, options)
 
-    def near(self, arcs: ViewedArcs, reach_rad: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-        """Arcs both ends of which lie within their reach of a line, where the line is known, and the line."""
-        return near_lines(np.arange(len(arcs)), arcs.packed, self.direction, self.moment, self.spans, reach_rad)
+    def near(
+        self, arcs: ViewedArcs, reach_rad: Float[np.ndarray, " n"], asked: AskedLines | None = None
+    ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+        """Arcs both ends of which lie within their reach of a line, where the line is known, and the line; of the lines that each
+        photo is asked for, or all."""
+        of_photos = AskedLines.every(arcs.images, len(self)) if asked is None else asked
+        lines = (self.direction, self.moment, self.spans)
+        every = np.arange(len(arcs))
+        return near_lines(every, arcs.image, arcs.packed, *lines, reach_rad, of_photos.starts, of_photos.lines)
 
     def chi_square(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""
@@ -79,10 +86,11 @@ class KnownLines:
         return torch.nan_to_num(square, nan=torch.inf).numpy()
 
     def explaining(
-        self, arcs: ViewedArcs, options: MatchingOptions
+        self, arcs: ViewedArcs, options: MatchingOptions, asked: AskedLines | None = None
     ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-        """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square."""
-        every, its = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1))
+        """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square; `asked` as in
+        `near`."""
+        every, its = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1), asked)
         found = []
         for at in range(0, max(len(every), 1), PAIRS_AT_ONCE):
             arc, line = every[at : at + PAIRS_AT_ONCE], its[at : at + PAIRS_AT_ONCE]

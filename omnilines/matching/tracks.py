@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.asked import AskedLines
 from omnilines.matching.hypotheses import Hypotheses
 from omnilines.matching.kernels.track import claim, needed, united
 from omnilines.matching.known_lines import known_lines, most_likely
@@ -71,7 +72,7 @@ def build_tracks(
     for turn in range(ROUNDS):
         progress("building tracks", turn, ROUNDS + 1)
         track, lines, out = _triangulated(arcs, track, count)
-        track, candidates = _nearest_lines(arcs, track, lines, options)
+        track, candidates = _nearest_lines(arcs, track, lines, found.neighbours, options)
         track, fewer = _united(track, candidates, count, options.tracks.same_share)
         merged, wrong = merged + fewer, wrong + out
         free = order[track[order] < 0]
@@ -89,7 +90,7 @@ def build_tracks(
         track, count = _with_views(arcs, track, count, enough)
         if count < before:
             continue
-        own = _needed(arcs, track, lines, enough, options)
+        own = _needed(arcs, track, lines, enough, found.neighbours, options)
         if own.all():
             break
         explained += int((~own).sum())
@@ -118,7 +119,12 @@ def _enough_views(
 
 
 def _needed(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, enough: Int[np.ndarray, " t"], options: MatchingOptions
+    arcs: ViewedArcs,
+    track: Int[np.ndarray, " n"],
+    lines: Triangulation,
+    enough: Int[np.ndarray, " t"],
+    neighbours: Bool[np.ndarray, "m m"],
+    options: MatchingOptions,
 ) -> Bool[np.ndarray, " t"]:
     """The tracks that `enough` photos show by arcs which no line with more photos explains.
 
@@ -126,7 +132,7 @@ def _needed(
     line that is.
     """
     count = len(lines)
-    _, candidates = _nearest_lines(arcs, track, lines, options)
+    _, candidates = _nearest_lines(arcs, track, lines, neighbours, options)
     member = np.flatnonzero(track >= 0)
     member = member[np.argsort(track[member], kind="stable")]
     starts = np.searchsorted(track[member], np.arange(count + 1))
@@ -155,11 +161,18 @@ class _Candidates:
 
 
 def _nearest_lines(
-    arcs: ViewedArcs, track: Int[np.ndarray, " n"], lines: Triangulation, options: MatchingOptions
+    arcs: ViewedArcs,
+    track: Int[np.ndarray, " n"],
+    lines: Triangulation,
+    neighbours: Bool[np.ndarray, "m m"],
+    options: MatchingOptions,
 ) -> tuple[Int[np.ndarray, " n"], _Candidates]:
-    """The track whose line explains each arc best, -1 for none, and all that explain it."""
+    """The track whose line explains each arc best, -1 for none, and all that explain it, of those that neighbours show."""
     known = known_lines(arcs, track, lines)
-    arc, line, alike, square = known.explaining(arcs, options)
+    number = np.full(len(lines) + 1, -1)
+    number[known.track] = np.arange(len(known))
+    asked = AskedLines.near(neighbours, arcs.image, number[track], len(known))
+    arc, line, alike, square = known.explaining(arcs, options, asked)
     best = most_likely(arc, alike, square)
     nearest = np.full_like(track, -1)
     nearest[arc[best]] = known.track[line[best]]

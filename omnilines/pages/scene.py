@@ -183,7 +183,7 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
             report.summary_section(summary),
             *([report.checks_section(scene.checks)] if scene.checks else []),
             report.histogram_section(title, distances, label),
-            report.scene_section(lines=scene.lines, cameras=scene.poses),
+            report.scene_section(lines=scene.lines, segments=scene.segments, cameras=scene.poses),
         ]
     groups = [f"family {k + 1}" if k >= 0 else "no family" for k in of_photos.families.family.tolist()]
     named = {stage.stage for stage in scene.stages}
@@ -192,7 +192,7 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
     unused = Summary("Photos that were not used", tuple((one.photo, one.text) for one in scene.details))
     return [
         report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
-        report.scene_section(lines=scene.lines, groups=groups, cameras=scene.poses, up=of_photos.up),
+        report.scene_section(lines=scene.lines, groups=groups, segments=scene.segments, cameras=scene.poses, up=of_photos.up),
         stage_section(scene.stages),
         photo_arcs_section(scene.photos),
         *(line_photos_section(folder, scene.lines, scene.segments, scene.poses, scene.cameras) for folder in photos),

@@ -3,9 +3,10 @@
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.formats.disk import read_bytes
 from camera_models.formats.forms import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
-from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_at_once, photos_of, write_segments
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.kept import read_kept, write_kept
@@ -24,6 +25,7 @@ from omnilines.files.sets import claimed
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.options import AppearanceOptions
+from omnilines.pipelines.batches import look_at
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses, Segments
@@ -118,9 +120,11 @@ def extract(
     options: ExtractionOptions = SHORT_ARCS,
     appearance: AppearanceOptions = AppearanceOptions(),
     work: str | Path | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoArcs:
-    """The arcs of straight lines in photos (a folder, files, or names with arrays), on all cores, one photo per core in memory.
+    """The arcs of straight lines in photos (a folder, files, or names with arrays), on all cores, one photo per core in memory,
+    or by the workers of an `executor`.
 
     Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is
     looked at. `appearance` is which pixels beside an arc are its colours. Arcs are kept in the folder `work`, where one is given,
@@ -140,26 +144,33 @@ def extract(
     camera_of = cameras_of_photos(refs, cameras)
     if mask is not None:
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
-    wanted = _Wanted(mask, options, appearance, None if work is None else output_folder(work_folder(work) / "arcs"))
-
     turned = by_camera(refs, camera_of)
+    items = [_Item(photo, camera_of[photo.name], turned.get(photo.name)) for photo in refs]
+    look = _Look(dict(cameras.cameras), {name: _least_rad(cameras, name) for name in cameras}, mask, options, appearance)
+    kept = None if work is None else _Kept(look, output_folder(work_folder(work) / "arcs"))
+    known = [] if kept is None else on_all_cores(kept.known, items, "looking for kept arcs", progress)
+    found = {k: arcs for k, (_, arcs) in enumerate(known) if arcs is not None}
+    places = [k for k in range(len(items)) if k not in found]
 
-    def look(photo: Photo) -> FoundArcs:
-        """The arcs of one photo, or why it has none."""
-        name = camera_of[photo.name]
-        if photo.name in turned:
-            return skipped(photo, name, turned[photo.name])
-        least_rad = math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
-        try:
-            arrays = _kept_or_found(photo, cameras[name], least_rad, wanted)
-        except InputError as error:
-            return skipped(photo, name, str(error))
-        pixels, covariance, length, colours = (arrays[key] for key in _ARRAYS)
-        return FoundArcs(photo, name, pixels, covariance, length, colours)
+    def keep(k: int, fresh: FoundArcs) -> None:
+        """What a photo was found to show."""
+        if kept is not None:
+            kept.write(known[places[k]][0], fresh)
 
-    found = on_all_cores(look, refs, "extracting arcs", progress, photos_at_once(refs, BYTES_PER_PIXEL))
-    require_any(found, "photos and calibration")
-    return PhotoArcs(tuple(found), cameras, (), {"photos": photo_folder(refs), "extraction": options})
+    fresh = look_at(
+        look,
+        [items[k] for k in places],
+        [refs[k] for k in places],
+        "extracting arcs",
+        executor=executor,
+        bytes_per_pixel=BYTES_PER_PIXEL,
+        progress=progress,
+        keep=keep,
+    )
+    found |= dict(zip(places, fresh, strict=True))
+    every = tuple(found[k] for k in range(len(items)))
+    require_any(every, "photos and calibration")
+    return PhotoArcs(every, cameras, (), {"photos": photo_folder(refs), "extraction": options})
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
@@ -207,49 +218,82 @@ def require_any(found: Sequence[FoundArcs], what: str) -> None:
         raise InputError(f"No photo of {len(found)} can be used (first reason: {found[0].reason}); check {what}.")
 
 
-@dataclass(frozen=True)
-class _Wanted:
-    """What is looked for in photos."""
+class _Item(NamedTuple):
+    """One photo to be looked at."""
 
+    photo: Photo
+    camera: str
+    left_out: str | None
+    """Why it is not looked at."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is looked for in photos, and how."""
+
+    cameras: Mapping[str, CameraModel]
+    least_rad: Mapping[str, float]
+    """Angle off the axis below which each camera is not known."""
     mask: Bool[np.ndarray, "h w"] | None
     options: ExtractionOptions
     appearance: AppearanceOptions
-    folder: Path | None
-    """Where arcs are kept."""
+
+    def __call__(self, item: _Item) -> FoundArcs:
+        """The arcs of one photo, or why it has none."""
+        if item.left_out is not None:
+            return skipped(item.photo, item.camera, item.left_out)
+        model = self.cameras[item.camera]
+        try:
+            image = item.photo.read()
+            found = extract_arcs(image, model, self.mask, self.least_rad[item.camera], self.options)
+            bearings, seen = model.unproject(found.endpoints_px)
+            usable = seen.all(-1)
+            colours = side_colours(image, model, bearings[usable], self.appearance)
+        except InputError as error:
+            return skipped(item.photo, item.camera, str(error))
+        arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
+        return FoundArcs(item.photo, item.camera, *arrays)
 
 
-def _kept_or_found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
-    """The arrays of one photo, from the folder where they are there; they are kept in it."""
-    if wanted.folder is None or not isinstance(photo, PhotoRef):
-        return _found(photo, model, least_angle_rad, wanted)
-    content = read_bytes(photo.path)
-    inputs = _fingerprint(content, model, least_angle_rad, wanted)
-    path = wanted.folder / f"{inputs}.npz"
-    known = read_kept(path, inputs)
-    if known is None:
-        known = _found(photo, model, least_angle_rad, wanted)
-        write_kept(path, inputs, known)
-    return known
+def _least_rad(cameras: Calibration, name: str) -> float:
+    return math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
 
 
-def _fingerprint(content: bytes, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> str:
-    """Of all that the arcs of a photo depend on."""
-    what = hashlib.sha256(content)
-    camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), least_angle_rad)
-    what.update(f"{revision(*MADE_BY, __name__)} {(camera, wanted.options, wanted.appearance)!r}".encode())
-    if wanted.mask is not None:
-        what.update(np.packbits(wanted.mask).tobytes())
-    return what.hexdigest()[:32]
+@dataclass(frozen=True)
+class _Kept:
+    """The arcs of photos in files, kept from one run to the next."""
 
+    look: _Look
+    folder: Path
 
-def _found(photo: Photo, model: CameraModel, least_angle_rad: float, wanted: _Wanted) -> dict[str, np.ndarray]:
-    image = photo.read()
-    found = extract_arcs(image, model, wanted.mask, least_angle_rad, wanted.options)
-    bearings, seen = model.unproject(found.endpoints_px)
-    usable = seen.all(-1)
-    colours = side_colours(image, model, bearings[usable], wanted.appearance)
-    arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
-    return dict(zip(_ARRAYS, arrays, strict=True))
+    def known(self, item: _Item) -> tuple[str | None, FoundArcs | None]:
+        """What the arcs of one photo are kept by, and they, where they are."""
+        inputs = self._inputs(item)
+        arrays = None if inputs is None else read_kept(self.folder / f"{inputs}.npz", inputs)
+        if arrays is None:
+            return inputs, None
+        pixels, covariance, length, colours = (arrays[name] for name in _ARRAYS)
+        return inputs, FoundArcs(item.photo, item.camera, pixels, covariance, length, colours)
+
+    def write(self, inputs: str | None, arcs: FoundArcs) -> None:
+        """Keep those of a photo that was looked at."""
+        if inputs is not None and arcs.reason is None:
+            write_kept(self.folder / f"{inputs}.npz", inputs, {name: getattr(arcs, name) for name in _ARRAYS})
+
+    def _inputs(self, item: _Item) -> str | None:
+        """A fingerprint of all that the arcs of a photo depend on; None where none are kept."""
+        if item.left_out is not None or not isinstance(item.photo, PhotoRef):
+            return None
+        try:
+            what = hashlib.sha256(read_bytes(item.photo.path))
+        except InputError:
+            return None
+        look, model = self.look, self.look.cameras[item.camera]
+        camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.least_rad[item.camera])
+        what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance)!r}".encode())
+        if look.mask is not None:
+            what.update(np.packbits(look.mask).tobytes())
+        return what.hexdigest()[:32]
 
 
 def in_order(found: Sequence[FoundArcs], poses: ImagePoses) -> list[FoundArcs]:

@@ -1,6 +1,7 @@
 """Corners of a target -> a calibrated camera; in photos the camera leads to corners that were missed, and is calibrated anew."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -125,6 +126,7 @@ def calibrate(
     image_size: tuple[int, int] | None = None,
     options: CalibrationOptions = CalibrationOptions(),
     *,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
     **fields: Unpack[CalibrationFields],
 ) -> CalibrationResult:
@@ -135,7 +137,8 @@ def calibrate(
     metres and pixels (n, 2); then `image_size` (width, height) is needed. Fields of the options may be given by name:
     `model="auto"` fits all camera models and takes the one that predicts held-out views best. Where frames follow one another
     closely (of a video, or a table with `times_s`) a rolling shutter is recognised, which a note says; with `rolling_shutter` its
-    line delay is estimated with all else, and the pose of a view is that at the instant of its middle row.
+    line delay is estimated with all else, and the pose of a view is that at the instant of its middle row. Photos are searched
+    again by the workers of an `executor`, where one is given.
 
     Raises InputError for options out of range, corners outside the image and too few views, and GeometryError where the data
     cannot determine the camera.
@@ -162,7 +165,7 @@ def calibrate(
         corners = PhotoCorners.of_table(corners if isinstance(corners, Corners) else corners_of_views(corners), image_size)
     if options.rolling_shutter:
         require_close(timed(corners).corners, options.clocks)
-    found, result = _guided(corners, options, progress) if corners.photos else (corners, None)
+    found, result = _guided(corners, options, executor, progress) if corners.photos else (corners, None)
     found = timed(found)
     notes = (*_gains(corners, found), *found.notes)
     selection = None
@@ -214,7 +217,7 @@ def corners_of_views(views: Mapping[str, tuple[Any, Any]]) -> Corners:
 
 
 def _guided(
-    first: PhotoCorners, options: CalibrationOptions, progress: ProgressCallback
+    first: PhotoCorners, options: CalibrationOptions, executor: Executor | None, progress: ProgressCallback
 ) -> tuple[PhotoCorners, CameraCalibration | None]:
     """The corners of photos with those that the camera leads to, and the calibration of them where it has been made already."""
     found, result = first, None
@@ -223,7 +226,7 @@ def _guided(
         result = _fitted(found, guide, progress)
         poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
         # A photo that shows nothing to the first camera shows nothing to the next one.
-        again = search_again(found, result.model, poses, lost_too=done == 0, progress=progress)
+        again = search_again(found, result.model, poses, lost_too=done == 0, executor=executor, progress=progress)
         if np.array_equal(again.corners.pixels, found.corners.pixels):
             break
         found, result = again, None

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -204,6 +205,7 @@ def calibrate_rig(
     start: Mapping[str, CameraModel] | None = None,
     hold: bool = False,
     time_offsets: bool = False,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
     **fields: Unpack[CalibrationFields],
 ) -> RigResult:
@@ -216,6 +218,7 @@ def calibrate_rig(
     cameras by name to begin from; `hold` holds their parameters. Where frames have times (of videos, or a table's `times_s`) and
     the cameras contradict each other, the offset of each camera's clock is estimated; with `time_offsets` always. With
     `rolling_shutter` the line delay of each camera is estimated too; the pose of a view is then that at its middle row.
+    `executor` as in `calibrate`.
 
     Raises InputError for options that do not fit, and GeometryError where no two cameras hang together or the data leave the rig
     open.
@@ -247,7 +250,7 @@ def calibrate_rig(
     if setup.options.rolling_shutter:
         require_times(corners.corners)
     found, result = corners, _fitted(corners, setup, progress)
-    again = searched_with_rig(found, result, progress)
+    again = searched_with_rig(found, result, executor, progress)
     if again is not None:
         found, result = again, _fitted(again, setup, progress)
     remarks = found.remarks

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,13 +16,14 @@ from calib_patterns.guided import seen_ids
 from calib_patterns.sharpness import blur_remarks
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.files import Photo, Photos, photo_folder, photos_at_once, photos_of, write_corners
+from omnilines.files import Photo, Photos, photo_folder, photos_of, write_corners
 from omnilines.files.orientation import turned_otherwise
 from omnilines.files.sets import claimed
+from omnilines.pipelines.batches import look_at
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.seen_boards import other_board
-from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
 
 BYTES_PER_PIXEL = 40
@@ -138,6 +140,55 @@ _Looked: TypeAlias = tuple[Detection, str | None, tuple[int, int] | None]
 """What one photo shows of the target, why it was skipped, and its size."""
 
 
+@dataclass(frozen=True)
+class _First:
+    """The first look at photos, each given with the reason why it is left out."""
+
+    target: Pattern
+    camera: CameraModel | None
+    mirrored: bool
+    options: DetectionOptions
+
+    def __call__(self, item: tuple[Photo, str | None]) -> _Looked:
+        photo, left_out = item
+        if left_out is not None:
+            return Detection.empty(), left_out, None
+        try:
+            image = photo.read()
+        except InputError as error:
+            return Detection.empty(), str(error), None
+        size = (image.shape[1], image.shape[0])
+        detection, reason = self.target.detect(image, mirrored=self.mirrored, options=self.options)
+        if self.camera is not None and size == self.camera.image_size:
+            detection = searched(image, self.target, self.camera, detection, mirrored=self.mirrored, options=self.options)
+            reason = None if len(detection) else reason
+        return detection, reason, size
+
+
+@dataclass(frozen=True)
+class _Again:
+    """What photos show of the target once the camera is known; each is given with what was found, and its pose where it is
+    known."""
+
+    target: Pattern
+    camera: CameraModel
+    mirrored: bool
+    options: DetectionOptions
+
+    def __call__(self, item: tuple[Photo, Detection, Pose | None]) -> Detection:
+        photo, known, pose = item
+        try:
+            image = photo.read()
+        except InputError:
+            return known  # the reason why it was skipped stands
+        if (image.shape[1], image.shape[0]) != self.camera.image_size:
+            return known
+        if pose is None:
+            return searched(image, self.target, self.camera, known, mirrored=self.mirrored, options=self.options)
+        whole = completed(image, self.target, self.camera, known, pose, options=self.options)
+        return known if whole is None else whole
+
+
 def detect(
     photos: Photos,
     pattern: Pattern | str,
@@ -146,9 +197,10 @@ def detect(
     mirrored: bool = False,
     recognise: bool = True,
     options: DetectionOptions = DetectionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
-    """Find a target in photos of one camera, on all cores, one photo per core in memory.
+    """Find a target in photos of one camera, on all cores, one photo per core in memory, or by the workers of an `executor`.
 
     `photos` are a folder, files and folders, or a mapping of names to arrays (NumPy or torch, grey or BGR); `pattern` may be its
     specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
@@ -171,23 +223,15 @@ def detect(
         target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
     turned = turned_otherwise(found_photos)
-
-    def look(photo: Photo) -> _Looked:
-        """At one photo."""
-        if photo.name in turned:
-            return Detection.empty(), turned[photo.name], None
-        try:
-            image = photo.read()
-        except InputError as error:
-            return Detection.empty(), str(error), None
-        size = (image.shape[1], image.shape[0])
-        detection, reason = target.detect(image, mirrored=mirrored, options=options)
-        if camera is not None and size == camera.image_size:
-            detection = searched(image, target, camera, detection, mirrored=mirrored, options=options)
-            reason = None if len(detection) else reason
-        return detection, reason, size
-
-    found = on_all_cores(look, found_photos, "detecting corners", progress, photos_at_once(found_photos, BYTES_PER_PIXEL))
+    found = look_at(
+        _First(target, camera, mirrored, options),
+        [(photo, turned.get(photo.name)) for photo in found_photos],
+        found_photos,
+        "detecting corners",
+        executor=executor,
+        bytes_per_pixel=BYTES_PER_PIXEL,
+        progress=progress,
+    )
     without = [
         photo for photo, (detection, _, its_size) in zip(found_photos, found, strict=True) if its_size and not len(detection)
     ]
@@ -257,9 +301,10 @@ def search_again(
     poses: Mapping[str, Pose],
     *,
     lost_too: bool,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
-    """The corners found and those that a camera leads to, on all cores, one photo per core in memory.
+    """The corners found and those that a camera leads to, worked on as `detect` does.
 
     `poses`: cam_from_board of the photos, by name, whose corners fit the camera; photos of which all corners in the camera's
     view are known are not read. `lost_too`: look through the other photos as well, those skipped included.
@@ -270,28 +315,22 @@ def search_again(
     turned = turned_otherwise(found.photos)
 
     def may_gain(photo: Photo) -> bool:
+        if photo.name in turned:
+            return False
         if photo.name not in poses:
             return lost_too
         return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
 
-    def look(photo: Photo) -> Detection:
-        """What one photo shows of the target once the camera is known."""
-        known = found.detection(photo.name)
-        if photo.name in turned:
-            return known
-        try:
-            image = photo.read()
-        except InputError:
-            return known  # the reason why it was skipped stands
-        if (image.shape[1], image.shape[0]) != model.image_size:
-            return known
-        if photo.name not in poses:
-            return searched(image, pattern, model, known, mirrored=found.mirrored, options=found.options)
-        whole = completed(image, pattern, model, known, poses[photo.name], options=found.options)
-        return known if whole is None else whole
-
     again = [photo for photo in found.photos if may_gain(photo)]
-    better = on_all_cores(look, again, "searching with the camera", progress, photos_at_once(again, BYTES_PER_PIXEL))
+    better = look_at(
+        _Again(pattern, model, found.mirrored, found.options),
+        [(photo, found.detection(photo.name), poses.get(photo.name)) for photo in again],
+        again,
+        "searching with the camera",
+        executor=executor,
+        bytes_per_pixel=BYTES_PER_PIXEL,
+        progress=progress,
+    )
     return found.updated({photo.name: detection for photo, detection in zip(again, better, strict=True)})
 
 

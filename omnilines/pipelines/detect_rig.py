@@ -3,7 +3,9 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
@@ -17,7 +19,7 @@ from camera_models.formats.forms import listed
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of, write_corners
-from omnilines.files.frames import read_times
+from omnilines.files.frames import times_of
 from omnilines.files.sets import claimed
 from omnilines.files.videos import find_videos
 from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
@@ -169,22 +171,24 @@ def frame_of(name: PurePosixPath) -> str:
 
 
 def detect_rig(
-    photos: str | Path | Sequence[str | Path] | Mapping[str, Photos],
+    photos: Photos,
     patterns: str | Sequence[str],
     *,
     mirrored: bool = False,
     perhaps_mirrored: Sequence[str] | None = None,
     camera: str | None = None,
     options: DetectionOptions = DetectionOptions(),
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> RigCorners:
     """Find one or more targets in the photos of every camera of a rig.
 
-    `photos` are a folder with one sub-folder for each camera, these sub-folders, or photos by camera as `detect` takes them;
-    those of the same name are of the same instant. With `camera` all are of one camera of that name, which sees several targets
-    that are fixed to one another, such as the faces of a cube. Where no tag is read in the photos of a camera among
-    `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are. Raises InputError where no
-    camera sees a target.
+    `photos` are a folder with one sub-folder for each camera, these sub-folders, the frames that `frames` chose, or photos by
+    camera as `detect` takes them; those of the same name are of the same instant. With `camera` all are of one camera of that
+    name, which sees several targets that are fixed to one another, such as the faces of a cube. Where no tag is read in the
+    photos of a camera among `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are.
+    `executor` as in `detect`.
+    Raises InputError where no camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
         >>> found.image_sizes, found.corners.frames[:2]
@@ -207,7 +211,7 @@ def detect_rig(
         perhaps = perhaps_mirrored is None or name in perhaps_mirrored
         for board in boards:
             try:
-                looked = _look(own, board, perhaps, mirrored, options, progress)
+                looked = _look(own, board, perhaps, mirrored=mirrored, options=options, executor=executor, progress=progress)
                 found.append(CameraCorners(name, looked))
             except InputError as error:
                 notes.append(f"Camera {name}: {error}")
@@ -216,9 +220,8 @@ def detect_rig(
         where = "" if folder is None else f" in {folder}"
         raise InputError(f"A pattern was expected in the photos of some camera{where}, found none; {notes[-1]}")
     plain = any(board.plain_grid is not None for board in boards)
-    times_s = {} if folder is None else read_times(folder)
     return replace(
-        corners_of_cameras(found, several, times_s),
+        corners_of_cameras(found, several, times_of(every, folder)),
         numberings={board.specification if several else ONE_BOARD: _numbering(board) for board in boards},
         seen_from_front=not plain,
         photo_folder=folder,
@@ -227,18 +230,18 @@ def detect_rig(
     )
 
 
-def _by_camera(photos: str | Path | Sequence[str | Path] | Mapping[str, Photos], camera: str | None) -> dict[str, list[Photo]]:
+def _by_camera(photos: Photos, camera: str | None) -> dict[str, list[Photo]]:
     """The photos of each camera, whose name stands before theirs; all of one `camera` where that is given."""
     if camera is not None:
         if isinstance(photos, Mapping):
             raise InputError("`camera` was expected with the photos of one, found photos by camera; leave it out.")
-        return {camera: list(find_photos([photos] if isinstance(photos, str | Path) else photos))}
+        return {camera: photos_of(photos)}
     if isinstance(photos, Mapping):
         return {
             camera: [replace(photo, name=f"{camera}/{photo.name}") for photo in photos_of(own)] for camera, own in photos.items()
         }
     found: dict[str, list[Photo]] = {}
-    for photo in find_photos([photos] if isinstance(photos, str | Path) else photos):
+    for photo in photos_of(photos):
         found.setdefault(PurePosixPath(photo.name).parts[0], []).append(photo)
     return found
 
@@ -278,17 +281,20 @@ def _look(
     photos: Sequence[Photo],
     pattern: Pattern,
     perhaps_mirrored: bool,
+    *,
     mirrored: bool,
     options: DetectionOptions,
+    executor: Executor | None,
     progress: ProgressCallback,
 ) -> PhotoCorners:
+    look = partial(detect, photos, pattern, recognise=False, options=options, executor=executor, progress=progress)
     try:
-        return detect(photos, pattern, mirrored=mirrored, recognise=False, options=options, progress=progress)
+        return look(mirrored=mirrored)
     except InputError:
         # Tags are not read in a mirror image; the corners of a plain board are found either way.
         if pattern.plain_grid is not None or not perhaps_mirrored or mirrored:
             raise
-        return detect(photos, pattern, mirrored=True, recognise=False, options=options, progress=progress)
+        return look(mirrored=True)
 
 
 def _numbering(pattern: Pattern) -> Numbering:

@@ -15,6 +15,7 @@ from omnilines.files.nerfstudio_scene import write_nerfstudio
 from omnilines.files.scene_folder import SCENE_TABLES, SceneTables, read_scene
 from omnilines.files.sets import claimed
 from omnilines.pipelines.scene import Scene
+from omnilines.pipelines.splatting import splatting_files, write_splatting
 
 
 class SceneFormat(NamedTuple):
@@ -25,17 +26,18 @@ class SceneFormat(NamedTuple):
     files: tuple[str, ...]
     """Names that are written in this format, as shell patterns in lower case."""
     write: Callable[..., tuple[str, ...]]
-    """(path, scene) -> what the format has no place for; of one that names photos, the way to them after these."""
-    parts: tuple[str, ...] = ()
+    """(path, scene) -> what the format has no place for; of one that takes photos, their folder after these."""
+    parts: Callable[[SceneTables], tuple[str, ...]] | None = None
     """Files of a format that is a folder."""
-    names_photos: bool = False
+    takes_photos: bool = False
 
 
 SCENE_FORMATS = (
     SceneFormat("dxf", "DXF", ("*.dxf",), write_dxf),
     SceneFormat("glb", "GLB", ("*.glb",), write_glb),
-    SceneFormat("nerfstudio", "Nerfstudio", ("*.json",), write_nerfstudio, names_photos=True),
-    SceneFormat("limap", "LIMAP", ("*limap*",), write_limap, LIMAP_FILES),
+    SceneFormat("nerfstudio", "Nerfstudio", ("*.json",), write_nerfstudio, takes_photos=True),
+    SceneFormat("limap", "LIMAP", ("*limap*",), write_limap, lambda _: LIMAP_FILES),
+    SceneFormat("colmap", "COLMAP", ("*colmap*",), write_splatting, splatting_files, takes_photos=True),
 )
 
 
@@ -47,7 +49,7 @@ class SceneExport:
     writer: SceneFormat
     out: Path
     photos: Path | None
-    """Folder of the photos, to which frames point."""
+    """Folder of the photos, for a format that takes them."""
     read: tuple[Path, ...]
     """Files that the scene was read from."""
 
@@ -55,21 +57,15 @@ class SceneExport:
         """Write the file or folder; the files, and what is lost or fitted. Raises InputError where the format does not hold the
         scene, or a file cannot be written."""
         out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
-        parts = self.writer.parts
-        if parts:
+        photos = (self.photos,) if self.writer.takes_photos else ()
+        if self.writer.parts is not None:
+            parts = self.writer.parts(self.scene)
             with claimed(out, parts, self.read, by=f"export {self.writer.name}") as folder:
-                lost = self.writer.write(folder, self.scene)
-            return tuple(out / name for name in parts), lost
+                lost = self.writer.write(folder, self.scene, *photos)
+            return tuple(out / name for name in parts if (out / name).is_file()), lost
         with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
-            lost = self.writer.write(out, self.scene, *self._way())
+            lost = self.writer.write(out, self.scene, *photos)
         return (out,), lost
-
-    def _way(self) -> tuple[str, ...]:
-        """From a file of frames to the photos."""
-        if self.photos is None:
-            return ()
-        way = Path(os.path.relpath(os.path.abspath(self.photos), os.path.abspath(self.out.parent))).as_posix()
-        return ("" if way == "." else f"{way}/",)
 
 
 def export(
@@ -77,8 +73,9 @@ def export(
 ) -> SceneExport:
     """A scene, or that of a folder that `reconstruct` or `adjust` wrote, for another tool. Nothing is written yet.
 
-    The format is told by the name of `out` (`lines.dxf`, `scene.glb`, `transforms.json`, a folder with limap in its name) unless
-    named: dxf, glb, nerfstudio or limap. `photos` is their folder, for nerfstudio: frames name photos relative to `out`.
+    The format is told by the name of `out` (`lines.dxf`, `scene.glb`, `transforms.json`, a folder with limap or colmap in its
+    name) unless named: dxf, glb, nerfstudio, limap or colmap. `photos` is their folder: frames of nerfstudio name photos relative
+    to `out`, and colmap has masks of the image circles that they show.
     Raises InputError where there is no such format, the folder holds no scene, or there is no such folder of photos.
 
         >>> files, lost = ol.export("scene", "lines.dxf").save()
@@ -87,8 +84,10 @@ def export(
     """
     path = Path(out)
     writer = _format_of(path, to_format)
-    if photos is not None and not writer.names_photos:
-        raise InputError(f"`photos` is for nerfstudio, whose frames name them, found {writer.name}; leave it out.")
+    if photos is not None and not writer.takes_photos:
+        raise InputError(
+            f"`photos` is for nerfstudio, whose frames name them, and for masks of colmap, found {writer.name}; leave it out."
+        )
     if photos is not None and not Path(photos).is_dir():
         raise InputError(f"`photos` was expected to be the folder of the photos, found {photos}, which is none.")
     if isinstance(scene, Scene):

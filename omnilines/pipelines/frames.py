@@ -14,10 +14,11 @@ from camera_models import GeometryError, InputError
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
+from omnilines.files.footage import Footage
 from omnilines.files.frames import TABLE, FrameRow, write_frames
 from omnilines.files.sets import claimed
 from omnilines.files.split import Split
-from omnilines.files.videos import Video, find_videos, together
+from omnilines.files.videos import open_videos, together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, Look, spaced, stillest
 from omnilines.pipelines.detect import corner_table
@@ -25,6 +26,7 @@ from omnilines.pipelines.instants import Lens, instants_of, lenses_of
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.rolling_frames import moving_runs, rolling_note
 from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.records import Corners
 
 GUIDE = "scaramuzza"
 """The model by which views are compared: it fits lenses of every width."""
@@ -61,7 +63,8 @@ class ChosenFrames:
                 if self.lenses[row.lens].video == video:
                     wanted.setdefault(row.index, []).append(row)
             for frame in video.frames(wanted.keys()):
-                yield from (PhotoArray(row.image, self.lenses[row.lens].of(frame.pixels)) for row in wanted[frame.index])
+                for row in wanted[frame.index]:
+                    yield PhotoArray(row.image, self.lenses[row.lens].of(frame.pixels), row.time_s)
 
     def photos(self) -> list[PhotoArray]:
         """`read`, all in memory: for `detect`, `extract` and the like."""
@@ -74,13 +77,13 @@ class ChosenFrames:
             for done, photo in enumerate(self.read(), 1):
                 write_png(out / photo.name, photo.pixels)
                 progress("writing frames", done, len(self.taken))
-            write_frames(out / TABLE, self.rows, [path.name for path in inputs])
+            write_frames(out / TABLE, self.rows, [lens.video.title for lens in self.lenses])
         return tuple(Path(folder) / name for name in self.names)
 
 
 def frames(
     videos: str | Path | Sequence[str | Path],
-    pattern: Pattern | str | None = None,
+    pattern: Pattern | str | Sequence[Pattern] | None = None,
     *,
     split: Split | str | None = None,
     mirrored: bool = False,
@@ -93,10 +96,12 @@ def frames(
     Of every short stretch the stillest sharp instant is looked at closely. With a `pattern`, its corners are found and a camera
     is calibrated from all of them: those instants are taken that together determine the cameras best, whose blur and distortion
     by motion (rolling shutter) count as noise. Without one, those are taken between which the scene has moved. Of one video of a
-    target a few runs of moving frames are looked at too: a rolling shutter that they show is named in the notes.
+    target a few runs of moving frames are looked at too: a rolling shutter that they show is named in the notes. Of several
+    targets, with a comma between their specifications, each that a frame shows counts.
 
     Videos of the same rate and length belong together frame by frame, others by time from their beginning, unless the motion in
-    them says that one began earlier. Of several videos of a target the frames just before and after each instant are taken too:
+    them says that one began earlier; topics of bags (`BAG:/topic`) by their stamps. Of several videos of a target the frames
+    just before and after each instant are taken too:
     `calibrate_rig` compares the cameras' clocks by them. `split`, such as `left,right`, cuts frames that show two lenses side by
     side into those of two cameras. Raises InputError where there is no video, one cannot be decoded, or no frame shows the
     pattern.
@@ -109,35 +114,56 @@ def frames(
         True
     """
     given = [videos] if isinstance(videos, str | Path) else list(videos)
-    sources = tuple(Video.of(path) for path in find_videos(given))
+    sources = open_videos(given)
     if not sources:
         raise InputError(f"A video was expected, found none in {' '.join(map(str, given)) or 'an empty list'}; give one.")
     lenses = lenses_of(sources, Split.of(split) if isinstance(split, str) else split)
-    target = parse_pattern(pattern) if isinstance(pattern, str) else pattern
-    notes: tuple[str, ...] = ()
-    if target is not None and target.plain_grid is None:
-        first = _spread(sources)
-        target, otherwise = as_printed(target, first, any_tags=True, mirrored=mirrored, options=detection, progress=progress)
-        notes = () if otherwise is None else (otherwise,)
+    targets, notes = _targets(pattern, sources, mirrored, detection, progress)
     instants, told = instants_of(lenses, options, progress)
-    search, still = _Search(lenses, target, mirrored, detection), _still(lenses, instants, options)
-    run = 1 if target is None else _run_frames(sources, options)
-    moving = [] if target is None or run > 1 else moving_runs(still, instants, options)
+    search, still = _Search(lenses, targets, mirrored, detection), _still(lenses, instants, options)
+    run = _run_frames(sources, options) if targets else 1
+    moving = moving_runs(still, instants, options) if len(targets) == 1 == run else []
     looked, followed = search.looked_and_followed(still, moving)
     if not looked:
-        raise InputError(f"Frames were expected in {sources[0].path}, found none that can be decoded; convert it to MP4.")
-    if target is None:
+        raise InputError(f"Frames were expected in {sources[0].location}, found none that can be decoded; convert it to MP4.")
+    if not targets:
         return ChosenFrames(lenses, _of_scene(lenses, looked, options), notes + told)
     most = options.most_of_target if run == 1 else min(options.most_of_target, options.most_runs)
-    chosen = _of_target(lenses, looked, target, most)
+    chosen = _of_targets(lenses, looked, targets, most)
     rows = _with_runs(chosen, instants, run) if run > 1 else chosen.rows
     rolling = rolling_note(
-        [(_image(lenses, 0, one), one.seen[0], one.time_s[0]) for one in followed], target, lenses[0].image_size
+        [(_image(lenses, 0, one), one.seen[0][0], one.time_s[0]) for one in followed], targets[0], lenses[0].image_size
     )
     return replace(chosen, rows=rows, notes=notes + told + chosen.notes + rolling)
 
 
-def _run_frames(videos: Sequence[Video], options: FrameOptions) -> int:
+def _targets(
+    pattern: Pattern | str | Sequence[Pattern] | None,
+    videos: Sequence[Footage],
+    mirrored: bool,
+    detection: DetectionOptions,
+    progress: ProgressCallback,
+) -> tuple[tuple[Pattern, ...], tuple[str, ...]]:
+    """The targets as a few frames show that they are printed, and a note on each that is not as given."""
+    if isinstance(pattern, str):
+        pattern = [parse_pattern(text.strip()) for text in pattern.split(",")]
+    given = [] if pattern is None else [pattern] if isinstance(pattern, Pattern) else [*pattern]
+    first = _spread(videos) if any(target.plain_grid is None for target in given) else []
+    found: list[Pattern] = []
+    notes: list[str] = []
+    for target in given:
+        otherwise = None
+        if target.plain_grid is None:
+            # Of several boards each may show the tags of another.
+            target, otherwise = as_printed(
+                target, first, any_tags=len(given) == 1, mirrored=mirrored, options=detection, progress=progress
+            )
+        found.append(target)
+        notes += [] if otherwise is None else [otherwise]
+    return tuple(found), tuple(notes)
+
+
+def _run_frames(videos: Sequence[Footage], options: FrameOptions) -> int:
     """How many consecutive frames are taken around each instant."""
     slowest = min(video.frames_per_s for video in videos)
     lasts_s = (options.frames_of_run - 1) / slowest
@@ -151,24 +177,29 @@ def _still(lenses: Sequence[Lens], instants: Sequence[Instant], options: FrameOp
     return list(stillest(instants, stretch_s, options))
 
 
-def _spread(videos: Sequence[Video]) -> list[PhotoArray]:
+def _spread(videos: Sequence[Footage]) -> list[PhotoArray]:
     """A few frames from all over each video."""
     found = []
     for video in videos:
         wanted = {int(index) for index in np.linspace(0, max(video.count - 1, LOOKED_FIRST), LOOKED_FIRST)}
-        found += [PhotoArray(f"{video.path.name}, frame {frame.index}", frame.pixels) for frame in video.frames(wanted)]
+        found += [PhotoArray(f"{video.title}, frame {frame.index}", frame.pixels) for frame in video.frames(wanted)]
     return found
 
 
 @dataclass(frozen=True)
 class _Looked:
-    """An instant whose pixels are gone, and what each camera sees of the target."""
+    """An instant whose pixels are gone, and what each camera sees of each target."""
 
     index: tuple[int, ...]
     time_s: tuple[float, ...]
     looks: tuple[Look, ...]
-    seen: tuple[Detection, ...]
+    seen: tuple[tuple[Detection, ...], ...]
     reasons: tuple[str | None, ...]
+
+    @property
+    def corners(self) -> tuple[int, ...]:
+        """How many each camera sees."""
+        return tuple(sum(map(len, own)) for own in self.seen)
 
 
 @dataclass(frozen=True)
@@ -176,15 +207,14 @@ class _Search:
     """What is looked for in the frames."""
 
     lenses: tuple[Lens, ...]
-    target: Pattern | None
+    targets: tuple[Pattern, ...]
     mirrored: bool
     detection: DetectionOptions
 
     def looked(self, instants: Sequence[Instant]) -> list[_Looked]:
         """What is found in some instants, a few at a time in memory, on all cores."""
-        if self.target is None:
-            nothing = (Detection.empty(),) * len(self.lenses)
-            return [_Looked(one.index, one.time_s, one.looks, nothing, (None,) * len(nothing)) for one in instants]
+        if not self.targets:
+            return [_unseen(one) for one in instants]
         videos = tuple(dict.fromkeys(lens.video for lens in self.lenses))
         place = [videos.index(lens.video) for lens in self.lenses]
         first = [place.index(number) for number in range(len(videos))]
@@ -209,9 +239,18 @@ class _Search:
 
     def _closely(self, shown: tuple[Instant, tuple[np.ndarray, ...]]) -> _Looked:
         instant, pictures = shown
-        assert self.target is not None
-        seen = [self.target.detect(pixels, mirrored=self.mirrored, options=self.detection) for pixels in pictures]
-        return _Looked(instant.index, instant.time_s, instant.looks, tuple(d for d, _ in seen), tuple(r for _, r in seen))
+        seen = [
+            [target.detect(pixels, mirrored=self.mirrored, options=self.detection) for target in self.targets]
+            for pixels in pictures
+        ]
+        found = tuple(tuple(detection for detection, _ in own) for own in seen)
+        reasons = tuple(next((why for detection, why in own if not len(detection)), None) for own in seen)
+        return _Looked(instant.index, instant.time_s, instant.looks, found, reasons)
+
+
+def _unseen(instant: Instant) -> _Looked:
+    """An instant at which nobody looked for a target."""
+    return _Looked(instant.index, instant.time_s, instant.looks, ((),) * len(instant.index), (None,) * len(instant.index))
 
 
 def _with_runs(chosen: ChosenFrames, instants: Sequence[Instant], run: int) -> tuple[FrameRow, ...]:
@@ -225,10 +264,8 @@ def _with_runs(chosen: ChosenFrames, instants: Sequence[Instant], run: int) -> t
         low = max(0, min(k - run // 2, len(instants) - run))
         for beside in range(low, min(low + run, len(instants))):
             if beside not in by_instant:
-                one = instants[beside]
-                nothing = (Detection.empty(),) * len(chosen.lenses)
-                looked = _Looked(one.index, one.time_s, one.looks, nothing, (None,) * len(nothing))
-                by_instant[beside] = list(_rows(chosen.lenses, [looked], {0}, [[BESIDE] * len(chosen.lenses)]))
+                reasons = [[BESIDE] * len(chosen.lenses)]
+                by_instant[beside] = list(_rows(chosen.lenses, [_unseen(instants[beside])], {0}, reasons))
             elif not by_instant[beside][0].taken:
                 by_instant[beside] = [replace(row, taken=True, reason=BESIDE) for row in by_instant[beside]]
     return tuple(row for k in sorted(by_instant) for row in by_instant[k])
@@ -243,29 +280,34 @@ def _of_scene(lenses: Sequence[Lens], looked: Sequence[_Looked], options: FrameO
     return _rows(lenses, looked, kept, [[reason] * len(lenses) for reason in reasons])
 
 
-def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Pattern, most: int) -> ChosenFrames:
+def _of_targets(lenses: tuple[Lens, ...], looked: Sequence[_Looked], targets: Sequence[Pattern], most: int) -> ChosenFrames:
     """Those that tell most of the cameras."""
     instants: dict[str, int] = {}
     cameras: list[ViewInformation] = []
     notes: list[str] = []
+    names = " or ".join(target.specification for target in targets)
     for number, lens in enumerate(lenses):
-        named = [(_image(lenses, number, one), one.seen[number]) for one in looked if len(one.seen[number])]
-        instants |= {_image(lenses, number, one): place for place, one in enumerate(looked)}
-        if not named:
+        tables = []
+        for k, target in enumerate(targets):
+            views = [_view(_image(lenses, number, one), k) for one in looked]
+            instants |= {view: place for place, view in enumerate(views)}
+            named = [(view, one.seen[number][k]) for view, one in zip(views, looked, strict=True) if len(one.seen[number][k])]
+            tables += [corner_table(named, target)] if named else []
+        if not tables:
             why = (looked[0].reasons[number] or "").rstrip(".")
             if len(lenses) == 1:
                 raise InputError(
-                    f"The pattern {target.specification} was expected in at least one of the {len(looked)} stillest frames "
-                    f"of {lens.video.path}, found in none (first reason: {why}); check its counts of inner corners."
+                    f"The pattern {names} was expected in at least one of the {len(looked)} stillest frames "
+                    f"of {lens.video.location}, found in none (first reason: {why}); check its counts of inner corners."
                 )
-            notes.append(f"{lens.name}: the pattern {target.specification} was found in none of {len(looked)} frames.")
+            notes.append(f"{lens.name}: the pattern {names} was found in none of {len(looked)} frames.")
             continue
-        corners = corner_table(named, target)
+        corners = _joined(tables)
         try:
             cameras.append(view_information(corners, calibrate_camera(corners, lens.image_size, GUIDE)))
         except (InputError, GeometryError) as error:
             notes.append(f"{lens.name}: its frames are not compared by what they tell of the camera: {error}")
-    seen = [place for place, one in enumerate(looked) if any(map(len, one.seen))]
+    seen = [place for place, one in enumerate(looked) if any(one.corners)]
     if cameras:
         kept = set(telling_instants(cameras, instants, len(looked), most))
         known = {name for camera in cameras for name in camera.names}
@@ -277,10 +319,10 @@ def _of_target(lenses: tuple[Lens, ...], looked: Sequence[_Looked], target: Patt
         """Why the frame of a camera was taken, or was not."""
         one = looked[place]
         if place in kept:
-            return "it tells much of the camera" if len(one.seen[number]) else "another camera sees the target"
-        if not len(one.seen[number]):
+            return "it tells much of the camera" if one.corners[number] else "another camera sees the target"
+        if not one.corners[number]:
             return one.reasons[number] or "no corner was found"
-        fits = not cameras or _image(lenses, number, one) in known
+        fits = not cameras or any(_view(_image(lenses, number, one), k) in known for k in range(len(targets)))
         return "others tell more of the camera" if fits else "its corners do not fit the camera"
 
     reasons = [[reason(place, number) for number in range(len(lenses))] for place in range(len(looked))]
@@ -294,6 +336,26 @@ def _image(lenses: Sequence[Lens], number: int, looked: _Looked) -> str:
     return f"{lenses[number].name}/{looked.index[0]:06d}.png"
 
 
+def _view(image: str, target: int) -> str:
+    """What a target in a frame is called."""
+    return f"{image}, target {target + 1}" if target else image
+
+
+def _joined(tables: Sequence[Corners]) -> Corners:
+    """One table of views of several targets."""
+    starts = np.cumsum([0, *(len(table.images) for table in tables)])
+    names = tuple(name for table in tables for name in table.view_names)
+    sigma_px = [table.sigma_px for table in tables if table.sigma_px is not None]
+    return Corners(
+        np.concatenate([table.view + start for table, start in zip(tables, starts[:-1], strict=True)]),
+        names,
+        names,
+        np.concatenate([table.board_m for table in tables]),
+        np.concatenate([table.pixels for table in tables]),
+        np.concatenate(sigma_px),
+    )
+
+
 def _rows(
     lenses: Sequence[Lens], looked: Sequence[_Looked], kept: set[int], reasons: Sequence[Sequence[str]]
 ) -> tuple[FrameRow, ...]:
@@ -305,7 +367,7 @@ def _rows(
             time_s=one.time_s[number],
             motion_px=one.looks[number].motion_px,
             sharpness=one.looks[number].sharpness,
-            corners=len(one.seen[number]),
+            corners=one.corners[number],
             taken=place in kept,
             reason=reasons[place][number],
         )

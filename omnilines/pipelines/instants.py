@@ -6,22 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from camera_models import InputError
+from omnilines.files.footage import Footage
 from omnilines.files.split import Split
-from omnilines.files.videos import Video, alike
+from omnilines.files.videos import alike
 from omnilines.footage.alignment import lead_s, put_together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, Look, Meter
 from omnilines.progress import ProgressCallback
-
-LEAST_DECODED = 0.9
-"""Of the length that a video states."""
 
 
 @dataclass(frozen=True)
 class Lens:
     """A camera: a video, or a part of one that shows what several lenses see."""
 
-    video: Video
+    video: Footage
     split: Split | None
     part: int
     name: str
@@ -38,7 +36,7 @@ class Lens:
         return (width, height // share) if self.split is not None and self.split.stacked else (width // share, height)
 
 
-def lenses_of(videos: Sequence[Video], split: Split | None) -> tuple[Lens, ...]:
+def lenses_of(videos: Sequence[Footage], split: Split | None) -> tuple[Lens, ...]:
     """In order. Raises InputError where two would have one name."""
     if split is None:
         lenses = tuple(Lens(video, None, 0, video.name) for video in videos)
@@ -52,7 +50,9 @@ def lenses_of(videos: Sequence[Video], split: Split | None) -> tuple[Lens, ...]:
     names = [lens.name for lens in lenses]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"Videos with names of their own were expected, found two called {twice}; rename one of them.")
+        raise InputError(
+            f"Videos with names of their own were expected, found two called {twice}; rename one of them, or leave it out."
+        )
     return lenses
 
 
@@ -76,7 +76,7 @@ def instants_of(
     """The instants that all lenses show, in order, and what a person should know of how they were put together.
 
     Videos of one rate and length belong together frame by frame, others by time from their beginnings, unless the motion in them
-    says that one began earlier.
+    says that one began earlier; topics of bags by their stamps.
     """
     videos = tuple(dict.fromkeys(lens.video for lens in lenses))
     total = sum(video.count for video in videos)
@@ -94,12 +94,7 @@ def instants_of(
     if not all(len(one.time_s) for one in measured):
         return [], ()
     together, notes = _numbers(videos, measured, options)
-    notes += tuple(
-        f"The video {video.path.name} states {video.duration_s:.1f} s, and cannot be decoded after {one.time_s[-1]:.1f} s: it is "
-        "damaged or cut short; copy it again."
-        for video, one in zip(videos, measured, strict=True)
-        if one.time_s[-1] < LEAST_DECODED * video.duration_s
-    )
+    notes += tuple(doubt for video, one in zip(videos, measured, strict=True) for doubt in video.doubts(one.time_s))
     place = [videos.index(lens.video) for lens in lenses]
     part = [sum(other.video == lens.video for other in lenses[:k]) for k, lens in enumerate(lenses)]
     return [
@@ -113,9 +108,20 @@ def instants_of(
 
 
 def _numbers(
-    videos: Sequence[Video], measured: Sequence[_Measured], options: FrameOptions
+    videos: Sequence[Footage], measured: Sequence[_Measured], options: FrameOptions
 ) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
     """The frame of every video at each instant."""
+    if len(videos) > 1 and all(video.stamped for video in videos):
+        paired = put_together([one.time_s for one in measured], [0.0] * len(videos), options.most_gap_share)
+        if not paired:
+            spans = " and ".join(
+                f"{v.title} from {m.time_s[0]:.3f} to {m.time_s[-1]:.3f} s" for v, m in zip(videos, measured, strict=True)
+            )
+            raise InputError(
+                f"Frames with stamps of the same times were expected, found {spans}; record them with one clock, or give each "
+                "camera alone."
+            )
+        return paired, ()
     first, leads_s, notes = measured[0], [0.0], list[str]()
     by_number = all(alike(videos[0], video) for video in videos)
     for video, other in zip(videos[1:], measured[1:], strict=True):
@@ -131,4 +137,4 @@ def _numbers(
             notes.append(f"{video.name} and {videos[0].name} are taken to have begun together: the motion in them does not tell.")
     if by_number and not any(leads_s):
         return [(k,) * len(videos) for k in range(min(len(one.time_s) for one in measured))], tuple(notes)
-    return put_together([one.time_s for one in measured], leads_s), tuple(notes)
+    return put_together([one.time_s for one in measured], leads_s, options.most_gap_share), tuple(notes)

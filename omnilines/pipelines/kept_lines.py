@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Int
+from scipy import sparse
 
 from camera_models import CameraModel, GeometryError
 from omnilines.adjustment.lines import end_sigma_m
@@ -124,7 +125,9 @@ def _beyond_chance(
     own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
     lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
     arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
-    chance = chance_of_lines(arcs, lines, stretches.positions_m, own, cameras, options=options.matching)
+    chance = chance_of_lines(
+        arcs, lines, stretches.positions_m, own, cameras, neighbours=matched.hypotheses.neighbours, options=options.matching
+    )
     return stretches.rows(np.flatnonzero(chance <= options.kept_lines.max_chance))
 
 
@@ -247,22 +250,27 @@ def _agreement(matched: Matched, min_views: int) -> tuple[Bool[np.ndarray, " n"]
     return partner, partner & (others >= 2), partner & (others + 1 >= min_views)
 
 
-def shared_lines(segments: Segments, lines: int) -> Int[np.ndarray, "m m"]:
+def shared_lines(segments: Segments, lines: int) -> sparse.csr_array:
     """How many lines each two photos have arcs of; on the diagonal, how many a photo has."""
-    shows = np.zeros((lines, len(segments.images)), dtype=np.int64)
     member = segments.track >= 0
-    shows[segments.track[member], segments.image[member]] = 1
-    return shows.T @ shows
+    pairs = np.unique(np.stack([segments.image[member], segments.track[member]]), axis=1)
+    shows = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int64), pairs), shape=(len(segments.images), lines))
+    return (shows @ shows.T).tocsr()
 
 
-def weakest_link(shared: Int[np.ndarray, "m m"]) -> tuple[int, int, int]:
+def weakest_link(shared: sparse.csr_array) -> tuple[int, int, int]:
     """Of the tree that joins all photos by the most shared lines, the link of the fewest: two photos, and how many lines."""
-    joined = np.zeros(len(shared), dtype=bool)
-    joined[int(shared.diagonal().argmax())] = True
-    weakest = (0, 0, int(shared.max()) + 1)
-    while not joined.all():
-        between = np.where(joined[:, None] & ~joined, shared, -1)
-        a, b = np.unravel_index(int(between.argmax()), between.shape)
+    count = shared.shape[0]
+    joined, weakest = np.zeros(count, dtype=bool), (0, 0, int(shared.max()) + 1)
+    most, to = np.full(count, -1), np.zeros(count, dtype=np.int64)
+    b = int(shared.diagonal().argmax())
+    while True:
         joined[b] = True
-        weakest = min(weakest, (int(a), int(b), int(shared[a, b])), key=lambda link: link[2])
-    return weakest
+        if joined.all():
+            return weakest
+        # Of each photo the joined one that it shares most lines with.
+        own = shared[[b]].toarray()[0]
+        better = own > most
+        most[better], to[better] = own[better], b
+        b = int(np.where(joined, -1, most).argmax())
+        weakest = min(weakest, (int(to[b]), b, int(most[b])), key=lambda link: link[2])

@@ -39,6 +39,7 @@ def adjusted_camera(
     `prior` is that of an earlier start, where this one comes of it. Raises GeometryError where too few chains are straight.
     """
     model, basis = start.calibrated_form(), start.calibration_basis()
+    _require(chains.count, options)
     readings = longest(EdgeReadings.of(chains), options.most_chains)
     if prior is None:
         prior = CameraPrior.of(
@@ -52,7 +53,7 @@ def adjusted_camera(
     for done in range(options.rounds):
         progress("adjusting the camera to lines", done, options.rounds)
         weighted = weighted_chains(model, readings, options)
-        _require_straight(weighted, options)
+        _require(int((weighted.weight > 0).sum()), options)
         families = families_of(model, weighted, options, directions, progress)
         problem = LineProblem(weighted.blocks, families, basis, weighted.weight, prior)
         begin = CameraAndCircles(model, weighted.normal, families.direction)
@@ -102,8 +103,9 @@ def held_camera(
 ) -> tuple[WeightedChains, Families, LineScores, Float[Tensor, "p q"]]:
     """Lines fitted with the camera as it is, and how they pull at it along a basis of its parameters."""
     model = model.calibrated_form()
+    _require(chains.count, options)
     weighted = weighted_chains(model, longest(EdgeReadings.of(chains), options.most_chains), options)
-    _require_straight(weighted, options)
+    _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
     basis = model.calibration_basis()
     held = LineProblem(weighted.blocks, families, basis[:, :0], weighted.weight)
@@ -114,8 +116,7 @@ def held_camera(
     return moved, families, scores, basis
 
 
-def _require_straight(weighted: WeightedChains, options: LineOptions) -> None:
-    straight = int((weighted.weight > 0).sum())
+def _require(straight: int, options: LineOptions) -> None:
     if straight < options.start.least_chains:
         raise GeometryError(
             f"At least {options.start.least_chains} edges that are straight in the world were expected, found {straight}; add "

@@ -13,7 +13,7 @@ from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.rolling import follow_closely, not_closely
 from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import ClockThresholds
-from omnilines.files.frames import read_times
+from omnilines.files.frames import times_of
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import PhotoCorners
 from omnilines.progress import ProgressCallback
@@ -44,10 +44,10 @@ def _named(corners: Corners) -> Corners:
 
 
 def timed(found: PhotoCorners) -> PhotoCorners:
-    """With the times of photos that lie beside their `frames.csv`, where all are in it."""
-    if found.corners.times_s is not None or found.photo_folder is None or not found.photos:
+    """With the times of photos that are frames in memory or lie beside their `frames.csv`, where all of them are known."""
+    if found.corners.times_s is not None or not found.photos:
         return found
-    times_s, names = read_times(found.photo_folder), found.corners.view_names
+    times_s, names = times_of(found.photos, found.photo_folder), found.corners.view_names
     if not times_s.keys() >= set(names):
         return found
     return replace(found, corners=replace(found.corners, times_s=np.array([times_s[name] for name in names])))

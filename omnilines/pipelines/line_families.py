@@ -88,7 +88,7 @@ def families_of(
             direction.append(meeting.direction[[one]])
             photo, groups = [*photo, k], [*groups, len(photo)]
     of, axes = torch.as_tensor(of_chain), torch.as_tensor(np.concatenate(direction))
-    own = torch.as_tensor(_strays(circles, axes.numpy(), of_chain, np.array(groups), options))
+    own = torch.as_tensor(_strays(circles, axes.numpy(), of_chain, np.array(groups, dtype=np.int64), options))
     return Families(axes, frames, torch.tensor(photo, dtype=torch.long), own, of)
 
 

@@ -22,6 +22,7 @@ from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.poses import estimate_poses, given_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
@@ -134,6 +135,9 @@ def _scene(
     progress("looking for parallel lines", 0, 0)
     lines, poses = found.scene.lines, found.scene.poses
     families = line_families(lines, options.structure.families)
+    if options.structure.families.guides_members:
+        refined = refined_calibration(found.scene, cameras).cameras
+        lines = with_rms(guided_lines(lines, families), found.segments, poses, refined)
     sought = DirectionsOptions(upright=options.structure.upright)
     frame = scene_frame(
         lines, poses, families, source=posed.source, unit=posed.unit, known=distance,

@@ -1,5 +1,6 @@
 """Photos of a rig searched once more: where the other cameras say that the board is, and in the rig's numbering."""
 
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import PurePosixPath
 
@@ -17,7 +18,9 @@ from omnilines.progress import ProgressCallback
 SAME_CORNER_M = 1e-6
 
 
-def searched_with_rig(source: RigCorners, result: RigCalibration, progress: ProgressCallback) -> RigCorners | None:
+def searched_with_rig(
+    source: RigCorners, result: RigCalibration, executor: Executor | None, progress: ProgressCallback
+) -> RigCorners | None:
     """The corners found and those that the rig leads to; None where there are none."""
     members = {member.name for member in result.members}
     found: list[CameraCorners] = []
@@ -34,7 +37,7 @@ def searched_with_rig(source: RigCorners, result: RigCalibration, progress: Prog
         else:
             found.append(item)
             continue
-        again = search_again(known, model, poses, lost_too=True, progress=progress)
+        again = search_again(known, model, poses, lost_too=True, executor=executor, progress=progress)
         gained += len(again.corners) - len(item.found.corners)
         found.append(replace(item, found=again))
     if not gained:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from omnilines.records import Summary
 from omnilines.report.page import Section, fragment
-from omnilines.report.plots import PALETTE, broken, curve, dots, image_axes, legend_above, plot, sample
+from omnilines.report.plots import PALETTE, broken, curve, dots, image_axes, plot, sample
 from omnilines.report.uncertainty import INK, map_traces
 
 
@@ -42,7 +42,10 @@ def next_views_section(
         traces.append(
             curve(path[:, 0], path[:, 1], PALETTE[k % len(PALETTE)], width=3 if k == 0 else 2, name=name, showlegend=True)
         )
-    layout = {**image_axes(image_size), "showlegend": True, "legend": {**legend_above(), "y": -0.12, "yanchor": "top"}}
+    # Below the title of the axis, however high the figure is.
+    below = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0}
+    margin = {"l": 64, "r": 16, "t": 16, "b": 96}
+    layout = {**image_axes(image_size), "margin": margin, "showlegend": True, "legend": below}
     caption = (
         "Grids: where the rows and columns of the board should appear, first the photo that helps most. Colours: the standard "
         "deviation of the projection now (px), as in the map below; dots: the corners that were seen."

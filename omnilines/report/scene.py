@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from omnilines.records import ImagePoses, LengthUnit, Lines
+from omnilines.records import ImagePoses, LengthUnit, Lines, Segments
 from omnilines.report.numbers import figure
 from omnilines.report.page import Section, fragment
 from omnilines.report.plots import PALETTE, QUIET, Trace, axis, broken, numbers, plot, sample, sample_note
@@ -32,6 +33,7 @@ def scene_section(
     boards: Sequence[tuple[str, Float[np.ndarray, "4 3"]]] = (),
     lines: Lines | None = None,
     groups: Sequence[str] | None = None,
+    segments: Segments | None = None,
     cameras: ImagePoses | None = None,
     truth_m: Float[np.ndarray, "n 2 3"] | None = None,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
@@ -41,9 +43,10 @@ def scene_section(
     """A 3D view of what stands in one frame, in metres or in the unit of `lines`; it opens with the whole scene in view.
 
     `boards` are (name, corners in order around the quadrilateral). `groups` labels each of `lines` for colour and legend
-    (by default its status); lines without end points are counted, not drawn. `cameras` are drawn as pyramids that open along
-    the optical axis. `truth_m` holds the ends of the true lines. `up` is the direction drawn upwards: (0, -1, 0) for a camera
-    frame, z for a world. A few far lines or cameras lie outside the view and do not shrink it.
+    (by default its status); lines without end points are counted, not drawn. `segments` are those that the lines were made from:
+    a line that is clicked names the photos of its own. `cameras` are drawn as pyramids that open along the optical axis.
+    `truth_m` holds the ends of the true lines. `up` is the direction drawn upwards: (0, -1, 0) for a camera frame, z for a world.
+    A few far lines or cameras lie outside the view and do not shrink it.
     """
     ends = np.empty((0, 2, 3)) if lines is None else lines.ends_m[lines.known]
     centres = np.empty((0, 3)) if cameras is None else cameras.cam_from_world.centre.numpy().reshape(-1, 3)
@@ -61,6 +64,7 @@ def scene_section(
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "legend": {"x": 0, "y": 1, "itemsizing": "constant"},
         "showlegend": True,
+        **({} if lines is None or segments is None else {"meta": _picks(lines, segments)}),
         "scene": {
             "aspectmode": "manual",
             "aspectratio": _xyz(extent / extent.max()),
@@ -132,6 +136,16 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
         traces.append(_strokes(path, text, label, PALETTE[(0, 1, 3, 5, 6, 7, 2, 4)[k % len(PALETTE)]], width=4))
     return traces
+
+
+def _picks(lines: Lines, segments: Segments) -> dict[str, Any]:
+    """What the page says of a line that is clicked: its photos, as their numbers, by its track, which its text begins with."""
+    seen: dict[str, list[int]] = {track: [] for track in np.array(lines.tracks)[lines.known].tolist()}
+    matched = segments.track >= 0
+    for track, image in np.unique(np.stack([segments.track, segments.image], 1)[matched], axis=0).tolist():
+        if segments.tracks[track] in seen:
+            seen[segments.tracks[track]].append(image)
+    return {"photos": list(segments.images), "lines": seen}
 
 
 def _describe(lines: Lines, row: int) -> str:

@@ -23,8 +23,7 @@ def table_section(
 ) -> Section:
     """A table as `table` makes it, with paragraphs above and notes below."""
     above = Markup("").join(Markup("<p>{}</p>\n").format(one) for one in said)
-    below = Markup("").join(Markup("<li>{}</li>\n").format(note) for note in notes)
-    return Section(title, above + table(head, rows) + (Markup('<ul class="notes">\n{}</ul>\n').format(below) if notes else ""))
+    return Section(title, above + table(head, rows) + fragment("notes", notes=notes))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:

@@ -29,6 +29,11 @@ BASE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("reconstruct", "IN/photos", *LENS, "--poses", "IN/poses.csv", "--out", "OUT"),
         ("photos", "omnilines", "poses.csv"),
     ),
+    "check": (("check", "IN/photos", *LENS, "--out", "OUT"), ("photos", "omnilines")),
+    "lines": (("calibrate", "IN/photos", "--pattern", "lines", "--out", "OUT"), ("photos",)),
+    "export": (("export", "IN/scene", "OUT/a.dxf"), ("scene",)),
+    "doctor": (("doctor", "--no-check"), ()),
+    "frames": (("frames", "IN/a.avi", "--out", "OUT"), ("a.avi",)),
     "targets": (
         ("render", "targets", "--pattern", "checkerboard:4x3:30mm", "--size", "320x240", "--views", "2", "--out", "OUT"),
         (),

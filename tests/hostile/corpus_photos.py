@@ -18,6 +18,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "detect": ("detect", "IN/photos", *PATTERN, "--out", "OUT"),
     "calibrate": ("calibrate", "IN/photos", *PATTERN, "--model", "opencv-fisheye", "--out", "OUT"),
     "extract": ("extract", "IN/photos", *LENS, "--out", "OUT"),
+    "check": ("check", "IN/photos", *LENS, "--out", "OUT"),
+    "lines": ("calibrate", "IN/photos", "--pattern", "lines", "--out", "OUT"),
     "directions": ("directions", "IN/photos", *LENS, "--orthogonal", "--out", "OUT"),
     "rectify": ("rectify", "IN/photos", *LENS, "--size", "64x48", "--out", "OUT"),
     "reconstruct": ("reconstruct", "IN/photos", *LENS, "--poses", "IN/poses.csv", "--out", "OUT"),

@@ -1,4 +1,4 @@
-"""Good inputs, small and made once: calibrations in every format, tables, photos. Cases copy them and spoil the copy."""
+"""Good inputs, small and made once: calibrations in every format, tables, photos, scenes. Cases copy them and spoil the copy."""
 
 import csv
 import functools
@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 import camera_models
+import omnilines as ol
 from calib_patterns import pattern
 from calib_patterns.rendering import render_target
 from camera_models import Calibration
@@ -83,6 +84,8 @@ def store() -> Path:
     _corners(folder)
     _scene(folder)
     _photos(folder)
+    _lines(folder)
+    _video(folder / "a.avi")
     return folder
 
 
@@ -116,6 +119,20 @@ def _photos(folder: Path) -> None:
     for index, (turn, shift) in enumerate(POSES[:3]):
         image = render_target(pattern(SPEC), LENS, pose_of(turn, shift), noise_grey=1.0, blur_px=0.5, seed=index)
         assert cv2.imwrite(str(folder / "photos" / f"{index}.png"), image)
+
+
+def _lines(folder: Path) -> None:
+    """The scene as `adjust` writes it."""
+    poses, segments = ol.read_poses(folder / "poses.csv"), ol.read_segments(folder / "segments.csv")
+    ol.adjust(segments, poses, LENS).save(folder / "scene")
+
+
+def _video(path: Path) -> None:
+    """Three pictures without a target, four times each."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (320, 240))
+    for k in range(12):
+        writer.write(np.random.default_rng(k // 4).integers(0, 255, (240, 320, 3), dtype=np.uint8))
+    writer.release()
 
 
 def give(*names: str) -> Callable[[Path], None]:

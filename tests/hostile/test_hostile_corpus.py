@@ -4,7 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hostile import corpus_formats, corpus_idle, corpus_more, corpus_options, corpus_photos, corpus_tables
+from hostile import corpus_formats, corpus_idle, corpus_more, corpus_options, corpus_photos, corpus_scenes, corpus_tables
 from hostile.case import Case, play
 
 from camera_models.formats import FORMATS
@@ -16,11 +16,12 @@ PARTS = {
     "options": corpus_options,
     "idle": corpus_idle,
     "more": corpus_more,
+    "scenes": corpus_scenes,
 }
 CASES = [(f"{part}/{case.name}", case) for part, module in PARTS.items() for case in module.cases()]
 
 
-USUAL = 650
+USUAL = 560
 """Cases that are played by default, evenly spread over the corpus; the others with all Monte Carlo seeds."""
 
 

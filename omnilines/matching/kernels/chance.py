@@ -25,27 +25,30 @@ def shown_and_beside(
     px_rad: np.ndarray,
     colours: np.ndarray,
     starts: np.ndarray,
+    asked_starts: np.ndarray,
+    asked: np.ndarray,
     reach_px: float,
     most_square: float,
     min_overlap_share: float,
     looks: LikenessOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of l lines in m photos: (l, m) widths (px) within which an arc of the photo shows the line, NaN where none does; and the
-    length (px) of all other places, up to `reach_px` to both sides, at which arcs of the photo would show it.
+    """Of the lines asked[asked_starts[p] : asked_starts[p + 1]] in each photo p: widths (px) within which an arc of the photo
+    shows the line, NaN where none does; and the length (px) of all other places, up to `reach_px` to both sides, at which arcs of
+    the photo would show it.
 
     `span` (l, 2) are the positions along each line between which it is known, `own` (n,) the line of each arc or -1. The plane
     of a line is turned by t about an axis square to the middle of the line: distances h from it become h - t cos(f), f the
     angle from that middle. An arc shows it where the sum of (h - t cos f)^2 / s^2 over its ends is at most `most_square`.
     """
-    lines, photos = len(direction), len(starts) - 1
-    width, beside = np.full((lines, photos), np.nan), np.zeros((lines, photos))
+    photos = len(starts) - 1
+    width, beside = np.full(len(asked), np.nan), np.zeros(len(asked))
     at, view = np.empty(4), np.empty(9)
     for photo in range(photos):
         begin, end = starts[photo], starts[photo + 1]
         ends, most_rad = packed[begin:end, :6].T.copy(), (reach_px + 6.0) * px_rad[begin:end]
         low, high, close = np.empty(end - begin), np.empty(end - begin), np.empty(end - begin, dtype=np.bool_)
-        for line in range(lines if begin < end else 0):
-            count = 0
+        for place in range(asked_starts[photo], asked_starts[photo + 1] if begin < end else asked_starts[photo]):
+            line, count = asked[place], 0
             _view(packed[begin], direction[line], moment[line], span[line], view)
             _within(ends, view, most_rad, close)
             for arc in range(begin, end):
@@ -66,12 +69,12 @@ def shown_and_beside(
                     continue
                 middle, half = middle / px_rad[arc], math.sqrt(max(rest, 0.0) / square) / px_rad[arc]
                 if mine or abs(middle) < half:
-                    if not width[line, photo] >= 2.0 * half:
-                        width[line, photo] = 2.0 * half
+                    if not width[place] >= 2.0 * half:
+                        width[place] = 2.0 * half
                 else:
                     low[count], high[count] = max(middle - half, -reach_px), min(middle + half, reach_px)
                     count += 1
-            beside[line, photo] = _covered(low[:count], high[:count])
+            beside[place] = _covered(low[:count], high[:count])
     return width, beside
 
 
@@ -137,16 +140,20 @@ def _covered(low: np.ndarray, high: np.ndarray) -> float:
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def at_least(chance: np.ndarray, could: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Probability that at least times[l] of the independent events chance[l, could[l]] come true."""
-    found = np.empty(len(chance))
-    for line in range(len(chance)):
-        just = np.zeros(chance.shape[1] + 1)
+def at_least(chance: np.ndarray, line: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Probability of each line that at least times[line] of its independent events come true; `line` is that of each event, in
+    ascending order."""
+    found, first = np.empty(len(times)), 0
+    for own in range(len(times)):
+        last = first
+        while last < len(line) and line[last] == own:
+            last += 1
+        just = np.zeros(last - first + 1)
         just[0] = 1.0
-        for photo in range(chance.shape[1]):
-            if could[line, photo]:
-                for k in range(chance.shape[1], 0, -1):
-                    just[k] += chance[line, photo] * (just[k - 1] - just[k])
-                just[0] *= 1.0 - chance[line, photo]
-        found[line] = just[times[line] :].sum()
+        for event in range(first, last):
+            for k in range(event - first + 1, 0, -1):
+                just[k] += chance[event] * (just[k - 1] - just[k])
+            just[0] *= 1.0 - chance[event]
+        found[own] = just[times[own] :].sum()
+        first = last
     return found

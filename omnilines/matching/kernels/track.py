@@ -43,24 +43,36 @@ def claim(order: np.ndarray, support: np.ndarray, image: np.ndarray, images: int
 @njit(cache=True, nogil=True)
 @no_type_check
 def near_lines(
-    rows: np.ndarray, packed: np.ndarray, direction: np.ndarray, moment: np.ndarray, span: np.ndarray, gate_rad: np.ndarray
+    rows: np.ndarray,
+    image: np.ndarray,
+    packed: np.ndarray,
+    direction: np.ndarray,
+    moment: np.ndarray,
+    span: np.ndarray,
+    gate_rad: np.ndarray,
+    starts: np.ndarray,
+    asked: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs (row of an arc, line): both ends within `gate_rad` of the line's great circle, and the line lies where the arc is.
 
-    `span` holds the positions along each line between which it is known; an arc has to overlap that.
+    `span` holds the positions along each line between which it is known; an arc has to overlap that. The arcs of photo p are
+    compared with the lines asked[starts[p] : starts[p + 1]]; rows of one photo stand together.
     """
     capacity = 1024
     arcs, lines = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
-    count, centre = 0, np.full(3, np.nan)
-    about, close = np.empty((4, len(direction))), np.empty(len(direction), dtype=np.bool_)
+    count, photo = 0, -1
+    own, most = asked[:0], np.max(starts[1:] - starts[:-1])
+    about, close = np.empty((4, most)), np.empty(most, dtype=np.bool_)
     for k in range(len(rows)):
         p = packed[rows[k]]
-        if p[9] != centre[0] or p[10] != centre[1] or p[11] != centre[2]:
-            centre = p[9:12]
-            _moments_about(centre, direction, moment, about)
-        _within(p, about, np.sin(gate_rad[k]) ** 2, close)
-        for line in range(len(direction)):
-            if not close[line] or not _overlaps(p, direction[line], about[:, line], span[line]):
+        if image[rows[k]] != photo:
+            photo = image[rows[k]]
+            own = asked[starts[photo] : starts[photo + 1]]
+            _moments_about(p[9:12], own, direction, moment, about)
+        _within(p, about, np.sin(gate_rad[k]) ** 2, close[: len(own)])
+        for place in range(len(own)):
+            line = own[place]
+            if not close[place] or not _overlaps(p, direction[line], about[:, place], span[line]):
                 continue
             if count == capacity:
                 capacity *= 2
@@ -72,15 +84,16 @@ def near_lines(
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _moments_about(centre: np.ndarray, direction: np.ndarray, moment: np.ndarray, about: np.ndarray) -> None:
-    """Columns of each line: its moment about a centre, and the square of that, the distance from the centre."""
-    for line in range(len(direction)):
+def _moments_about(centre: np.ndarray, own: np.ndarray, direction: np.ndarray, moment: np.ndarray, about: np.ndarray) -> None:
+    """Columns of each line of `own`: its moment about a centre, and the square of that, the distance from the centre."""
+    for place in range(len(own)):
+        line = own[place]
         dx, dy, dz = direction[line, 0], direction[line, 1], direction[line, 2]
         mx = moment[line, 0] - (centre[1] * dz - centre[2] * dy)
         my = moment[line, 1] - (centre[2] * dx - centre[0] * dz)
         mz = moment[line, 2] - (centre[0] * dy - centre[1] * dx)
-        about[0, line], about[1, line], about[2, line] = mx, my, mz
-        about[3, line] = mx * mx + my * my + mz * mz
+        about[0, place], about[1, place], about[2, place] = mx, my, mz
+        about[3, place] = mx * mx + my * my + mz * mz
 
 
 @njit(cache=True, nogil=True)

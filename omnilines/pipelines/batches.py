@@ -1,0 +1,129 @@
+"""Photos worked on by whatever workers there are: the cores of this process, or a pool or cluster of others.
+
+One seam: an `executor` is any of `concurrent.futures`: threads, processes, Dask's `client.get_executor()`. What travels to it are
+batches of names and options, and numbers back: each worker reads the photos of its batches itself. Workers run the same functions
+as this process does, photo by photo, so that results are equal to the last bit whoever worked on them.
+"""
+
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from queue import SimpleQueue
+from typing import TypeVar
+
+from camera_models import InputError
+from omnilines.files import Photo, PhotoRef, photos_at_once
+from omnilines.files.fingerprint import revision
+from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+BATCH = 25
+"""Photos of a task: enough that sending it costs nothing beside the work, few enough that little is lost with a worker."""
+TRIES = 3
+"""Times that a batch is worked on where its worker has no disk or memory left."""
+SOURCES = ("camera_models", "calib_patterns", "omnilines")
+
+
+def look_at(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    photos: Sequence[Photo],
+    stage: str,
+    *,
+    executor: Executor | None,
+    bytes_per_pixel: int,
+    progress: ProgressCallback,
+    keep: Callable[[int, R], None] = lambda place, result: None,
+) -> list[R]:
+    """The results of `work` in the order of the items, each of which stands for one of the photos: on all cores of this process,
+    one photo per core in memory, or by the workers of an executor, for which `work` and the items must be picklable.
+
+    Each result is handed to `keep`, with its place, as soon as it is there. Raises what `work` raises, and
+    InputError where a worker cannot see a photo, runs another omnilines, or could not work on a batch.
+    """
+    if executor is None:
+
+        def here(place: int) -> R:
+            """The result of one photo, in this process."""
+            result = work(items[place])
+            keep(place, result)
+            return result
+
+        return on_all_cores(here, range(len(items)), stage, progress, photos_at_once(photos, bytes_per_pixel))
+    found: dict[int, R] = {}
+    waiting: dict[Future[list[R]], tuple[int, int]] = {}
+    done: SimpleQueue[Future[list[R]]] = SimpleQueue()
+
+    def begin(first: int, turn: int) -> None:
+        """Hand a batch to a worker."""
+        part = slice(first, first + BATCH)
+        paths = [str(photo.path) for photo in photos[part] if isinstance(photo, PhotoRef)]
+        try:
+            task = executor.submit(_of_batch, work, items[part], paths, revision(*SOURCES), turn)
+        except BrokenExecutor as error:
+            raise _lost(photos[part], error, turn) from None
+        waiting[task] = (first, turn)
+        task.add_done_callback(done.put)
+
+    try:
+        for first in range(0, len(items), BATCH):
+            begin(first, 1)
+        while waiting:
+            task = done.get()
+            first, turn = waiting.pop(task)
+            try:
+                results = task.result()
+            except (OSError, MemoryError) as error:
+                if turn == TRIES:
+                    raise _lost(photos[first : first + BATCH], error, turn) from None
+                begin(first, turn + 1)
+                continue
+            except _worker_died() as error:
+                raise _lost(photos[first : first + BATCH], error, turn) from None
+            for place, result in enumerate(results, first):
+                found[place] = result
+                keep(place, result)
+            progress(stage, len(found), len(items))
+    finally:
+        # After an error, or where the user stops it, what has not begun does not begin.
+        for task in waiting:
+            task.cancel()
+    return [found[place] for place in range(len(items))]
+
+
+def _of_batch(work: Callable[[T], R], items: Sequence[T], paths: Sequence[str], made_by: str, turn: int) -> list[R]:
+    """On a worker: the results of one batch. `turn` tells a repeated batch from the first to engines that remember results."""
+    here = f"The worker on {socket.gethostname()}"
+    if revision(*SOURCES) != made_by:
+        raise InputError(
+            f"{here} was expected to run the same omnilines as this process, found another version; install the same on both."
+        )
+    for path in paths:
+        try:
+            with open(path, "rb"):
+                pass
+        except (FileNotFoundError, NotADirectoryError, PermissionError):
+            raise InputError(
+                f"{here} cannot see the photo {path}: expected a folder that all workers share; put the photos in one, or work "
+                "without `cluster`."
+            ) from None
+    with one_torch_thread():
+        return [work(item) for item in items]
+
+
+def _worker_died() -> tuple[type[BaseException], ...]:
+    """What executors raise where a worker is gone for good. Dask has tried again by itself by then."""
+    distributed = sys.modules.get("distributed")
+    return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))
+
+
+def _lost(photos: Sequence[Photo], error: BaseException, turn: int) -> InputError:
+    times = "" if turn == 1 else f", tried {turn} times"
+    why = " ".join(str(error).split()) or "no reason given"
+    return InputError(
+        f"The photos {photos[0].name} to {photos[-1].name} could not be worked on: {type(error).__name__}{times}. Workers that "
+        f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a time."
+    )

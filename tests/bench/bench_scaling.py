@@ -1,0 +1,129 @@
+"""Time, memory and exponents of `reconstruct` against photos: a building of flats of five rooms with walls between, given poses.
+
+    python tests/bench/bench_scaling.py --work /tmp/building --photos 10 100 1000 --workers 0 2
+
+A flat has PER_FLAT photos, so that their density does not change with their number. Photos are rendered once into the folder.
+Every run is a process of its own; seconds are those of the processor, of all its processes. With workers, a Dask cluster of so
+many processes extracts the arcs.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from timing import print_table
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from camera_models import Calibration, CameraEstimate, save
+from camera_models.pose import Pose
+from omnilines.files import write_png, write_poses
+from omnilines.records import ImagePoses
+from omnilines.scenes import eye, flat, largest_angle, render_photo, scene_camera, scene_poses
+
+PER_FLAT, SIZE, FOV_DEG, NOISE = 125, (640, 480), 190.0, 2.0
+FLAT_M, FLATS_IN_ROW = (11.6, 8.6), 4
+WORKER = """
+import json, resource, sys, time
+from pathlib import Path
+
+if __name__ == "__main__":
+    from omnilines.commands.cluster import workers
+    from omnilines.commands.reconstruct import reconstruct_photos
+    folder, out, photos, cluster = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4] or None
+    stages, now = {}, ["reading", time.process_time()]
+
+    def tell(stage, done, total):
+        if stage != now[0]:
+            stages[now[0]] = stages.get(now[0], 0.0) + time.process_time() - now[1]
+            now[:] = [stage, time.process_time()]
+
+    start = time.perf_counter()
+    names = [folder / f"view{k:05d}.png" for k in range(photos)]
+    with workers(cluster) as executor:
+        reconstruct_photos(names, folder / "calibration.yaml", str(folder / "poses.csv"), out, executor=executor, progress=tell)
+    tell("", 0, 0)
+    own, theirs = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    found = {"cpu": own.ru_utime + own.ru_stime + theirs.ru_utime + theirs.ru_stime, "wall": time.perf_counter() - start}
+    print(json.dumps({**found, "mb": own.ru_maxrss / 1024, "stages": stages}))
+"""
+
+
+def building(folder: Path, photos: int) -> None:
+    """Photos of as many flats as that takes, side by side in one world, with poses and camera; drawn unless they are there."""
+    camera, circle = scene_camera("opencv-fisheye", SIZE, seed=0, fov_deg=FOV_DEG)
+    look, poses = eye(camera, circle), []
+    for number in range(math.ceil(photos / PER_FLAT)):
+        scene = replace(flat(number), walk_m=None)
+        own = scene_poses(scene, PER_FLAT, number, camera)
+        shift = np.array([FLAT_M[0] * (number % FLATS_IN_ROW), FLAT_M[1] * (number // FLATS_IN_ROW), 0.0])
+        for k in range(min(PER_FLAT, photos - PER_FLAT * number)):
+            path = folder / f"view{PER_FLAT * number + k:05d}.png"
+            if not path.is_file():
+                write_png(path, render_photo(scene, look, own[k], noise_grey=NOISE, seed=[number, k]))
+            rotation = own[k].rotation.numpy()
+            poses.append(Pose.of(rotation, own[k].translation.numpy() - rotation @ shift))
+    names = tuple(f"view{k:05d}.png" for k in range(photos))
+    write_poses(folder / "poses.csv", ImagePoses(names, Pose.stack(poses), ("cam0",) * photos))
+    shown = CameraEstimate(max_angle_deg=math.degrees(largest_angle(camera, circle)))
+    save(folder / "calibration.yaml", Calibration({"cam0": camera}, {"cam0": shown}))
+
+
+def run(folder: Path, photos: int, workers: int) -> dict:
+    """What one reconstruction took."""
+    with tempfile.TemporaryDirectory() as out:
+        script = Path(out) / "run.py"
+        script.write_text(WORKER)
+        threads = {} if not workers else {"OMNILINES_THREADS": str(workers)}
+        path = str(Path(__file__).resolve().parents[2])
+        done = subprocess.run(
+            [sys.executable, str(script), str(folder), f"{out}/scene", str(photos), "local" if workers else ""],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path, **threads},
+        )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def exponent(few: float, many: float, factor: float) -> str:
+    """p of time ~ photos^p."""
+    return f"{math.log(many / few) / math.log(factor):.2f}" if few > 0 and many > 0 else ""
+
+
+def main(folder: Path, counts: list[int], workers: list[int]) -> None:
+    """The tables."""
+    building(folder, max(counts))
+    found = {(photos, count): run(folder, photos, count) for count in workers for photos in counts}
+    rows = []
+    for (photos, count), one in found.items():
+        figures = (one["cpu"], 1e3 * one["cpu"] / photos, one["wall"], one["mb"])
+        rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in figures)])
+    print_table("reconstruct, given poses", ("photos", "workers", "CPU s", "ms a photo", "wall s", "MB"), rows)
+    of_photos = [found[photos, workers[0]]["stages"] for photos in counts]
+    stages = []
+    for name, last in of_photos[-1].items():
+        each = [f"{1e3 * own.get(name, 0.0) / photos:.1f}" for photos, own in zip(counts, of_photos, strict=True)]
+        grows = exponent(of_photos[-2].get(name, 0.0), last, counts[-1] / counts[-2]) if len(counts) > 1 else ""
+        stages.append([name, *each, grows])
+    print_table("CPU ms a photo by stage", ("stage", *map(str, counts), "exponent of the last two"), stages)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--work", type=Path)
+    parser.add_argument("--photos", type=int, nargs="+", default=[10, 100, 1000])
+    parser.add_argument("--workers", type=int, nargs="+", default=[0], help="0: the cores of one process")
+    parser.add_argument("--small", action="store_true", help="few photos")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as made:
+        place = Path(options.work or made)
+        place.mkdir(parents=True, exist_ok=True)
+        main(place, [6, 12] if options.small else options.photos, options.workers)

@@ -1,0 +1,290 @@
+"""Photos worked on by executors and by a Dask scheduler: the same results to the bit, and what is said where workers fail."""
+
+import logging
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import cached_property
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import distributed
+import numpy as np
+import pytest
+
+import omnilines as ol
+from calib_patterns import Detection
+from camera_models import Calibration, InputError, load
+from omnilines import cli
+from omnilines.commands import cluster as module
+from omnilines.commands.cluster import workers
+from omnilines.commands.render_scene import render_scene
+from omnilines.commands.render_targets import render_targets
+from omnilines.pipelines import batches
+from omnilines.pipelines.arcs import PhotoArcs
+from omnilines.pipelines.render import MODEL, RenderOptions
+
+SIZE, VIEWS, PATTERN = (320, 240), 5, "checkerboard:8x6:30mm"
+
+
+class Scene:
+    """Photos of a room, worked on by this process, and of a board."""
+
+    def __init__(self, folder: Path, views: int) -> None:
+        self.folder, self.room = folder, folder / "room"
+        render_scene(self.room, scene="plain-room", views=views, size=SIZE)
+        self.cameras: Calibration = load(self.room / "calibration.yaml")
+        self.arcs = ol.extract(self.room, self.cameras)
+
+    @cached_property
+    def board(self) -> Path:
+        """Photos of a board."""
+        render_targets(self.folder / "board", PATTERN, MODEL, RenderOptions(190.0, VIEWS, (640, 480)))
+        return self.folder / "board"
+
+    def require_same_arcs(self, other: PhotoArcs) -> None:
+        """Equal to the last bit."""
+        assert [arcs.photo.name for arcs in other.photos] == [arcs.photo.name for arcs in self.arcs.photos]
+        assert len(self.arcs) > 10 * len(self.arcs.photos)
+        for one, own in zip(other.photos, self.arcs.photos, strict=True):
+            for name in ("endpoints_px", "covariance_px2", "length_px", "colours"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(own, name))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return Scene(tmp_path_factory.mktemp("workers"), VIEWS)
+
+
+@pytest.fixture(autouse=True)
+def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More batches than one."""
+    monkeypatch.setattr(batches, "BATCH", 2)
+
+
+class Pickled(Executor):
+    """Does at once what it is given, as it comes out of a pickle; `before` is told how many batches there were, and may raise."""
+
+    def __init__(self, before: Callable[[int], object] = lambda count: None) -> None:
+        self.before, self.count, self.bytes = before, 0, 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        sent = pickle.dumps((fn, args, kwargs))
+        self.bytes = max(self.bytes, len(sent))
+        done: Future[Any] = Future()
+        self.count += 1
+        try:
+            self.before(self.count)
+            work, given, named = pickle.loads(sent)
+            done.set_result(pickle.loads(pickle.dumps(work(*given, **named))))
+        except BaseException as error:
+            done.set_exception(error)
+        return done
+
+
+def fails(*counts: int, error: BaseException) -> Callable[[int], None]:
+    """Before these batches."""
+
+    def before(count: int) -> None:
+        if count in counts:
+            raise error
+
+    return before
+
+
+def test_any_executor_finds_what_this_process_does(scene: Scene, tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    with ThreadPoolExecutor(2) as threads:
+        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=threads))
+    pickled = Pickled()
+    found = ol.extract(scene.room, scene.cameras, executor=pickled, progress=lambda stage, *count: told.append(count))
+    scene.require_same_arcs(found)
+    assert pickled.count == 3 and told == [(2, 5), (4, 5), (5, 5)]
+    # Names and options travel, not pixels.
+    assert pickled.bytes < 20_000
+    here, there = ol.detect(scene.board, PATTERN), ol.detect(scene.board, PATTERN, executor=pickled)
+    np.testing.assert_array_equal(there.corners.pixels, here.corners.pixels)
+    np.testing.assert_array_equal(there.corners.ids, here.corners.ids)
+    # A photo whose corners were missed is searched again.
+    fewer = here.updated({here.corners.images[1]: Detection.empty()})
+    calibrated = [ol.calibrate(fewer, model="opencv-fisheye", executor=one) for one in (None, pickled)]
+    np.testing.assert_array_equal(*(result.camera.parameters.numpy() for result in calibrated))
+    assert pickled.count > 6 and all(view.used for view in calibrated[1].views)
+
+
+def test_what_came_back_is_kept_where_a_worker_is_lost(scene: Scene, tmp_path: Path) -> None:
+    """As much as one batch is done again."""
+    lost = Pickled(fails(3, error=BrokenExecutor("a process was terminated abruptly")))
+    with pytest.raises(InputError, match=r"view04.png to view04.png could not be worked on: BrokenExecutor. Workers that last"):
+        ol.extract(scene.room, scene.cameras, executor=lost, work=tmp_path / "work")
+    assert len(list((tmp_path / "work" / "arcs").glob("*.npz"))) == 4
+    again = Pickled()
+    scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=again, work=tmp_path / "work"))
+    assert again.count == 1
+
+
+def test_a_batch_whose_worker_has_no_disk_or_memory_left_is_tried_again_and_then_named(scene: Scene) -> None:
+    full = OSError(28, "No space left on device")
+    twice = Pickled(fails(1, 4, error=full))
+    scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=twice))
+    assert twice.count == 5
+    always = Pickled(fails(*range(1, 100), error=full))
+    with pytest.raises(InputError, match=r"OSError, tried 3 times.*No space left on device.*give them more"):
+        ol.extract(scene.room, scene.cameras, executor=always)
+    with pytest.raises(ZeroDivisionError):
+        ol.extract(scene.room, scene.cameras, executor=Pickled(fails(2, error=ZeroDivisionError())))
+
+
+def test_workers_that_cannot_see_a_photo_or_run_another_version_are_named(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "only-here").mkdir()
+    for photo in scene.room.glob("*.png"):
+        (tmp_path / "only-here" / photo.name).write_bytes(photo.read_bytes())
+    elsewhere = Pickled(lambda count: (tmp_path / "only-here" / "view01.png").unlink(missing_ok=True))
+    with pytest.raises(
+        InputError, match=rf"on {socket.gethostname()} cannot see .*view01.png: expected a folder that all workers"
+    ):
+        ol.extract(tmp_path / "only-here", scene.cameras, executor=elsewhere)
+    older = Pickled(lambda count: monkeypatch.setattr(batches, "revision", lambda *packages: "older"))
+    with pytest.raises(InputError, match="found another version; install the same on both"):
+        ol.extract(scene.room, scene.cameras, executor=older)
+
+
+def refused(capsys: pytest.CaptureFixture[str], scene: Scene, *arguments: str) -> str:
+    """What `extract` says with these arguments."""
+    common = ("extract", str(scene.room), "--calibration", str(scene.room / "calibration.yaml"))
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*common, *arguments])
+    assert ended.value.code == 2
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.strip().splitlines()) == 1
+    return said.err
+
+
+def test_no_dask_no_address_and_no_scheduler_are_told(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "ANSWER_S", 0.2)
+    out = ("--out", str(tmp_path / "out"))
+    assert "--cluster was expected as local or HOST:PORT" in refused(capsys, scene, *out, "--cluster", "my cluster")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        where = f"127.0.0.1:{taken.getsockname()[1]}"
+        assert f"A Dask scheduler was expected at {where}, found none that answers" in refused(
+            capsys, scene, *out, "--cluster", where
+        )
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert "pip install 'omnilines[cluster]'" in refused(capsys, scene, *out, "--cluster", "local")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scheduler_of_dask_finds_what_this_process_does(scene: Scene) -> None:
+    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", **quiet
+    ) as local:
+        where = local.scheduler_address.removeprefix("tcp://")
+        with workers(where) as executor:
+            scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
+
+
+def answers(where: str) -> bool:
+    """Whether anything listens there."""
+    host, _, port = where.rpartition(":")
+    with socket.socket() as trial:
+        return trial.connect_ex((host, int(port))) == 0
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, Callable[..., subprocess.Popen[bytes]]]]:
+    """The address of a scheduler of its own, and what starts a worker for it."""
+    started: list[subprocess.Popen[bytes]] = []
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"127.0.0.1:{free.getsockname()[1]}"
+    environment = {
+        **os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+    }  # fmt: skip
+
+    def start(program: str, *arguments: str, **more: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *arguments]
+        process = subprocess.Popen(
+            command, cwd=tmp_path, env={**environment, **more}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        started.append(process)
+        return process
+
+    start("scheduler", "--host", "127.0.0.1", "--port", where.rpartition(":")[2], "--dashboard-address", "127.0.0.1:0")
+    until = time.monotonic() + 120.0
+    while not answers(where):
+        assert time.monotonic() < until
+        time.sleep(0.2)
+    yield (
+        where,
+        lambda *arguments, **more: start("worker", where, "--nthreads", "1", "--no-nanny", "--no-dashboard", *arguments, **more),
+    )
+    for process in reversed(started):
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.full
+def test_four_processes_of_a_scheduler_find_what_this_process_does_though_they_are_killed(
+    tmp_path: Path, scheduler: tuple[str, Callable[..., subprocess.Popen[bytes]]]
+) -> None:
+    where, worker = scheduler
+    scene = Scene(tmp_path, 24)
+    running = [worker() for _ in range(4)]
+    rng = np.random.default_rng(3)
+    stop = threading.Event()
+
+    def kill_now_and_then() -> None:
+        for _ in range(3):
+            if stop.wait(rng.uniform(0.2, 1.5)):
+                return
+            running.pop(int(rng.integers(len(running)))).send_signal(signal.SIGKILL)
+            running.append(worker())
+
+    with workers(where, wait_s=120.0) as executor:
+        murderer = threading.Thread(target=kill_now_and_then)
+        murderer.start()
+        try:
+            scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
+        finally:
+            stop.set()
+            murderer.join()
+
+
+@pytest.mark.full
+def test_a_worker_that_never_comes_is_told(scheduler: tuple[str, Callable[..., subprocess.Popen[bytes]]]) -> None:
+    where, worker = scheduler
+    with pytest.raises(InputError, match=rf"A worker was expected at the scheduler {where}, none came within 3 seconds"):
+        with workers(where, wait_s=3.0):
+            pass
+    # One that hangs before it is there is not waited for where another comes.
+    worker().send_signal(signal.SIGSTOP)
+    worker()
+    with workers(where, wait_s=120.0) as executor:
+        assert executor is not None and executor.submit(os.getpid).result(60) != os.getpid()
+
+
+@pytest.mark.full
+def test_a_local_cluster_and_a_pool_of_processes_find_what_this_process_does(scene: Scene, tmp_path: Path) -> None:
+    with workers("local") as executor:
+        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=pool))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        with pytest.raises(InputError, match="could not be worked on: BrokenProcessPool"):
+            threading.Timer(0.0, lambda: pool.submit(os._exit, 1)).start()
+            time.sleep(1.0)
+            ol.extract(scene.room, scene.cameras, executor=pool)
