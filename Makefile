@@ -64,7 +64,7 @@ lint: $(VENV)/.installed-lint
 
 # A warning, such as a link that leads nowhere, is an error.
 docs: $(VENV)/.installed-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "Open $(CURDIR)/site/index.html"
 
 # What the program itself decides: commands, models, formats, options; notebooks from the walks.

@@ -48,9 +48,9 @@ class _Page(html.parser.HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
-    """The site, built as `make docs` does."""
+    """The site, built as `make docs` does: not with `--quiet`, with which warnings are neither shown nor counted."""
     out = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(out)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(out)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -128,7 +128,7 @@ def test_a_notebook_runs(name: str, tmp_path: pathlib.Path) -> None:
     cells = [cell for cell in nbformat.read(tmp_path / "done.ipynb", 4).cells if cell.cell_type == "code"]
     page = (walks.PAGES / f"{name}.md").read_text(encoding="utf-8")
     blocks = [part for part in walks.parts_of(page) if isinstance(part, walks.Block)]
-    assert len(cells) == len(blocks) > 3
+    assert len(cells) == len(blocks) >= 3
     for cell, block in zip(cells, blocks, strict=True):
         printed = "".join(output.text for output in cell.outputs if output.get("name") == "stdout")
         if block.shown is not None:

@@ -83,7 +83,7 @@ def draw_first_page(folder: Path) -> None:
 
 if __name__ == "__main__":
     walks = Path(sys.argv[1])
-    photo = cv2.imread(str(walks / "fisheye/photos/view04.png"))
+    photo = cv2.imread(str(walks / "fisheye/photos/view01.png"))
     cv2.imwrite(str(PICTURES / "walk_fisheye_photo.jpg"), photo, [cv2.IMWRITE_JPEG_QUALITY, 85])
     draw_first_page(walks / "room")
     shoot(walks)
