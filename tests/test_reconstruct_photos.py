@@ -82,6 +82,15 @@ def test_what_is_stated_of_a_line_explains_its_error(room, rebuilt):
     assert (across[on_edge] < 3.0 * lines.sigma_m[on_edge]).mean() > 0.75
 
 
+def test_uncertain_lines_are_guided_by_their_families_unless_told_otherwise(room, rebuilt, tmp_path):
+    shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
+    assert call(room / "photos", room, tmp_path / "scene", "--set", "scene.kept_lines.guided_by_families=false") == 0
+    guided, measured = (read_lines(folder / "lines.csv") for folder in (rebuilt, tmp_path / "scene"))
+    assert guided.tracks == measured.tracks
+    assert np.all(guided.sigma_m <= measured.sigma_m * 1.001) and np.any(guided.sigma_m < 0.8 * measured.sigma_m)
+    assert scores(room, guided).precision[0] >= scores(room, measured).precision[0]
+
+
 def test_the_scene_folder_is_whole(rebuilt):
     lines, segments = read_lines(rebuilt / "lines.csv"), read_segments(rebuilt / "segments.csv")
     assert set(segments.tracks) <= set(lines.tracks)

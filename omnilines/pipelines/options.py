@@ -34,7 +34,7 @@ class RoundOptions(NamedTuple):
 
 
 class KeptLineOptions(NamedTuple):
-    """Which lines are kept."""
+    """Which lines are kept, and how."""
 
     max_rms_tolerances: float = 3.0
     """A line is dropped whose arcs lie farther from it (RMS) than so many times the tolerance, or `max_rms_px`."""
@@ -44,6 +44,9 @@ class KeptLineOptions(NamedTuple):
     """A line is dropped that photos would show with a larger probability if it were not there."""
     min_length_sigmas: float = 3.0
     """A line shorter than so many standard deviations of its ends across it has no direction."""
+    guided_by_families: bool = True
+    """A line takes the direction of its family of parallel lines into account, as far as its own is less certain than
+    `structure.families.tolerance_rad`."""
 
 
 class FrameOptions(NamedTuple):
@@ -132,7 +135,7 @@ class SceneOptions:
     rounds: RoundOptions = RoundOptions()
     """How often arcs are matched."""
     kept_lines: KeptLineOptions = KeptLineOptions()
-    """Which lines are kept."""
+    """Which lines are kept, and how."""
     frame: FrameOptions = FrameOptions()
     """The frame that a scene is written in."""
     advice: AdviceOptions = AdviceOptions()

@@ -135,7 +135,7 @@ def _scene(
     progress("looking for parallel lines", 0, 0)
     lines, poses = found.scene.lines, found.scene.poses
     families = line_families(lines, options.structure.families)
-    if options.structure.families.guides_members:
+    if options.kept_lines.guided_by_families:
         refined = refined_calibration(found.scene, cameras).cameras
         lines = with_rms(guided_lines(lines, families), found.segments, poses, refined)
     sought = DirectionsOptions(upright=options.structure.upright)

@@ -35,8 +35,6 @@ class FamilyOptions(NamedTuple):
     """A right angle is one from which an angle differs by at most as many standard deviations."""
     max_sigma_rad: float = math.radians(3)
     """A line with a less certain direction would fit to several families: it is left alone."""
-    guides_members: bool = True
-    """The lines of a family take its direction into account, as far as their own is less certain than `tolerance_rad`."""
 
     @property
     def gate(self) -> float:
