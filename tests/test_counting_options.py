@@ -81,6 +81,8 @@ def test_what_does_nothing_is_refused_by_its_name() -> None:
     assert said is not None and said.startswith("`min_views` counts only with photos")
     said = refused("reconstruct", {"segments": Path("s.csv"), "settings": ["scene.min_views=4"]}, RECONSTRUCT)
     assert said is not None and "min_views" in said
+    said = refused("reconstruct", {**PHOTOS, "segments": Path("s.csv"), "cluster": "local"}, RECONSTRUCT)
+    assert said is not None and said.startswith("`cluster` counts only without `segments`")
     said = refused("reconstruct", {**PHOTOS, "min_views": 4, "settings": ["scene.min_views=4"]}, RECONSTRUCT)
     assert said == "`min_views` was expected once, found it twice; give one value."
 
