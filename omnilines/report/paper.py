@@ -223,7 +223,7 @@ def _draw_scene(drawing: "Figure", spec: dict[str, Any]) -> None:
     low, high = _seen(scene, np.concatenate(points) @ upright, upright)
     sides = np.maximum(high - low, 1e-9)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(np.maximum(sides / sides.max(), 0.05))
+    axes.set_box_aspect(np.maximum(sides / sides.max(), 0.05), zoom=1.2)
     for name, words in zip("xyz", names, strict=True):
         getattr(axes, f"set_{name}label")(words and words + scene["xaxis"]["title"]["text"].removeprefix("x"))
     camera = scene["camera"]

@@ -26,6 +26,8 @@ FIELD_RAD = math.radians(45.0)
 """Plotly's field of view, up and down."""
 FILLED = 0.9
 """Of the view, by the box of the scene: its axes have labels."""
+OF_LINES = tuple(PALETTE[k] for k in (0, 1, 3, 5, 6, 7, 2))
+"""Colours of groups of lines; the one left out is that of cameras."""
 
 
 def scene_section(
@@ -134,7 +136,7 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
         ends = lines.ends_m[own]
         path = broken(np.stack([ends[:, 0], ends.mean(1), ends[:, 1]], 1))
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
-        traces.append(_strokes(path, text, label, PALETTE[(0, 1, 3, 5, 6, 7, 2, 4)[k % len(PALETTE)]], width=4))
+        traces.append(_strokes(path, text, label, OF_LINES[k % len(OF_LINES)], width=4))
     return traces
 
 
