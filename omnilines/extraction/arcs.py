@@ -1,6 +1,7 @@
 """Arcs of great circles, and how they lie in the photo."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -31,12 +32,12 @@ class Arcs:
     def __len__(self) -> int:
         return len(self.normal)
 
-    @property
+    @cached_property
     def second(self) -> Float[np.ndarray, "n 3"]:
         """normal x first."""
         return np.cross(self.normal, self.first)
 
-    @property
+    @cached_property
     def frame(self) -> Float[np.ndarray, "n 3 3"]:
         """Columns normal, first, second."""
         return np.stack([self.normal, self.first, self.second], -1)

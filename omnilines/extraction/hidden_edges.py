@@ -22,8 +22,10 @@ from omnilines.extraction.refit import floor_covariance, moved
 
 CANDIDATES_PX = np.arange(-8, 9) * 0.5
 """Places at which a step is looked for."""
-OTHER_BLURS = np.array([0.85, 1.15, 1.3, 1.5, 1.75, 2.0, 2.4])
-"""Over the photo's, with which the known steps are tried instead."""
+OTHER_BLURS = np.array([0.85, 1.5, 2.0]), np.array([1.15, 1.3, 1.75, 2.4])
+"""Over the photo's, with which the known steps are tried instead; the latter where one of the former leaves nearly too little."""
+_NEARLY = 2.0
+"""Times as much as is too little: what is left changes by less from one blur to the next."""
 _ROUNDS = 2
 """Of a fit with another blur, which begins where that with the photo's ended."""
 
@@ -115,11 +117,14 @@ def _settled(
 
 def _left_by_other_blurs(blocks: Blocks, least: Float[np.ndarray, " n"], fit: StepFit) -> Bool[np.ndarray, " n"]:
     """Whether the known steps leave a mean square of more than `least` of the profiles of each arc, whatever the blur."""
-    rows = np.arange(blocks.arcs)
-    for factor in OTHER_BLURS:
-        left = blocks.mean(fit_places(blocks, blocks.place, replace(fit, blur_px=fit.blur_px * factor, rounds=_ROUNDS))[3])
-        more = np.flatnonzero(left > least[rows])
-        rows, blocks = rows[more], blocks.keep(more)
-    result = np.zeros(len(least), dtype=bool)
-    result[rows] = True
+    rows, least_left = np.arange(blocks.arcs), np.full(blocks.arcs, np.inf)
+    for factors in OTHER_BLURS:
+        for factor in factors:
+            left = blocks.mean(fit_places(blocks, blocks.place, replace(fit, blur_px=fit.blur_px * factor, rounds=_ROUNDS))[3])
+            least_left[rows] = np.minimum(least_left[rows], left)
+            more = np.flatnonzero(left > least[rows])
+            rows, blocks = rows[more], blocks.keep(more)
+        near = np.flatnonzero(least_left[rows] <= _NEARLY * least[rows])
+        rows, blocks = rows[near], blocks.keep(near)
+    result: Bool[np.ndarray, " n"] = least_left > least
     return result

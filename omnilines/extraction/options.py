@@ -86,7 +86,7 @@ class MergingOptions(NamedTuple):
 
     max_chi2: float = 20.0
     """Of two degrees of freedom; exceeded once in 22000 pairs of one edge."""
-    max_off_px: float = 2.0
+    max_off_px: float = 1.0
     """Of the ends of an arc from the circle of one that it is joined with; of the nearer one half of that."""
     max_gap_px: float = 60.0
     """Length of a gap that is crossed where edge points lie in it."""

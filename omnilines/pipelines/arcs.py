@@ -31,7 +31,7 @@ from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses, Segments
 
 SEGMENTS = "segments.csv"
-SHORT_ARCS = ExtractionOptions(min_length_px=13.0)
+SHORT_ARCS = ExtractionOptions(min_length_px=10.0)
 """Shorter arcs than by default are used for lines: other photos confirm them or not."""
 MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.photo_file")
 """Whose source decides what the arcs of a photo are, beside this module."""

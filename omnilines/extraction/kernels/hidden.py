@@ -11,7 +11,7 @@ from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
 from omnilines.extraction.kernels.profile import REORDERED
-from omnilines.extraction.kernels.step_algebra import MOST_STEPS, Table, bell_at, blurred_steps, row_of, step_at
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS, Table, blurred_steps, row_of, step_at
 from omnilines.extraction.kernels.tables import Stepped, Window
 
 
@@ -51,10 +51,10 @@ def _explained(window: Window, place: np.ndarray, table: Table, basis: np.ndarra
         basis[0, k] = weight[k]
     between = offsets[1] - offsets[0]
     for j in range(steps):
-        at, share = row_of(offsets[0], between, place[j], table)
+        at, shift, first = row_of(offsets[0], between, place[j], table)
         for k in range(size):
-            half, _ = step_at(table, at + k, share, between)
-            basis[1 + 2 * j, k], basis[2 + 2 * j, k] = weight[k] * half, weight[k] * bell_at(table, at + k, share, between)
+            half, bell = step_at(table, at + k, shift, first + k * between / table.blur)
+            basis[1 + 2 * j, k], basis[2 + 2 * j, k] = weight[k] * half, weight[k] * bell
     return _orthonormal(basis, 1 + 2 * steps, size)
 
 

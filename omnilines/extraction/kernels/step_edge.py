@@ -208,7 +208,7 @@ def _fit_rows(given: Given, rows: np.ndarray, room: Room, found: Found) -> None:
 @no_type_check
 def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
     """For so many lanes."""
-    size, numbers = len(weight), np.empty((6, lanes))
+    size, numbers = len(weight), np.empty((7, lanes))
     fit = Fit(
         np.zeros((channels, size, lanes)),
         np.empty((MOST_STEPS + 1, size, lanes)),
@@ -220,6 +220,7 @@ def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
         numbers[1],
         np.empty(lanes, dtype=np.int64),
         numbers[2],
+        numbers[3],
     )
     for k in range(size):
         fit.design[0, k] = weight[k]
@@ -228,7 +229,7 @@ def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
     move = Move(places[0], places[1], places[2], places[3], matrices[0], matrices[1], pull, columns[0], columns[1])
     profile, number = np.empty(lanes, dtype=np.int64), np.empty(lanes, dtype=np.int64)
     refused, done = np.empty(lanes, dtype=np.bool_), np.empty(lanes, dtype=np.bool_)
-    return Room(fit, move, State(profile, number, numbers[3], numbers[4], numbers[5], refused, done))
+    return Room(fit, move, State(profile, number, numbers[4], numbers[5], numbers[6], refused, done))
 
 
 @njit(cache=True, nogil=True)
