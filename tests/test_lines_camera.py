@@ -140,7 +140,7 @@ def test_covariances_hold_over_many_buildings() -> None:
 
 
 def test_right_angles_that_are_off_are_in_the_covariance() -> None:
-    """All photos show a building alike whose right angles are off by 0.2 degrees: the focal length is off too, and that is known."""
+    """All photos show a building alike whose right angles are off by 0.2 degrees: so is the focal length, and that is known."""
     done, fits = [], []
     for off_rad in (0.0, 0.003):
         chains = true_chains(FISHEYE, 2, photos=4, lines=50, off_rad=off_rad, spread=0.2)
