@@ -10,7 +10,8 @@ import torch
 
 import omnilines as ol
 from camera_models import MODELS, CameraModel, OpenCVFisheye, model_class
-from omnilines.calibration.lines.camera import line_camera
+from camera_models.pose import rotation_from_vector
+from omnilines.calibration.lines.camera import LineCamera, line_camera
 from omnilines.calibration.lines.check import line_check
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
@@ -18,7 +19,7 @@ from omnilines.calibration.lines.scores import LineScores
 from omnilines.cli import main
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.geometry.chains import Chains
-from omnilines.pipelines.line_camera import adjusted_camera, held_camera
+from omnilines.pipelines.line_camera import adjusted_camera, held_camera, prior_with_boards
 from omnilines.structure.options import DirectionsOptions
 
 FISHEYE = OpenCVFisheye([230.0, 230.8, 321.0, 238.0, -0.01, 0.002, -0.0015, 0.0001], (640, 480))
@@ -26,13 +27,19 @@ OPTIONS = LineOptions()
 SIGMA_PX = 0.1
 
 
-def true_chains(model: CameraModel, seed: int, photos: int = 6, lines: int = 60, axes: int = 3) -> Chains:
-    """Edges along three axes at right angles (or fewer) and at random, seen from random turns, a point each 1.5 px or so, with
-    noise across the edge that all points have alone."""
+def true_chains(
+    model: CameraModel, seed: int, photos: int = 6, lines: int = 60, axes: int = 3, off_rad: float = 0.0, spread: float = 9.0
+) -> Chains:
+    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from
+    random turns (or from turns within `spread` radians), a point each 1.5 px or so, with noise across the edge that all points
+    have alone."""
     rng = np.random.default_rng(seed)
     image, chain, pixels, normals = [], [], [], []
     for photo in range(photos):
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        if spread < math.pi:
+            turn = rotation_from_vector(torch.as_tensor([0.4, 0.5, 0.1] + spread * rng.normal(size=3))).numpy()
+        turn = turn @ (np.eye(3) + 0.5 * off_rad * np.array([[0.0, 1.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 1.0, 0.0]]))
         for k in range(lines):
             way = turn[:, k % axes] if k % 4 else rng.normal(size=3)
             way = way / np.linalg.norm(way)
@@ -82,7 +89,8 @@ def test_derivatives_of_distances_are_those_of_the_condition_that_holds_at_the_c
     gradient = (normal[:, None] @ model.unproject_jacobian(place[:20]))[:, 0]
     across = torch.nn.functional.normalize(gradient, dim=-1)
     points, chain = place[:20] + 0.7 * across, torch.arange(20)
-    readings = EdgeReadings(torch.zeros(20, dtype=torch.long), 1, chain, points, across, torch.ones(20, dtype=torch.float64))
+    one = torch.ones(20, dtype=torch.float64)
+    readings = EdgeReadings(torch.zeros(20, dtype=torch.long), 1, chain, points, across, one, one)
     found = offsets(model, readings, normal)
     assert bool(found.valid.all()) and float((found.px + 0.7).abs().max()) < 0.05
 
@@ -106,11 +114,60 @@ def test_camera_comes_back_from_a_disturbed_start_within_its_covariance(seed: in
     assert done.settled and not fit.open_terms and done.families.frames == 6
     rms_deg, _ = bearing_error_deg(fit.model, FISHEYE, math.radians(90.0))
     assert rms_deg < 0.1 < bearing_error_deg(start, FISHEYE, math.radians(90.0))[0]
-    change = fit.model.parameters - FISHEYE.parameters
-    distance = float(change @ torch.linalg.solve(torch.as_tensor(fit.covariance), change))
     # Of 8 degrees of freedom; once in 1e4.
-    assert distance < 32.0
-    assert 0.99 < sum(photo.leverage for photo in fit.photos) < 1.001
+    assert mahalanobis(fit, FISHEYE) < 32.0
+    # What is known of right angles before takes a small share.
+    assert 0.9 < sum(photo.leverage for photo in fit.photos) < 1.001
+
+
+def mahalanobis(fit: LineCamera, truth: CameraModel) -> float:
+    """Squared error over covariance: chi-square of 8 degrees of freedom for this fisheye."""
+    change = fit.model.parameters - truth.parameters
+    return float(change @ torch.linalg.solve(torch.as_tensor(fit.covariance), change))
+
+
+@pytest.mark.full
+def test_covariances_hold_over_many_buildings() -> None:
+    """Means of 16 squared errors over their covariance: 8 with a standard deviation of 1."""
+    exact, off = [], []
+    for seed in range(100, 116):
+        for found, off_rad in ((exact, 0.0), (off, 0.003)):
+            chains = true_chains(FISHEYE, seed, photos=5, lines=50, off_rad=off_rad, spread=0.5)
+            found.append(mahalanobis(line_camera(adjusted_camera(FISHEYE, chains), chains.images, OPTIONS), FISHEYE))
+    print(f"mean squared error over covariance, of 8: right angles {np.mean(exact):.1f}, off by 0.2 degrees {np.mean(off):.1f}")
+    assert 4.0 < np.mean(exact) < 12.0
+    assert np.mean(off) < 12.0
+
+
+def test_right_angles_that_are_off_are_in_the_covariance() -> None:
+    """All photos show a building alike whose right angles are off by 0.2 degrees: so is the focal length, and that is known."""
+    done, fits = [], []
+    for off_rad in (0.0, 0.003):
+        chains = true_chains(FISHEYE, 2, photos=4, lines=50, off_rad=off_rad, spread=0.2)
+        done.append(adjusted_camera(FISHEYE, chains))
+        fits.append(line_camera(done[-1], chains.images, OPTIONS))
+        assert mahalanobis(fits[-1], FISHEYE) < 32.0
+    assert max(done[0].problem.angles.shared) < 1e-3 < min(done[1].problem.angles.shared) < 0.01
+    assert fits[1].sigma["fx"] > 2.0 * fits[0].sigma["fx"]
+    assert any("Right angles" in note for note in fits[1].notes) and not any("Right angles" in note for note in fits[0].notes)
+
+
+def test_what_boards_say_counts_as_if_it_were_adjusted_with_the_lines() -> None:
+    """Photos of one half stand for boards: camera and covariance. With the lines of the other they are all photos at once."""
+    both = true_chains(FISHEYE, 4, lines=40)
+    early = both.image < 3
+    first, second = both.of_chains(early), both.of_chains(~early)
+    boards = line_camera(adjusted_camera(FISHEYE, first), both.images, OPTIONS)
+    alone = line_camera(adjusted_camera(FISHEYE, second), both.images, OPTIONS)
+    prior = prior_with_boards(boards.model, torch.as_tensor(boards.covariance), second, OPTIONS)
+    joint = line_camera(adjusted_camera(boards.model, second, prior=prior), both.images, OPTIONS)
+    whole = line_camera(adjusted_camera(FISHEYE, both), both.images, OPTIONS)
+    off = joint.model.parameters - whole.model.parameters
+    # Covariances are by the scatter of chains: halves do not weigh quite as the whole has them.
+    assert float(off @ torch.linalg.solve(torch.as_tensor(whole.covariance), off)) < 8.0
+    for name, sigma in joint.sigma.items():
+        assert sigma < 1.05 * min(boards.sigma[name], alone.sigma[name])
+    assert mahalanobis(joint, FISHEYE) < 32.0
 
 
 def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:
@@ -124,10 +181,9 @@ def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:
 def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
     done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 3))
     scores = LineScores.of(done.problem, done.state)
-    pull = done.prior.root.mT @ done.prior.residuals(done.model, scores.camera).residual
     unit = scores.score_covariance.diagonal().sqrt()
-    assert float(((scores.of_camera.sum(0) + pull) / unit).abs().max()) < 1e-2
-    whole = scores.photo_information(done.problem, done.state).sum(0) + scores.prior
+    assert float((scores.total / unit).abs().max()) < 1e-2
+    whole = scores.photo_information(done.problem, done.state).sum(0) + scores.known_before
     torch.testing.assert_close(whole, scores.camera_information, rtol=1e-6, atol=1e-6 * float(whole.abs().max()))
 
 
@@ -149,6 +205,22 @@ def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], r
     # A camera that is known no better than that is not contradicted.
     wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
     assert not line_check(model, weighted, scores, basis, wide, members=0, frames=families.frames).refused(0.001, 0.1)
+
+
+@pytest.mark.full
+def test_check_hardly_ever_refuses_a_camera_that_is_right() -> None:
+    """Edges of 100 buildings, some off right angles: as many doubts as chance has, and no refusal but once in 1000."""
+    probabilities, refused = [], 0
+    for seed in range(200, 300):
+        chains = true_chains(FISHEYE, seed, photos=5, lines=40, off_rad=0.003 * (seed % 2), spread=0.5)
+        weighted, families, scores, basis = held_camera(FISHEYE, chains, OPTIONS, DirectionsOptions())
+        found = line_check(FISHEYE, weighted, scores, basis, None, members=0, frames=families.frames)
+        probabilities.append(found.probability)
+        refused += found.refused(0.001, 0.1)
+    print(f"refused: {refused} of 100; probability below 0.05: {sum(p < 0.05 for p in probabilities)}")
+    assert refused <= 1
+    # Binomial, once in 1000.
+    assert sum(p < 0.05 for p in probabilities) <= 13
 
 
 def status_of(*arguments: str) -> int:
@@ -176,6 +248,29 @@ def test_a_room_calibrates_and_checks_a_fisheye_without_a_board(tmp_path: Path, 
     assert status_of("check", str(room), "--calibration", str(wrong)) == 1
 
 
+@pytest.mark.full
+def test_a_board_and_a_room_calibrate_a_fisheye_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Few photos of a board, far from the rim, and photos of a room: together as good as either at least."""
+    truth, photos = FISHEYE, tmp_path / "photos"
+    ol.render("checkerboard:8x6:30mm", truth, views=5, seed=3).save(tmp_path / "board")
+    ol.render("plain-room", truth, views=5, seed=3).save(tmp_path / "room")
+    photos.mkdir()
+    for kind in ("board", "room"):
+        for path in sorted((tmp_path / kind).glob("*.png")):
+            path.rename(photos / f"{kind}_{path.name}")
+    found = {}
+    for pattern in ("checkerboard:8x6:30mm", "lines", "checkerboard:8x6:30mm,lines"):
+        arguments = ("--pattern", pattern, "--model", "opencv-fisheye", "--out", str(tmp_path / "out" / pattern[-5:]), "--json")
+        assert status_of("calibrate", str(photos), *arguments) == 0
+        found[pattern] = json.loads(capsys.readouterr().out)
+    board, lines, joint = found.values()
+    assert joint["corners"] > 150 and lines["corners"] == 0
+    for name, sigma in joint["sigma"].items():
+        assert sigma < 1.05 * min(board["sigma"][name], lines["sigma"][name])
+        assert abs(joint["parameters"][name] - truth.named_parameters()[name]) < 4.5 * sigma
+    assert not any("contradict" in note for note in joint["notes"])
+
+
 @pytest.mark.parametrize(
     "options",
     [["--mirror"], ["--rolling-shutter"], ["--refine-board", "aspect"], ["--set", "calibration.searches=1"], ["--loss", "huber"]],
@@ -189,3 +284,13 @@ def test_what_does_not_count_with_lines_is_refused(
     assert end.value.code == 2
     assert "counts only with a target" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--mirror", "--rolling-shutter"])
+def test_what_lines_do_not_know_is_refused_with_a_board_beside(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert status_of("calibrate", str(tmp_path), "--pattern", "checkerboard:8x6:30mm,lines", "--out", str(out), option) == 2
+    assert "counts only with a target alone" in capsys.readouterr().err
+    assert not out.exists()

@@ -71,7 +71,8 @@ def calibrate(
     photos: Photos,
     out: Out,
     pattern: Annotated[
-        str | None, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm; or lines: of buildings.")
+        str | None,
+        typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm; or lines, of buildings; or both: TARGET,lines."),
     ] = None,
     image_size: Annotated[str | None, typer.Option("--image-size", help=f"WIDTHxHEIGHT, with corners.csv{EACH}.")] = None,
     model: Annotated[

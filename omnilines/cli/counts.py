@@ -59,7 +59,7 @@ def _of_video(call: Call) -> bool:
 def _of_rig(call: Call) -> bool:
     from omnilines.pipelines.detect_rig import is_rig
 
-    return is_rig(call.values["photos"]) or call.has("split") or "," in (call.values["pattern"] or "")
+    return is_rig(call.values["photos"]) or call.has("split") or len(_targets(call)) > 1
 
 
 def _of_board_photos(call: Call) -> bool:
@@ -67,16 +67,24 @@ def _of_board_photos(call: Call) -> bool:
     return data.suffix != ".csv" and not (data / "corners.csv").is_file()
 
 
+def _patterns(call: Call) -> list[str]:
+    return [text.strip() for text in (call.values["pattern"] or "").split(",")]
+
+
+def _targets(call: Call) -> list[str]:
+    return [spec for spec in _patterns(call) if spec != "lines"]
+
+
 def _of_lines(call: Call) -> bool:
-    return (call.values["pattern"] or "").strip() == "lines"
+    return "lines" in _patterns(call)
 
 
 def _of_target(call: Call) -> bool:
-    return not _of_lines(call)
+    return bool(_targets(call))
 
 
 def _of_tags(call: Call) -> bool:
-    return any(spec.strip().split(":")[0] != "checkerboard" for spec in (call.values["pattern"] or "").split(","))
+    return any(spec.split(":")[0] != "checkerboard" for spec in _targets(call))
 
 
 def _found_here(call: Call) -> bool:
@@ -121,6 +129,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
             _of_target,
             "with a target, found `pattern` lines",
         ),
+        Rule(("mirror", "rolling_shutter"), lambda call: not _of_lines(call), "with a target alone, found lines beside it"),
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
         Rule(("split", "cluster"), lambda call: not _of_table(call), "with photos, found a table"),

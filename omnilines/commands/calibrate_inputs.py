@@ -45,7 +45,7 @@ class CalibrationInputs:
                 f"{wanted} was expected, found {' '.join(map(str, self.photos))}; a table does not hold the size of the photos."
             )
         if self.lines and self.rig:
-            raise InputError("Photos of one camera were expected with `pattern` lines, found a rig; calibrate each camera alone.")
+            raise InputError("Photos of one camera were expected with `pattern` lines, found a rig; calibrate each alone.")
         if not self.table and self.pattern is None:
             raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
 
@@ -55,14 +55,19 @@ class CalibrationInputs:
         return next((path for path in self.photos if path.suffix.lower() == ".csv"), None)
 
     @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets, without lines."""
+        return tuple(text for text in map(str.strip, (self.pattern or "").split(",")) if text != LINES)
+
+    @property
     def lines(self) -> bool:
-        """Whether straight lines of the world stand in the place of a target."""
-        return self.table is None and self.pattern is not None and self.pattern.strip() == LINES
+        """Whether straight lines of the world stand in the place of a target, or beside one."""
+        return self.table is None and LINES in map(str.strip, (self.pattern or "").split(","))
 
     @property
     def rig(self) -> bool:
         """Whether they are of several cameras, or of one that sees several boards."""
-        return self.several_cameras or "," in (self.pattern or "")
+        return self.several_cameras or len(self.targets) > 1
 
     @property
     def several_cameras(self) -> bool:
@@ -90,7 +95,7 @@ def calibrate_inputs(
     `executor` as in `detect`."""
     # Of one video too, a rolling shutter is told by frames that follow one another.
     frames = replace(frames, follow=frames.follow or options.rolling_shutter)
-    patterns = [text.strip() for text in (given.pattern or "").split(",")]
+    patterns = list(given.targets)
 
     def from_frames(command: Callable[[list[Path]], CommandResult], target: str | None) -> CommandResult:
         """On the frames of videos, where photos are videos."""
@@ -121,7 +126,13 @@ def calibrate_inputs(
         )
     options = replace(options, model=given.models.get("", options.model))
     if given.lines:
-        return from_frames(lambda paths: calibrate_line_photos(paths, out, options, lines, progress=progress), None)
+        target = next(iter(given.targets), None)
+        return from_frames(
+            lambda paths: calibrate_line_photos(
+                paths, out, options, lines, target=target, detection=detection, progress=progress
+            ),
+            None,
+        )
     if given.table is not None:
         return calibrate_corners(given.table, given.image_sizes[""], out, options, progress=progress)
     return from_frames(

@@ -1,9 +1,9 @@
 """Edge points of photos, linked to chains: each is thought to be a straight line of the world. No camera need be known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -27,3 +27,15 @@ class Chains:
     def count(self) -> int:
         """Number of chains."""
         return len(self.image)
+
+    def of_chains(self, kept: Bool[np.ndarray, " chains"]) -> "Chains":
+        """Some of them, numbered anew; photos keep their numbers."""
+        rows = kept[self.chain]
+        return replace(
+            self,
+            image=self.image[kept],
+            chain=(np.cumsum(kept) - 1)[self.chain[rows]],
+            pixels=self.pixels[rows],
+            normals=self.normals[rows],
+            sigma_px=self.sigma_px[rows],
+        )

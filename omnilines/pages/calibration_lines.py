@@ -27,6 +27,7 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         ("photos with lines at right angles", f"{sum(photo.frame for photo in fit.photos)}"),
         ("edges used", f"{sum(p.straight for p in used)} of {sum(p.chains for p in fit.photos)}"),
         ("edges along a direction", f"{sum(photo.members for photo in used)}"),
+        *_of_boards(result),
         ("rms_px across edges", figure(fit.rms_px, ".4f")),
         ("field of view supported by the data", f"{fit.min_angle_deg:.1f} to {fit.max_angle_deg:.1f} degrees off axis"),
         ("projection uncertainty in it", f"{figure(median, unit='px')} (median), {figure(largest, unit='px')} (worst)"),
@@ -49,6 +50,18 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
     return tuple(summaries)
 
 
+def _of_boards(result: LineResult) -> tuple[tuple[str, str], ...]:
+    """What corners of boards count beside, where they do."""
+    if result.boards is None:
+        return ()
+    views = [view for view in result.boards.views if view.used]
+    corners = sum(view.corners_used for view in views)
+    return (
+        ("views of a board", str(len(views))),
+        ("corners used", f"{corners}, {result.boards.rms_px_per_axis:.4f} px per axis"),
+    )
+
+
 def line_calibration_data(result: LineResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
     fit, selection = result.fit, result.selection
@@ -64,6 +77,7 @@ def line_calibration_data(result: LineResult) -> dict[str, Any]:
         "max_angle_deg": fit.max_angle_deg,
         "projection_sigma_px": {"median": median, "worst": largest},
         "open": list(fit.open_terms),
+        "corners": 0 if result.boards is None else sum(view.corners_used for view in result.boards.views),
         "photos": [
             {
                 "image": photo.image,

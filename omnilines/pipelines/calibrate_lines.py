@@ -1,6 +1,6 @@
 """Photos of buildings or rooms -> a calibrated camera, without a board: `calibrate_lines`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -14,10 +14,11 @@ from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, line_
 from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_trial, trial_of
 from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
-from omnilines.files import PhotoRef, Photos, photo_folder, photos_of
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
 from omnilines.files.sets import claimed, claimed_page
 from omnilines.pipelines.arc_chains import arc_chains_of
-from omnilines.pipelines.calibrate import GUIDE
+from omnilines.pipelines.boards_beside import contradiction, off_boards, prior_of_boards, require_global_shutter
+from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
@@ -55,6 +56,8 @@ class LineResult:
     skipped: tuple[Detail, ...]
     """Photos that were left out, and why."""
     photo_folder: Path | None = None
+    boards: CalibrationResult | None = None
+    """What was known of the camera from boards, where it counts."""
 
     @property
     def camera(self) -> CameraModel:
@@ -107,6 +110,7 @@ def calibrate_lines(
     options: CalibrationOptions = CalibrationOptions(),
     lines: LinesOptions = LinesOptions(),
     *,
+    boards: CalibrationResult | None = None,
     progress: ProgressCallback = silent,
     **fields: Unpack[LineFields],
 ) -> LineResult:
@@ -116,6 +120,9 @@ def calibrate_lines(
     lines are at right angles, start it. Then camera, lines and directions are adjusted together, and again with the arcs that the
     camera finds. Of `options`, `model`, `degree` and `coefficients` count: where variants of the model are open, and with `model`
     "auto", they are compared by photos that a fit has not seen.
+
+    `boards` is a calibration of the same camera from a target (`calibrate`), of some of the photos or of others: its model is
+    kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
 
     Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
 
@@ -128,6 +135,13 @@ def calibrate_lines(
     if options.mirror:
         raise InputError("A lens was expected with lines, found `mirror`; calibrate mirrors with a board.")
     refs = photos_of(photos)
+    if boards is not None:
+        if options.model != boards.camera.NAME and "model" in fields:
+            raise InputError(
+                f"The model of the boards, {boards.camera.NAME}, was expected, found {options.model}; calibrate them with it."
+            )
+        require_global_shutter(boards)
+        return _with_boards(refs, boards, lines, options, progress)
     followed = chains_of(refs, options=lines.chains, progress=progress)
     chains, skipped = followed.chains, followed.skipped
     candidates = candidates_of(options.model, options.of_model)
@@ -146,6 +160,30 @@ def calibrate_lines(
     fit = line_camera(done, images, lines.adjustment)
     inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}
     return LineResult(fit, line_record(fit, inputs), selection, skipped, _folder(refs))
+
+
+def _with_boards(
+    refs: Sequence[Photo],
+    boards: CalibrationResult,
+    lines: LinesOptions,
+    options: CalibrationOptions,
+    progress: ProgressCallback,
+) -> LineResult:
+    """Corners and lines in one adjustment, from the camera of the corners."""
+    model, prior, doubts = boards.camera, None, tuple[str, ...]()
+    for _ in range(max(1, lines.adjustment.searches)):
+        arcs, skipped = arc_chains_of(refs, model, lines.extraction, progress=progress)
+        arcs = off_boards(arcs, boards, lines.adjustment.board_margin_squares)
+        if prior is None:
+            prior, doubts = prior_of_boards(boards, arcs, lines), contradiction(boards, arcs, lines, progress)
+        done = adjusted_camera(model, arcs, lines.adjustment, lines.directions, prior=prior, progress=progress)
+        model = done.model
+    trial = trial_of(Candidate(model.NAME, dict(model.variant)), done, options.held_out.beyond_factor)
+    fit = line_camera(done, arcs.images, lines.adjustment)
+    low, high = min(fit.min_angle_deg, boards.fit.min_angle_deg), max(fit.max_angle_deg, boards.fit.max_angle_deg)
+    fit = replace(fit, min_angle_deg=low, max_angle_deg=high, notes=(*boards.notes, *doubts, *fit.notes))
+    inputs = {**boards.found.inputs, "photos": photo_folder(refs), "lines": True, "model": model.NAME}
+    return LineResult(fit, line_record(fit, inputs), chosen_trial([trial], options.held_out), skipped, _folder(refs), boards)
 
 
 def _folder(refs: Any) -> Path | None:

@@ -9,8 +9,9 @@ from camera_models import CameraModel, GeometryError
 from omnilines.calibration.lines.camera import LineAdjustment, counted
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.prior import CameraPrior
-from omnilines.calibration.lines.problem import CameraAndCircles, Families, LineProblem
+from omnilines.calibration.lines.problem import AngleSigmas, CameraAndCircles, Families, LineProblem
 from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, offsets
+from omnilines.calibration.lines.right_angles import angle_sigmas
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.select import SEEN_SHARE
 from omnilines.calibration.lines.weighting import WeightedChains, longest, weighted_chains
@@ -21,6 +22,8 @@ from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
 
 MOST_ITERATIONS = 30
+ANGLE_ROUNDS = 3
+"""In which right angles and by how much they are off are found in turn."""
 TOLERANCE = 1e-9
 """Of the cost, in a round; families and weights change it by more."""
 
@@ -42,23 +45,18 @@ def adjusted_camera(
     _require(chains.count, options)
     readings = longest(EdgeReadings.of(chains), options.most_chains)
     if prior is None:
-        prior = CameraPrior.of(
-            model,
-            basis,
-            readings.pixels,
-            options.prior_share,
-            aspect_sigma=options.aspect_sigma,
-            centre_share=options.centre_share,
-        )
+        prior = _prior(model, basis, readings, options)
+    angles: AngleSigmas | None = None
     for done in range(options.rounds):
         progress("adjusting the camera to lines", done, options.rounds)
         weighted = weighted_chains(model, readings, options)
         _require(int((weighted.weight > 0).sum()), options)
         families = families_of(model, weighted, options, directions, progress)
-        problem = LineProblem(weighted.blocks, families, basis, weighted.weight, prior)
-        begin = CameraAndCircles(model, weighted.normal, families.direction)
+        problem = LineProblem(weighted, families, basis, angles or AngleSigmas.of_strays(families), prior)
+        begin = CameraAndCircles.right(model, weighted.normal, families)
         solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
         scores = LineScores.of(problem, solution.state)
+        angles = angle_sigmas(problem, solution.state, scores)
         step = basis.mT @ (solution.state.model.parameters - model.parameters)
         model = solution.state.model
         settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
@@ -76,16 +74,9 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     seen = float((at.valid & own).sum() / own.sum())
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
-    prior = CameraPrior.of(
-        model,
-        basis,
-        chains.blocks.pixels,
-        options.prior_share,
-        aspect_sigma=options.aspect_sigma,
-        centre_share=options.centre_share,
-    )
-    problem = LineProblem(chains.blocks, like.families, basis, chains.weight, prior)
-    begin = CameraAndCircles(model, normal, like.families.direction)
+    prior = _prior(model, basis, chains.blocks, options)
+    problem = LineProblem(chains, like.families, basis, like.problem.angles, prior)
+    begin = CameraAndCircles.right(model, normal, like.families)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
     at = offsets(solution.state.model, chains.blocks, solution.state.normal)
     moved = replace(chains, normal=solution.state.normal, at=at)
@@ -108,12 +99,32 @@ def held_camera(
     _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
     basis = model.calibration_basis()
-    held = LineProblem(weighted.blocks, families, basis[:, :0], weighted.weight)
-    begin = CameraAndCircles(model, weighted.normal, families.direction)
-    state = solve(held, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
+    state, angles = CameraAndCircles.right(model, weighted.normal, families), AngleSigmas.of_strays(families)
+    for _ in range(ANGLE_ROUNDS):
+        held, free = (LineProblem(weighted, families, columns, angles) for columns in (basis[:, :0], basis))
+        state = solve(held, state, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
+        scores = LineScores.of(free, state)
+        # With the camera free: what a wrong one makes of right angles is not put down to the building.
+        angles = angle_sigmas(free, state, scores)
     moved = replace(weighted, normal=state.normal, at=offsets(model, weighted.blocks, state.normal))
-    scores = LineScores.of(LineProblem(weighted.blocks, families, basis, weighted.weight), state)
     return moved, families, scores, basis
+
+
+def prior_with_boards(model: CameraModel, covariance: Float[Tensor, "p p"], chains: Chains, options: LineOptions) -> CameraPrior:
+    """What boards say of a camera, for an adjustment to chains: to first order both count as in one adjustment."""
+    model, readings = model.calibrated_form(), longest(EdgeReadings.of(chains), options.most_chains)
+    return _prior(model, model.calibration_basis(), readings, options).with_boards(model, covariance)
+
+
+def _prior(model: CameraModel, basis: Float[Tensor, "p q"], readings: EdgeReadings, options: LineOptions) -> CameraPrior:
+    return CameraPrior.of(
+        model,
+        basis,
+        readings.pixels,
+        options.prior_share,
+        aspect_sigma=options.aspect_sigma,
+        centre_share=options.centre_share,
+    )
 
 
 def _require(straight: int, options: LineOptions) -> None:

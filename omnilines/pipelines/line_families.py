@@ -88,8 +88,11 @@ def families_of(
             direction.append(meeting.direction[[one]])
             photo, groups = [*photo, k], [*groups, len(photo)]
     of, axes = torch.as_tensor(of_chain), torch.as_tensor(np.concatenate(direction))
-    own = torch.as_tensor(_strays(circles, axes.numpy(), of_chain, np.array(groups, dtype=np.int64), options))
-    return Families(axes, frames, torch.tensor(photo, dtype=torch.long), own, of)
+    stray, share = _strays(circles, axes.numpy(), of_chain, np.array(groups, dtype=np.int64), options)
+    # Of Student's t with v degrees of freedom, w = (v + 1) / (v + x^2): the mean second derivative over the mean of w.
+    told = share[of_chain >= 0]
+    curvature = 2.0 * options.freedom / (options.freedom + 1.0) * float((told**2).sum() / told.sum()) - 1.0 if len(told) else 1.0
+    return Families(axes, frames, torch.tensor(photo, dtype=torch.long), torch.as_tensor(stray), of, curvature)
 
 
 def _strays(
@@ -98,10 +101,10 @@ def _strays(
     of_chain: Int[np.ndarray, " c"],
     group: Int[np.ndarray, " k"],
     options: LineOptions,
-) -> Float[np.ndarray, " c"]:
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
     """Standard deviation by which the line of each chain may stray from its direction: that of the median line of its frame, or
-    its direction, raised as Student's t has it where the line lies farther off."""
-    stray = np.full(len(of_chain), options.least_stray_rad)
+    its direction, raised as Student's t has it where the line lies farther off; and the weight by which it is raised."""
+    stray, weight = np.full(len(of_chain), options.least_stray_rad), np.ones(len(of_chain))
     member = np.flatnonzero(of_chain >= 0)
     own = direction[of_chain[member]]
     off2 = np.square((circles.normal[member] * own).sum(-1))
@@ -116,5 +119,5 @@ def _strays(
             wide = np.median(off2[rows] / (noise2[rows] + middle**2)) > MEDIAN_CHI2
             low, high = (middle, high) if wide else (low, middle)
         share = (options.freedom + 1.0) / (options.freedom + off2[rows] / (noise2[rows] + low**2))
-        stray[member[rows]] = low / np.sqrt(share)
-    return stray
+        stray[member[rows]], weight[member[rows]] = low / np.sqrt(share), share
+    return stray, weight

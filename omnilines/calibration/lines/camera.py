@@ -15,7 +15,7 @@ from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.calibration.lines.problem import CameraAndCircles, Families, LineProblem
-from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.scores import LineScores, pseudo_inverse
 from omnilines.calibration.lines.weighting import WeightedChains, residual_px
 from omnilines.least_squares.variance import VarianceFactor
 
@@ -114,7 +114,7 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
         min_angle_deg=low,
         max_angle_deg=high,
         open_terms=open_terms,
-        notes=(*_notes(done, open_terms), *_on_right_angles(done, basis @ done.scores.covariance @ basis.mT)),
+        notes=(*_notes(done, open_terms), *_on_right_angles(done)),
     )
 
 
@@ -135,7 +135,7 @@ def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...
     of_block = photo[chains.blocks.chain[own]]
     squares = torch.zeros(len(images), dtype=torch.float64).index_add_(0, of_block, chains.at.px[own].square())
     rms = (squares / torch.bincount(of_block, minlength=len(images))).sqrt()
-    inverse = torch.linalg.pinv(scores.camera_information, hermitian=True)
+    inverse = pseudo_inverse(scores.camera_information)
     leverage = (scores.photo_information(done.problem, done.state) * inverse).sum((-2, -1)) / scores.camera
     return tuple(
         LinePhoto(
@@ -167,31 +167,27 @@ def _open_terms(done: LineAdjustment, share: float) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _on_right_angles(done: LineAdjustment, covariance: Float[Tensor, "p p"]) -> tuple[str, ...]:
-    """What right angles that are off would do, where that is more than the standard deviation of the focal length.
-
-    They are taken as exact, and all photos of one building share what they are off by: nothing in the photos shows it. An angle
-    that is off by t moves the focal length of a perspective camera by the share t, where its lines meet 45 degrees off the axis.
-    """
-    in_frame = (done.families.of_chain >= 0) & (done.families.of_chain < 3 * done.families.frames) & (done.chains.weight > 0)
-    if not bool(in_frame.any()):
+def _on_right_angles(done: LineAdjustment) -> tuple[str, ...]:
+    """Where right angles that are off make most of the variance of the focal length."""
+    if not done.families.frames:
         return ()
-    stray = float(done.families.stray_rad[in_frame].median())
     names = list(done.model.PARAMETER_NAMES)
-    focal = names.index("fx" if "fx" in names else "a0")
-    known = float(covariance[focal, focal].sqrt() / done.model.parameters[focal].abs())
-    if stray < known:
+    row = done.problem.basis[names.index("fx" if "fx" in names else "a0")]
+    weight = pseudo_inverse(done.scores.camera_information) @ row
+    share = float(weight @ done.scores.angles_before @ weight) / float(row @ done.scores.covariance @ row)
+    if share < 0.5:
         return ()
+    off = math.degrees(math.hypot(done.problem.angles.own, max(done.problem.angles.shared)))
     return (
-        f"Lines stray from their directions by {math.degrees(stray):.2f} degrees (median). Where the right angles of what was "
-        f"photographed are off by as much, the focal length is off by about {100 * stray:.2g} percent, which its standard "
-        "deviation does not hold.",
+        f"Right angles of what was photographed are off by about {off:.1g} degrees, as far as its lines tell: {100 * share:.0f} "
+        "percent of the variance of the focal length is of that, and more photos of the same do not lower it; add photos of "
+        "other buildings or rooms, or of a board.",
     )
 
 
 def _notes(done: LineAdjustment, open_terms: tuple[str, ...]) -> tuple[str, ...]:
     notes: tuple[str, ...] = ()
-    if not done.families.frames:
+    if not done.families.frames and not done.prior.boards:
         notes += (
             "No photo shows lines in three directions at right angles, which tell the focal length and the ratio of its parts: "
             "these are a guess, and only the straightness of lines is calibrated; add photos of buildings or rooms.",

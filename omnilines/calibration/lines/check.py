@@ -84,7 +84,7 @@ def line_check(
 ) -> LineCheck:
     """From scores with the camera held at `model`; `known` is its covariance, where it has one."""
     information, inverse = scores.camera_information, pseudo_inverse(scores.camera_information)
-    total = scores.of_camera.sum(0)
+    total = scores.total
     variance = scores.score_covariance
     if known is not None:
         pulled = information @ torch.linalg.pinv(basis)

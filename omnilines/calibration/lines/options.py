@@ -39,5 +39,7 @@ class LineOptions:
     """Start cameras that are adjusted."""
     searches: int = 1
     """Times that arcs are looked for in the photos with the camera found, 1 or more."""
+    board_margin_squares: float = 2.0
+    """With boards beside, edges on a board do not count again; it reaches beyond its outermost corners by so many squares."""
     start: LineStartThresholds = LineStartThresholds()
     """Where it starts."""

@@ -30,8 +30,10 @@ class CameraPrior:
     wide: Float[Tensor, "q q"]
     """P = wide' wide, along the basis."""
     usual: Float[Tensor, "u q"]
-    """What is usual of any camera: square pixels, the centre in the middle."""
+    """What is usual of any camera: square pixels, the centre in the middle; or what boards say of this one."""
     basis: Float[Tensor, "p q"]
+    boards: bool = False
+    """Whether boards say it."""
 
     @staticmethod
     def of(
@@ -55,6 +57,15 @@ class CameraPrior:
         values = values.clamp_min(LEAST_SHARE)
         wide, usual = values.sqrt()[:, None] * vectors.mT / unit, _usual(model, aspect_sigma, centre_share) @ basis
         return CameraPrior(model.parameters.detach().clone(), wide, usual, basis)
+
+    def with_boards(self, model: CameraModel, covariance: Float[Tensor, "p p"]) -> "CameraPrior":
+        """What boards say of the camera, with its covariance, in the place of what is usual. What they hold is held."""
+        own = self.basis.mT @ covariance @ self.basis
+        least = LEAST_SHARE**0.5 * (self.basis.mT @ model.parameters).abs().clamp_min(1.0)
+        unit = own.diagonal().clamp_min(0.0).sqrt().maximum(least)
+        values, vectors = torch.linalg.eigh(own / (unit[:, None] * unit))
+        told = (values.clamp_min(LEAST_SHARE).rsqrt()[:, None] * vectors.mT) / unit
+        return CameraPrior(model.parameters.detach().clone(), self.wide, told, self.basis, boards=True)
 
     @property
     def root(self) -> Float[Tensor, "r q"]:

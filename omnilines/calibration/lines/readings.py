@@ -7,7 +7,7 @@ on the curve, its derivatives are exact with first derivatives of the model alon
     d t / d n = -b / (g . m),        d t / d parameters = g' (d pixel / d parameters) / (g . m).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
+from omnilines.calibration.lines.straight import times_seen
 from omnilines.geometry.chains import Chains
 from omnilines.least_squares import Cells
 
@@ -39,13 +40,16 @@ class EdgeReadings:
     """Unit, across the edge."""
     sigma_px: Float[Tensor, " n"]
     """Along the normal."""
+    times: Float[Tensor, " c"]
+    """Number of photos that show each chain at the same place: they say it once."""
 
     @staticmethod
     def of(chains: Chains) -> "EdgeReadings":
         """The points of a table of chains."""
         pixels, normals, sigma = (torch.as_tensor(a).double() for a in (chains.pixels, chains.normals, chains.sigma_px))
         photo, chain = torch.as_tensor(chains.image).long(), torch.as_tensor(chains.chain).long()
-        return EdgeReadings(photo, len(chains.images), chain, pixels, normals, sigma)
+        times = torch.as_tensor(times_seen(chains)).double()
+        return EdgeReadings(photo, len(chains.images), chain, pixels, normals, sigma, times)
 
     @property
     def chains(self) -> int:
@@ -71,12 +75,20 @@ class EdgeReadings:
         place = torch.cumsum(kept, 0) - 1
         rows = kept[self.chain]
         return EdgeReadings(
-            self.photo[kept], self.photos, place[self.chain[rows]], self.pixels[rows], self.normals[rows], self.sigma_px[rows]
+            self.photo[kept],
+            self.photos,
+            place[self.chain[rows]],
+            self.pixels[rows],
+            self.normals[rows],
+            self.sigma_px[rows],
+            self.times[kept],
         )
 
     def of_points(self, kept: Bool[Tensor, " n"]) -> "EdgeReadings":
         """Some of the points; chains keep their numbers."""
-        return EdgeReadings(self.photo, self.photos, self.chain[kept], self.pixels[kept], self.normals[kept], self.sigma_px[kept])
+        return replace(
+            self, chain=self.chain[kept], pixels=self.pixels[kept], normals=self.normals[kept], sigma_px=self.sigma_px[kept]
+        )
 
 
 @dataclass(frozen=True)
@@ -179,4 +191,4 @@ def in_blocks(model: CameraModel, readings: EdgeReadings, block_px: float) -> Ed
     # Points less than a pixel apart are of the same pixels.
     apart = (length / readings.counts.clamp_min(2)).clamp(max=1.0)[readings.chain[middle]]
     sigma = (total * apart).rsqrt()
-    return EdgeReadings(readings.photo, readings.photos, readings.chain[middle], pixels, readings.normals[middle], sigma)
+    return replace(readings, chain=readings.chain[middle], pixels=pixels, normals=readings.normals[middle], sigma_px=sigma)

@@ -2,11 +2,13 @@
 err together.
 
 With the normals eliminated chain c has the score g_c, the derivative of its half sum of squares by the kept blocks (camera,
-directions), and all chains the information S. At the minimum the scores add up to 0. Whatever the errors along a chain have in
-common, the covariance of the kept blocks is
+directions), and all chains the information S: the curvature of the robust cost, which is less than that of the weighted squares,
+as weights fall where residuals grow (P. J. Huber, 1981). At the minimum the scores add up to 0. Whatever the errors along a
+chain have in common, the covariance of the kept blocks is
 
-    S^-1 (sum_c g_c g_c') S^-1
+    S^-1 (sum_c g_c g_c' + P) S^-1
 
+with the information P of what is known of the camera, and of right angles, before
 (the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986). Chains of a photo may err together too: blur,
 a building that is not quite at right angles. Few photos do not tell a matrix; but they tell by how much, over all camera
 parameters, the scores of photos are larger than independent chains explain, and that factor raises the covariance.
@@ -36,48 +38,71 @@ class LineScores:
     """q."""
     photo: Int[Tensor, " c"]
     photos: int
-    prior: Float[Tensor, "q q"]
-    """What of the information of the camera is of no chain."""
+    times: Float[Tensor, " c"]
+    """Chains that are the same one as each, in other photos at the same place: each has its part of the weight."""
+    prior: Float[Tensor, "k k"]
+    """What of the information is of no chain: of what is known of the camera, and of right angles."""
+    prior_score: Float[Tensor, " k"]
 
     @staticmethod
     def of(problem: LineProblem, state: CameraAndCircles) -> "LineScores":
         """Of a state in which the normals are fitted."""
         at, structure = problem.linearise(state), problem.structure
         equations = normal_equations(structure, at, torch.ones(len(at.residual), dtype=torch.float64))
-        reduced = reduce(equations, 0.0)
+        information = reduce(normal_equations(structure, at, problem.curvature), 0.0).matrix
         # A normal that moves takes its share of the residuals along: what a chain says of it is taken off.
         e = at.by_eliminated[:, 0]
         own = torch.zeros(structure.count, 2, dtype=e.dtype).index_add_(0, structure.index, e * at.residual)
         step = torch.linalg.lstsq(equations.eliminated, own[..., None]).solution[..., 0]
         residual = at.residual[:, 0] - (e * step[structure.index]).sum(-1)
-        scores = torch.zeros(structure.count, structure.kept_size, dtype=e.dtype)
+        size = structure.kept_size
+        scores = torch.zeros(structure.count, size, dtype=e.dtype)
         for group, offset, by in zip(structure.groups, structure.offsets, at.by_kept, strict=False):
             seen = torch.nonzero(group.index >= 0).flatten()
             columns = offset + group.index[seen, None] * group.dim + torch.arange(group.dim)
             values = by[seen, 0] * residual[seen, None]
-            place = structure.index[seen, None] * structure.kept_size + columns
+            place = structure.index[seen, None] * size + columns
             scores.view(-1).index_add_(0, place.flatten(), values.flatten())
-        readings, q = problem.readings, problem.basis.shape[1]
-        prior = torch.zeros(q, q, dtype=e.dtype) if problem.prior is None else problem.prior.information
-        return LineScores(scores, reduced.matrix, q, readings.photo, readings.photos, prior)
+        readings, q = problem.chains.blocks, problem.basis.shape[1]
+        if at.prior is None:
+            prior, pull = torch.zeros(size, size, dtype=e.dtype), torch.zeros(size, dtype=e.dtype)
+        else:
+            prior, pull = at.prior.by_kept.mT @ at.prior.by_kept, at.prior.by_kept.mT @ at.prior.residual
+        return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull)
 
     @cached_property
-    def _directions_out(self) -> tuple[Float[Tensor, "c q"], Float[Tensor, "q q"]]:
-        """Scores and information of the camera with the directions eliminated."""
+    def _following(self) -> Float[Tensor, "k q"]:
+        """How all kept blocks move with the camera where the others are fitted to it."""
         q = self.camera
-        whole, own = self.information, self.information[q:, q:]
-        gain = pseudo_inverse(own) @ whole[q:, :q]
-        return self.scores[:, :q] - self.scores[:, q:] @ gain, whole[:q, :q] - whole[:q, q:] @ gain
+        gain = pseudo_inverse(self.information[q:, q:]) @ self.information[q:, :q]
+        return torch.cat([torch.eye(q, dtype=gain.dtype), -gain])
 
-    @property
+    @cached_property
     def of_camera(self) -> Float[Tensor, "c q"]:
         """Score of each chain by the camera, directions and circles following."""
-        return self._directions_out[0]
+        return self.scores @ self._following
+
+    @property
+    def total(self) -> Float[Tensor, " q"]:
+        """Score of all that is known by the camera: 0 at the minimum."""
+        return (self.scores.sum(0) + self.prior_score) @ self._following
 
     @property
     def camera_information(self) -> Float[Tensor, "q q"]:
-        """What all chains say of the camera."""
-        return self._directions_out[1]
+        """What all that is known says of the camera."""
+        return self._following.mT @ self.information @ self._following
+
+    @property
+    def known_before(self) -> Float[Tensor, "q q"]:
+        """What of it is of no chain."""
+        return self._following.mT @ self.prior @ self._following
+
+    @property
+    def angles_before(self) -> Float[Tensor, "q q"]:
+        """What of that is of right angles: they are off by as much as is known before, and no more."""
+        own = self.prior.clone()
+        own[: self.camera, : self.camera] = 0.0
+        return self._following.mT @ own @ self._following
 
     @cached_property
     def by_photo(self) -> Float[Tensor, "v q"]:
@@ -85,22 +110,25 @@ class LineScores:
         return self.of_camera.new_zeros(self.photos, self.camera).index_add_(0, self.photo, self.of_camera)
 
     def photo_information(self, problem: LineProblem, state: CameraAndCircles) -> Float[Tensor, "v q q"]:
-        """What each photo says of the camera, its directions following; their sum, with the prior, is that of all."""
-        at, structure, q = problem.linearise(state), problem.structure, self.camera
+        """What each photo says of the camera, directions following; their sum, with what is known before, is that of all."""
+        at, structure = problem.linearise(state), problem.structure
         photos = []
         for photo in range(self.photos):
             # The weights of other photos are 0, so that their blocks say nothing.
-            weight = (self.photo[structure.index] == photo).double()
-            equations = normal_equations(structure, replace(at, prior=None), weight)
-            matrix = reduce(equations, 0.0).matrix
-            gain = pseudo_inverse(matrix[q:, q:]) @ matrix[q:, :q]
-            photos.append(matrix[:q, :q] - matrix[:q, q:] @ gain)
+            weight = torch.where(self.photo[structure.index] == photo, problem.curvature, 0.0)
+            matrix = reduce(normal_equations(structure, replace(at, prior=None), weight), 0.0).matrix
+            photos.append(self._following.mT @ matrix @ self._following)
         return torch.stack(photos)
 
     @cached_property
+    def _of_chains(self) -> Float[Tensor, "q q"]:
+        """Covariance of the total by chains that err as they like; those that are the same one err together."""
+        return self.of_camera.mT @ (self.of_camera * self.times[:, None])
+
+    @cached_property
     def score_covariance(self) -> Float[Tensor, "q q"]:
-        """Of the sum of all scores: that of chains, times the factor of photos."""
-        return self.of_camera.mT @ self.of_camera * max(1.0, self.photo_factor)
+        """Of the total: that of chains, times the factor of photos, and that of what is known before."""
+        return self._of_chains * max(1.0, self.photo_factor) + self.known_before
 
     @cached_property
     def photo_factor(self) -> float:
@@ -110,14 +138,14 @@ class LineScores:
         if len(seen) < 2:
             return 1.0
         off = seen - seen.mean(0)
-        inverse = pseudo_inverse(self.of_camera.mT @ self.of_camera)
+        inverse = pseudo_inverse(self._of_chains)
         return float((off @ inverse * off).sum()) / self.camera * len(seen) / (len(seen) - 1)
 
     @cached_property
     def covariance(self) -> Float[Tensor, "q q"]:
         """Of the camera along the basis."""
         inverse = pseudo_inverse(self.camera_information)
-        return inverse @ (self.score_covariance + self.prior) @ inverse
+        return inverse @ self.score_covariance @ inverse
 
 
 def pseudo_inverse(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:

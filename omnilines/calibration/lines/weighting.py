@@ -1,6 +1,6 @@
 """How much chains count: what of them is straight, and by how much edge points are off."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -25,6 +25,8 @@ class WeightedChains:
     """How far all chains are from straight, Student's negative log likelihood by the stated standard deviations."""
     scale: float
     """Standard deviation of the residuals of straight chains over the stated one."""
+    curvature: float
+    """Of the robust cost of chains, over that of the weighted squares: weights fall where residuals grow."""
 
     @property
     def information(self) -> Float[Tensor, " n"]:
@@ -50,7 +52,7 @@ def weighted_chains(model: CameraModel, readings: EdgeReadings, options: LineOpt
     """
     blocks = in_blocks(model, readings, options.block_px)
     sigma = torch.sqrt(blocks.sigma_px**2 + options.edge_sigma_px**2)
-    blocks = EdgeReadings(blocks.photo, blocks.photos, blocks.chain, blocks.pixels, blocks.normals, sigma)
+    blocks = replace(blocks, sigma_px=sigma)
     normal, at = fitted_circles(model, blocks)
     freedom = (blocks.sum_by_chain(at.valid.double()) - 2.0).clamp_min(0.0)
     squares = blocks.sum_by_chain(torch.square(at.px / sigma))
@@ -58,7 +60,10 @@ def weighted_chains(model: CameraModel, readings: EdgeReadings, options: LineOpt
     share = (options.freedom + freedom) / (options.freedom + squares / variance)
     share = torch.where((share >= options.least_weight) & (freedom > 0), share.clamp(max=1.0), 0.0)
     misfit = 0.5 * ((options.freedom + freedom) * torch.log1p(squares / options.freedom)).sum()
-    return WeightedChains(blocks, normal, at, (share / variance).sqrt(), float(misfit), variance**0.5)
+    # A chain has the cost (v + n) log(v + squares) / 2: of n directions of its residuals, it is less curved along one.
+    less = torch.where(share < 1.0, 2.0 * (1.0 - options.freedom * share / (options.freedom + freedom)), 0.0)
+    curvature = 1.0 - float((share * less).sum() / (share * freedom).sum().clamp_min(1.0))
+    return WeightedChains(blocks, normal, at, (share / variance).sqrt(), float(misfit), variance**0.5, curvature)
 
 
 def _median_variance(squares: Float[Tensor, " c"], freedom: Float[Tensor, " c"]) -> float:
