@@ -59,7 +59,7 @@ def _packages() -> tuple[dict[str, str], dict[str, str]]:
     extras: dict[str, str] = {}
     for text in importlib.metadata.requires("omnilines") or []:
         name, extra = re.match(r"[\w.-]+", text), re.search(r"extra == ['\"](\w+)['\"]", text)
-        if name is None or (extra and extra[1] in ("test", "lint")):
+        if name is None or (extra and extra[1] in ("docs", "lint", "test")):
             continue
         if extra is None:
             always[name[0]] = _version(name[0])
