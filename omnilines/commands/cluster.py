@@ -32,6 +32,7 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
     if where is None:
         yield None
         return
+    address = where if where == LOCAL else _address(where)
     distributed = _distributed()
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if where == LOCAL:
@@ -39,7 +40,6 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
         with _on_this_machine(distributed) as cluster, distributed.Client(cluster) as client:
             yield client.get_executor(pure=False)
         return
-    address = _address(where)
     progress("waiting for workers", 0, 0)
     try:
         client = distributed.Client(address, timeout=ANSWER_S)
