@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 
 import cv2
 import numpy as np
@@ -278,4 +279,4 @@ def test_help_names_every_command_and_loads_nothing_heavy():
 
 def test_version(capsys):
     status, out, _ = run(capsys, "--version")
-    assert status == 0 and out.strip() == "omnilines 0.1.0"
+    assert status == 0 and out.strip() == f"omnilines {version('omnilines')}"

@@ -223,7 +223,7 @@ def test_command_writes_directions_arcs_and_rotations(room: Path, tmp_path: Path
     page = (tmp_path / "out" / "report.html").read_text()
     verdict = page[page.index("A Manhattan frame") :].partition("</p>")[0]
     assert verdict.startswith("A Manhattan frame stands out from chance in 2 of 3 photos, known to 0.0")
-    assert page.count('<figure class="photo">') == 3 and page.count(f'<th scope="row">{true.images[0]}</th>') == 3
+    assert page.count('<figure class="photo" ') == 3 and page.count(f'<th scope="row">{true.images[0]}</th>') == 3
     assert '<th scope="row">noise.png</th><td>none</td>' in page and "noise.png: no Manhattan frame" in page
 
 

@@ -11,7 +11,7 @@ from camera_models import CameraModel
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import tangent_basis
-from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.calibration.lines.weighting import WeightedChains, least_curvature
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
@@ -92,6 +92,7 @@ def families_of(
     # Of Student's t with v degrees of freedom, w = (v + 1) / (v + x^2): the mean second derivative over the mean of w.
     told = share[of_chain >= 0]
     curvature = 2.0 * options.freedom / (options.freedom + 1.0) * float((told**2).sum() / told.sum()) - 1.0 if len(told) else 1.0
+    curvature = max(curvature, least_curvature(options.freedom))
     return Families(axes, frames, torch.tensor(photo, dtype=torch.long), torch.as_tensor(stray), of, curvature)
 
 

@@ -63,7 +63,14 @@ def weighted_chains(model: CameraModel, readings: EdgeReadings, options: LineOpt
     # A chain has the cost (v + n) log(v + squares) / 2: of n directions of its residuals, it is less curved along one.
     less = torch.where(share < 1.0, 2.0 * (1.0 - options.freedom * share / (options.freedom + freedom)), 0.0)
     curvature = 1.0 - float((share * less).sum() / (share * freedom).sum().clamp_min(1.0))
+    curvature = max(curvature, least_curvature(options.freedom))
     return WeightedChains(blocks, normal, at, (share / variance).sqrt(), float(misfit), variance**0.5, curvature)
+
+
+def least_curvature(freedom: float) -> float:
+    """Of a robust cost over that of the weighted squares: half of what is expected of Student's t. Residuals that show less are
+    not its, and with enough of these the mean is not even positive."""
+    return 0.5 * (freedom + 1.0) / (freedom + 3.0)
 
 
 def _median_variance(squares: Float[Tensor, " c"], freedom: Float[Tensor, " c"]) -> float:
