@@ -157,7 +157,15 @@ def parse_each(text: str, option: str) -> dict[str, str]:
 def progress() -> "Iterator[ProgressCallback]":
     """A progress line on standard error; on the first use of an installation it says that functions are compiled."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         SpinnerColumn(),
@@ -165,6 +173,8 @@ def progress() -> "Iterator[ProgressCallback]":
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("left"),
     )
     console = Console(stderr=True, markup=False, emoji=False)
     # Where nobody looks, a line that is taken away again leaves an empty one.
