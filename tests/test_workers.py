@@ -53,7 +53,8 @@ class Scene:
         assert len(self.arcs) > 10 * len(self.arcs.photos)
         for one, own in zip(other.photos, self.arcs.photos, strict=True):
             for name in ("endpoints_px", "covariance_px2", "length_px", "colours"):
-                np.testing.assert_allclose(getattr(one, name), getattr(own, name), rtol=1e-9, atol=1e-9)
+                # What is solved for takes rounding up, covariances most of all.
+                np.testing.assert_allclose(getattr(one, name), getattr(own, name), rtol=1e-5, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
