@@ -32,6 +32,7 @@ LONG_TO_FIT = (
     "caliscope",
     "mc-calib",
     "metashape",
+    "lensfun",
     "nerfstudio",
     "openmvg",
     "aria",

@@ -1,4 +1,4 @@
-"""Files of OpenSfM and Metashape: the equations of their documents, beside what is read."""
+"""Files of OpenSfM, Metashape and lensfun: the equations of their documents, beside what is read."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Pinhole
-from camera_models.formats import read, write
+from camera_models.formats import format_named, read, write
+from camera_models.formats.transfer import transfer
 
 RAYS = np.random.default_rng(0).normal(size=(200, 3)) * [0.4, 0.4, 0.0] + [0, 0, 1.0]
 WIDTH, HEIGHT = 1280, 960
@@ -139,3 +140,119 @@ def test_metashape_names_its_files(tmp_path: Path) -> None:
     assert "<projection>frame</projection>" in path.read_text()
     write(tmp_path / "camera.xml", Calibration({"cam0": Pinhole.examples()[0]}))
     assert "opencv_storage" in (tmp_path / "camera.xml").read_text()
+
+
+PROJECTIONS = {
+    "rectilinear": np.tan,
+    "fisheye": lambda t: t,
+    "stereographic": lambda t: 2 * np.tan(t / 2),
+    "equisolid": lambda t: 2 * np.sin(t / 2),
+    "orthographic": np.sin,
+    "fisheye_thoby": lambda t: 1.47 * np.sin(0.713 * t),
+}
+CURVES = {
+    'model="poly3" focal="8" k1="-0.02"': lambda r: r * (1.02 - 0.02 * r**2),
+    'model="poly5" focal="8" k1="-0.01" k2="0.002"': lambda r: r * (1 - 0.01 * r**2 + 0.002 * r**4),
+    'model="ptlens" focal="8" a="0.004" b="-0.02" c="0.01"': lambda r: r * (1.006 + 0.01 * r - 0.02 * r**2 + 0.004 * r**3),
+}
+"""As a file has them -> the distorted radius."""
+
+
+def lensfun(tmp_path: Path, kind: str, distortion: str, beside: str = "") -> Path:
+    """A lens of 8 mm measured on a sensor of 36 x 24 mm, by default."""
+    path = tmp_path / "lens.xml"
+    path.write_text(
+        '<!DOCTYPE lensdatabase SYSTEM "lensfun-database.dtd">\n<lensdatabase version="1"><lens><maker>M</maker>'
+        f"<model>Eight</model><model lang='de'>Acht</model><mount>K</mount><type>{kind}</type><cropfactor>1</cropfactor>{beside}"
+        f'<calibration><!-- measured --><distortion {distortion}/><tca model="linear" focal="8" kr="1"/></calibration></lens>'
+        "</lensdatabase>"
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "model"),
+    [
+        ("rectilinear", "poly3"),
+        ("rectilinear", "ptlens"),
+        ("fisheye", "poly5"),
+        ("stereographic", "poly5"),
+        ("equisolid", "ptlens"),
+        ("orthographic", "poly3"),
+        ("fisheye_thoby", "poly3"),
+    ],
+)
+def test_lensfun_follows_its_manual(kind: str, model: str, tmp_path: Path) -> None:
+    """A sensor of 36 x 24 mm from the first pixel to the last, whose unit is 12 mm; nominal focal lengths are of the corrected
+    image."""
+    size = (3601, 2401)
+    (distortion,) = (curve for curve in CURVES if model in curve)
+    content = read(lensfun(tmp_path, kind, distortion), image_size=size)
+    (camera,) = content.calibration.values()
+    theta = np.linspace(0.01, 0.95, 50)
+    radius = 1200 * CURVES[distortion](8 / 12 * PROJECTIONS[kind](theta))
+    phi = np.linspace(0, 6, 50)
+    rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+    expected = np.stack([1800 + radius * np.cos(phi), 1200 + radius * np.sin(phi)], -1)
+    fitted = "ptlens" in distortion or kind not in ("rectilinear", "fisheye")
+    np.testing.assert_allclose(camera.project(rays)[0], expected, atol=0.1 if fitted else 1e-8)
+    *notes, last = content.notes
+    assert last == "Not kept of the lenses: tca." and len(notes) == fitted
+    if fitted:
+        said_px = float(notes[0].rpartition("within ")[2].removesuffix(" px."))
+        assert np.hypot(*(np.asarray(camera.project(rays)[0]) - expected).T).max() < 1.01 * said_px + 1e-6
+        assert content.calibration.estimates["cam0"].max_angle_deg > 54
+
+
+def test_lensfun_sensors_and_real_focal_lengths(tmp_path: Path) -> None:
+    """A sensor of 4:3 and crop factor 2, off the middle of the image; the real focal length is that in the middle."""
+    size = (4001, 3001)
+    beside = '<aspect-ratio>4:3</aspect-ratio><center x="0.02" y="-0.01"/>'
+    path = lensfun(tmp_path, "fisheye", 'model="poly3" focal="7.5" k1="-0.05"', beside)
+    path.write_text(
+        path.read_text()
+        .replace("<cropfactor>1<", "<cropfactor>2<")
+        .replace("<tca", '<real-focal-length focal="7.5" real-focal="7.2"/><tca')
+    )
+    (camera,) = read(path, image_size=size).calibration.values()
+    half_mm = np.hypot(36, 24) / 2 / np.hypot(4, 3) * 3 / 2
+    named = camera.named_parameters()
+    assert named["fx"] == named["fy"] == pytest.approx(7.2 / half_mm * 1500, rel=1e-12)
+    assert (named["cx"], named["cy"]) == (pytest.approx(2000 + 30), pytest.approx(1500 - 15))
+    assert named["k1"] == pytest.approx(-0.05 / 1.05 * (7.2 / half_mm / 1.05) ** 2)
+
+
+def test_lensfun_files_of_many_lenses(tmp_path: Path) -> None:
+    """Each focal length of a zoom lens is a camera; what cannot be read is named."""
+    path = tmp_path / "db.xml"
+    lens = "<lens><model>Zoom</model><cropfactor>1.5</cropfactor>{}<calibration>{}</calibration></lens>"
+    both = "".join(f'<distortion model="poly3" focal="{focal}" k1="-0.01"/>' for focal in (18, 55))
+    adobe = '<distortion model="acm" focal="20" k1="-0.1" k2="0.01" k3="0.001" k4="0.0002" k5="-0.0003"/>'
+    flat = lens.format("<type>panoramic</type>", both).replace("Zoom", "Flat")
+    path.write_text(f"<lensdatabase>{lens.format('', both)}{lens.format('', adobe)}{lens.format('', adobe)}{flat}</lensdatabase>")
+    with pytest.raises(InputError, match="give `image_size`"):
+        read(path)
+    content = read(path, image_size=(1501, 1001))
+    assert list(content.calibration) == ["Zoom at 18 mm", "Zoom at 55 mm", "Zoom at 20 mm", "Zoom at 20 mm (2)"]
+    assert content.notes == (
+        "Left out: Flat; of the first: The type of a lens must be one of rectilinear, fisheye, stereographic, equisolid, "
+        "orthographic, fisheye_thoby, found panoramic; no model here has it.",
+    )
+    camera = content.calibration["Zoom at 20 mm"]
+    x, y = brown(RAYS[:, 0] / RAYS[:, 2], RAYS[:, 1] / RAYS[:, 2], (-0.1, 0.01, 0.001), 0.0002, -0.0003)
+    f = 20 / (np.hypot(36, 24) / 1.5 / np.hypot(1500, 1000))
+    pixels, valid = camera.project(RAYS)
+    np.testing.assert_allclose(pixels[valid], np.stack([750 + f * x, 500 + f * y], -1)[valid], atol=1e-8)
+    assert valid.mean() > 0.8
+    path.write_text(f"<lensdatabase>{flat}</lensdatabase>")
+    with pytest.raises(InputError, match=r"db.xml: The type of a lens .* found panoramic"):
+        read(path, image_size=(1501, 1001))
+
+
+def test_lensfun_is_written_for_the_lensfun_that_there_is(tmp_path: Path) -> None:
+    """lensfun 0.3 does not know acm: a fit is of poly5."""
+    lens = OpenCVFisheye.examples()[0]
+    found = transfer(Calibration({"cam0": lens}), format_named("lensfun"), tmp_path / "lensfun.xml")
+    assert found.forms["cam0"].name == "fisheye poly5" and found.conversions["cam0"].max_px > 0
+    exact = Calibration({"cam0": Pinhole.examples()[-1]})
+    assert transfer(exact, format_named("lensfun"), tmp_path / "lensfun.xml").forms["cam0"].name == "rectilinear acm"

@@ -51,6 +51,7 @@ FORMATS: tuple[FormatEntry, ...] = (
     FormatEntry("ros", "camera_models.formats.ros:RosCameraInfo", ("*camera_info*.yaml", "ost.yaml")),
     FormatEntry("mc-calib", "camera_models.formats.mc_calib:MCCalib", ("*calibrated_cameras*.yml",)),
     FormatEntry("metashape", "camera_models.formats.metashape:Metashape", ("*metashape*.xml", "*agisoft*.xml")),
+    FormatEntry("lensfun", "camera_models.formats.lensfun:Lensfun", ("*lensfun*.xml",)),
     FormatEntry("opencv", "camera_models.formats.opencv:OpenCV", ("*.yml", "*.xml", "*opencv*.yaml")),
     FormatEntry("omnilines", "camera_models.formats.native:Native", ("*.yaml",)),
 )

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
@@ -26,9 +25,10 @@ from camera_models.formats.calibration_data import Calibration, CameraEstimate
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, left_out
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
+from camera_models.formats.nearest import nearest_polynomial
 from camera_models.formats.transfer import seen_deg
 from camera_models.formats.values import image_size as size_of
-from camera_models.formats.values import mapping, number, numbers, required, text
+from camera_models.formats.values import mapping, number, numbers, required, text, written_as
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.scaramuzza import Scaramuzza
 
@@ -40,10 +40,6 @@ _KEYS = ("resolution", "shutter_type", "external_distortion_parameters", "princi
          *POLYNOMIALS.values(), "max_angle", "linear_cde")  # fmt: skip
 TERMS = 6
 SAMPLES = 1000
-DEGREES = range(3, 13)
-"""Of the scaramuzza polynomials that are tried."""
-SMALL_PX = 1e-4
-"""Error at which a degree is enough."""
 SAME_ANGLE_RAD = 1e-9
 
 
@@ -125,15 +121,9 @@ def _max_angle(model: CameraModel) -> float:
 
 def _fisheye(poly: Float[np.ndarray, "6"], c: float, centre: Float[np.ndarray, "2"], size: tuple[int, int]) -> OpenCVFisheye:
     fy = float(poly[1])
-    fx = _factor(float(c), lambda value: value / fy, float(c) * fy)
-    k1, k2 = (_factor(float(value), lambda k: k * fy, float(value) / fy) for value in (poly[3], poly[5]))
+    fx = written_as(float(c), lambda value: value / fy, float(c) * fy)
+    k1, k2 = (written_as(float(value), lambda k: k * fy, float(value) / fy) for value in (poly[3], poly[5]))
     return OpenCVFisheye([fx, fy, *centre.tolist(), k1, k2, 0.0, 0.0], size)
-
-
-def _factor(wanted: float, written: Any, near: float) -> float:
-    """A number near another that is written as wanted, where there is one."""
-    around = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
-    return next((value for value in around if written(value) == wanted), near)
 
 
 def _nearest(
@@ -146,23 +136,7 @@ def _nearest(
     w, h = size
     corners = np.array([[0.0, 0.0], [w - 1.0, 0.0], [0.0, h - 1.0], [w - 1.0, h - 1.0]]) - centre
     delta, theta = _curve(reference, poly, float(np.linalg.norm(corners @ inverse.T, axis=1).max()), end)
-    # u = c (x + d / c y), v = e / c (c x) + 1 / c (c y): radii in the image are c times those of the polynomial.
-    rho, angle = torch.from_numpy(c * delta), torch.from_numpy(theta)
-    best, least = None, math.inf
-    for degree in DEGREES:
-        curve = Scaramuzza.from_radial_curve(rho, angle, torch.from_numpy(centre), size, degree=degree)
-        model = Scaramuzza([*centre.tolist(), 1.0 / c, e / c, d / c, *curve.parameters[5:].tolist()], size)
-        rays = torch.stack([torch.sin(angle), torch.zeros_like(angle), torch.cos(angle)], -1)
-        pixels, valid = model.project(rays)
-        off = float((pixels[:, 0] - centre[0] - rho).abs().max()) if bool(valid.all()) else math.inf
-        if off < least:
-            best, least = model, off
-        if least < SMALL_PX:
-            break
-    if best is None:
-        raise InputError(
-            "A polynomial that grows with the angle over the image was expected, found one that no lens has; correct it."
-        )
+    best, least = nearest_polynomial(delta, theta, affine, centre, size)
     return best, (
         f"The polynomial of the angle is read as the scaramuzza polynomial of degree {best.degree} nearest to it, up to "
         f"{math.degrees(theta[-1]):.1f} degrees off axis and within {least:.2g} px.",

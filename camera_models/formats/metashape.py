@@ -14,7 +14,6 @@ The upper left corner of the image is (0, 0) there. p1 and p2 are OpenCV's p2 an
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
-from xml.etree import ElementTree
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
@@ -24,6 +23,7 @@ from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form, listed
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import number, of_text
+from camera_models.formats.xml_text import read_xml
 
 _FRAME, _FISHEYE, _SPHERICAL = "frame", "fisheye", "spherical"
 _CENTRE = 0.5
@@ -84,15 +84,7 @@ class Metashape(CalibrationFormat):
 
 def _leaves(path: Path) -> dict[str, str]:
     """The text of each element below the root."""
-    content = read_text(path)
-    if "<!" in content.replace("<!--", ""):
-        # Entities can make a short file long beyond memory.
-        raise InputError(f"{path} was expected to be plain XML, found a document type or a section of raw data; remove it.")
-    try:
-        # The declaration names the encoding of bytes, which a text has none of.
-        root = ElementTree.fromstring(content.encode())
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path} is not valid XML ({error}); correct it or restore the file.") from None
+    root = read_xml(read_text(path), path)
     if root.tag != "calibration":
         raise InputError(f"{path} was expected to hold a <calibration>, found <{root.tag}>; save the calibration in Metashape.")
     return {leaf.tag: (leaf.text or "").strip() for leaf in root}

@@ -3,7 +3,7 @@
 import math
 import sys
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ LARGEST = 1e100
 """Of a number in a file; squares and cubes of it are numbers still."""
 MOST_TOLD = 200
 """Characters of a value in a message."""
+STEPS = 8
+"""Of rounding, within which a number is looked for that is written as wanted."""
 
 
 def default(value: Any, otherwise: Any) -> Any:
@@ -75,6 +77,21 @@ def of_text(cell: str, kind: type[int] | type[float] = float) -> int | float:
     if "_" in cell:
         raise ValueError(cell)
     return kind(cell)
+
+
+def written_as(wanted: float, written: Callable[[float], float], near: float) -> float:
+    """A number a few steps of rounding from `near` that is written as wanted, where there is one; else `near`.
+
+    A file that holds a parameter in another unit is then written as it was read.
+    """
+    below = above = near
+    for _ in range(STEPS):
+        if written(below) == wanted:
+            return below
+        if written(above) == wanted:
+            return above
+        below, above = math.nextafter(below, -math.inf), math.nextafter(above, math.inf)
+    return near
 
 
 def optional_number(data: Mapping[str, Any], key: str, where: str) -> float | None:

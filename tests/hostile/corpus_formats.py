@@ -54,7 +54,7 @@ def exchange(old: bytes, new: bytes, most: int = -1) -> Change:
 WIDTHS = {"no-width": b"0", "negative-width": b"-640", "wide": b"1000000000", "half-width": b"640.5"}
 TORN_AND_WHOLE = {("omnilines-rig", "torn-third"), ("omnilines-rig", "torn-half"), ("kalibr", "torn-third")}
 """Cut between two cameras or parts: what is left is a file of fewer."""
-OTHER_UNITS = ("metashape", "opensfm")
+OTHER_UNITS = ("metashape", "opensfm", "lensfun")
 """Their files hold no focal length fx in pixels."""
 
 
@@ -187,6 +187,16 @@ NATIVE: dict[str, tuple[str, Change]] = {
     "opencv-models-of-nine": ("opencv-rig", exchange(b"[ 1, 0, 1 ]", b"[ 9, 0, 1 ]")),
     "opencv-half-a-pose": ("opencv-pair", lambda c: c[: c.index(b"T: !!")]),
     "opencv-text-for-xi": ("opencv-yml", lambda c: c + b'xi: "a"\n'),
+    "lensfun-entity-bomb": ("lensfun", lambda c: b'<!DOCTYPE l [<!ENTITY a "ha">]>\n<lensdatabase>&a;</lensdatabase>\n'),
+    "lensfun-20000-deep": ("lensfun", lambda c: b"<lensdatabase>" + b"<a>" * 20000 + b"</a>" * 20000 + b"</lensdatabase>"),
+    "lensfun-crop-of-nothing": ("lensfun", lambda c: c.replace(b"<cropfactor>1<", b"<cropfactor>0<")),
+    "lensfun-focal-of-nan": ("lensfun", lambda c: re.sub(rb'focal="[-0-9.e]+"', b'focal="nan"', c)),
+    "lensfun-focal-of-nothing": ("lensfun", lambda c: re.sub(rb'focal="[-0-9.e]+"', b'focal="0"', c)),
+    "lensfun-focal-beyond-reason": ("lensfun", lambda c: re.sub(rb'focal="[-0-9.e]+"', b'focal="1e99"', c)),
+    "lensfun-that-is-flat": ("lensfun", lambda c: re.sub(rb'model="poly5"', b'model="ptlens" a="1" b="0" c="0"', c)),
+    "lensfun-unknown-type": ("lensfun", lambda c: c.replace(b">fisheye<", b">panoramic<")),
+    "lensfun-no-lens": ("lensfun", lambda c: b"<lensdatabase/>\n"),
+    "lensfun-aspect-of-nothing": ("lensfun", lambda c: re.sub(rb"<aspect-ratio>[^<]+<", b"<aspect-ratio>4:0<", c)),
     "ocam-affine-singular": ("ocamcalib", lambda c: c.replace(b"1.0 0.0 0.0", b"0.0 0.0 0.0")),
 }  # fmt: skip
 

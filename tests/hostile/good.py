@@ -26,6 +26,7 @@ SIZE = (646, 482)
 LENS = camera_models.OpenCVFisheye([FX, 171.5, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], SIZE)
 PINHOLE = camera_models.Pinhole([FX, 171.5, 325.0, 236.0, 0.0, -0.01, 0.003, 0.001, 0.0001, 0, 0, 0, 0], SIZE)
 ODD = camera_models.OpenCVFisheye([171.5, FX, 325.0, 236.0, -0.01, 0.003, 0.0, 0.0], SIZE)
+SHORT = camera_models.OpenCVFisheye([FX, FX, 325.0, 236.0, -0.01, 0.003, 0.0, 0.0], SIZE)
 SQUARE = camera_models.OpenCVFisheye([FX, FX, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], SIZE)
 PLAIN = camera_models.Pinhole([FX, 171.5, 325.0, 236.0, *([0.0] * 9)], SIZE, 0)
 POLYNOMIAL = camera_models.Scaramuzza([325.0, 236.0, 1.0, 0.0, 0.0, FX, -1.2e-3, 1e-7, -2e-9], SIZE)
@@ -60,6 +61,7 @@ FILES: dict[str, tuple[str, str, tuple[camera_models.CameraModel, ...]]] = {
     "openmvg": ("sfm_data.json", "openmvg", (SQUARE,)),
     "usd": ("rig.usda", "usd", (LENS, PINHOLE)),
     "metashape": ("metashape.xml", "metashape", (LENS,)),
+    "lensfun": ("lensfun.xml", "lensfun", (SHORT,)),
     "nerfstudio": ("transforms.json", "nerfstudio", (LENS,)),
     "opensfm": ("camera_models.json", "opensfm", (LENS, PINHOLE)),
     "ros": ("camera_info.yaml", "ros", (LENS,)),
