@@ -93,9 +93,9 @@ def convert(
     # A model is its own start, with all its coefficients, unless options ask for others.
     own = type(model) is target and target.CALIBRATED and not options
     start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
-    fitted = _refine(start, bearings, pixels, held, tied)
+    fitted = refine(start, bearings, pixels, held, tied)
     for rival in fitted.rivals(half):
-        other = _refine(rival, bearings, pixels, held, tied)
+        other = refine(rival, bearings, pixels, held, tied)
         # Where both are exact, rounding must not decide.
         if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
             fitted = other
@@ -119,6 +119,41 @@ def convert(
         max_deg=whole.max_deg,
         fov_deg=2 * whole.to_deg,
         rings=rings,
+    )
+
+
+def refine(
+    start: CameraModel,
+    bearings: Float[Tensor, "n 3"],
+    pixels: Float[Tensor, "n 2"],
+    held: Mapping[str, float] | None = None,
+    tied: Sequence[str] = (),
+) -> CameraModel:
+    """The camera with the least squared distances (px) between the images of bearings and their pixels, from a start.
+
+    Parameters named in `held` keep the values given there, those in `tied` have one value. A bearing outside the domain counts
+    from the edge that stands for it.
+    """
+    held = held or {}
+    values = start.named_parameters() | {name: held[name] for name in start.PARAMETER_NAMES if name in held}
+    names = list(values)
+    stands_for = torch.tensor([names.index(tied[0] if name in tied else name) for name in names])
+    start = start.with_parameters(list(values.values()))
+    basis = _directions(start, held, stands_for)
+
+    def moved(step: np.ndarray) -> CameraModel:
+        return start.with_parameters((start.parameters + basis @ torch.as_tensor(step))[stands_for])
+
+    def residual(step: np.ndarray) -> np.ndarray:
+        return (moved(step).project(bearings)[0] - pixels).flatten().numpy()
+
+    def jacobian(step: np.ndarray) -> np.ndarray:
+        by_parameter = moved(step).project_with_jacobians(bearings)[3]
+        return (by_parameter @ basis).flatten(0, 1).numpy()
+
+    zero = np.zeros(basis.shape[1])
+    return moved(
+        least_squares(residual, zero, jacobian, method="lm", x_scale="jac", ftol=TIGHT, xtol=TIGHT, gtol=TIGHT, max_nfev=100).x
     )
 
 
@@ -234,34 +269,3 @@ def _directions(model: CameraModel, held: Mapping[str, float], stands_for: Int[T
         if int(torch.linalg.matrix_rank(wider)) > basis.shape[1]:
             basis = wider
     return basis
-
-
-def _refine(
-    start: CameraModel,
-    bearings: Float[Tensor, "n 3"],
-    pixels: Float[Tensor, "n 2"],
-    held: Mapping[str, float] | None = None,
-    tied: Sequence[str] = (),
-) -> CameraModel:
-    """Least squares of the distance in pixels; a bearing outside the domain counts from the edge that stands for it."""
-    held = held or {}
-    values = start.named_parameters() | {name: held[name] for name in start.PARAMETER_NAMES if name in held}
-    names = list(values)
-    stands_for = torch.tensor([names.index(tied[0] if name in tied else name) for name in names])
-    start = start.with_parameters(list(values.values()))
-    basis = _directions(start, held, stands_for)
-
-    def moved(step: np.ndarray) -> CameraModel:
-        return start.with_parameters((start.parameters + basis @ torch.as_tensor(step))[stands_for])
-
-    def residual(step: np.ndarray) -> np.ndarray:
-        return (moved(step).project(bearings)[0] - pixels).flatten().numpy()
-
-    def jacobian(step: np.ndarray) -> np.ndarray:
-        by_parameter = moved(step).project_with_jacobians(bearings)[3]
-        return (by_parameter @ basis).flatten(0, 1).numpy()
-
-    zero = np.zeros(basis.shape[1])
-    return moved(
-        least_squares(residual, zero, jacobian, method="lm", x_scale="jac", ftol=TIGHT, xtol=TIGHT, gtol=TIGHT, max_nfev=100).x
-    )

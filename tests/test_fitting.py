@@ -17,7 +17,7 @@ from camera_models import (
     Unified,
     convert,
 )
-from camera_models.fitting import _refine
+from camera_models.fitting import refine
 
 SIZE = (1280, 960)
 STEREOGRAPHIC = Unified([300.0, 302.0, 640.0, 470.0, 0, 1.0, 0, 0, 0, 0], SIZE)
@@ -110,11 +110,11 @@ def test_double_sphere_minima_are_all_tried(index):
     pixels = truth.project(bearings)[0]
     rivals = truth.rivals(math.radians(95))
     assert rivals
-    elsewhere = [_refine(rival, bearings, pixels) for rival in rivals]
+    elsewhere = [refine(rival, bearings, pixels) for rival in rivals]
     trapped = [fit for fit in elsewhere if float((fit.project(bearings)[0] - pixels).norm(dim=-1).mean()) > 1e-3]
     assert trapped
     for fit in trapped:
-        home = [_refine(rival, bearings, pixels) for rival in fit.rivals(math.radians(95))]
+        home = [refine(rival, bearings, pixels) for rival in fit.rivals(math.radians(95))]
         best = min(home, key=lambda model: float((model.project(bearings)[0] - pixels).norm()))
         np.testing.assert_allclose(best.parameters, truth.parameters, rtol=1e-6)
 

@@ -25,11 +25,10 @@ from numpy.polynomial.polynomial import polyval
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.forms import listed
-from camera_models.formats.nearest import nearest_polynomial
+from camera_models.formats.nearest import Fit, nearest_lens
 from camera_models.formats.values import number, of_text, written_as
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
-from camera_models.scaramuzza import Scaramuzza
 
 RECTILINEAR, FISHEYE = "rectilinear", "fisheye"
 _FULL_FRAME_MM = math.hypot(36.0, 24.0)
@@ -49,22 +48,8 @@ _FOCAL_MM = (0.001, 1e6)
 _LEAST_SLOPE = 1e-3
 """Of a curve in the middle of the image."""
 _SAMPLES = 500
-_FEWEST = 6
+_FEWEST = 12
 """Points of a curve that tell a polynomial."""
-_PARTS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Of the curve of a lens that does not fill the image: what it says beyond its image circle was never measured."""
-_NEAR_PX = 0.1
-"""Error of a polynomial that follows the curve."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How near a camera is to the curve of a lens."""
-
-    off_px: float
-    """The largest distance."""
-    upto_deg: float
-    """Off axis."""
 
 
 @dataclass(frozen=True)
@@ -206,14 +191,7 @@ def _fitted(kind: str, q: list[float], f: float, sensor: Sensor) -> tuple[Camera
 
     # A long lens fills few of the angles at first.
     rho, theta = grows(min(end, 2 * float(grows(end)[1][-1])))
-    tried: list[tuple[Scaramuzza, Fit]] = []
-    for part in _PARTS:
-        upto = max(_FEWEST, round(part * len(rho)))
-        camera, off_px = nearest_polynomial(rho[:upto], theta[:upto], np.array([1.0, 0.0, 0.0]), centre, sensor.size)
-        tried.append((camera, Fit(off_px, math.degrees(theta[upto - 1]))))
-        if off_px < _NEAR_PX:
-            break
-    return min(tried, key=lambda pair: pair[1].off_px)
+    return nearest_lens(rho, theta, centre, sensor.size)
 
 
 def _number(element: Element, key: str) -> float:

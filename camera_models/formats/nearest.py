@@ -1,6 +1,7 @@
 """The scaramuzza polynomial nearest to a radial curve of another tool, which no model here holds exactly."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,6 +14,34 @@ DEGREES = range(3, 13)
 """Of the polynomials that are tried."""
 SMALL_PX = 1e-4
 """Error at which a degree is enough."""
+PARTS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the curve of a lens that does not fill the image: what it says beyond its image circle was never measured."""
+NEAR_PX = 0.1
+"""Error of a polynomial that follows the curve."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How near a camera is to the curve of a lens."""
+
+    off_px: float
+    """The largest distance."""
+    upto_deg: float
+    """Off axis."""
+
+
+def nearest_lens(
+    delta_px: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"], centre: Float[np.ndarray, "2"], size: tuple[int, int]
+) -> tuple[Scaramuzza, Fit]:
+    """`nearest_polynomial` without an affine matrix, over as much of the curve as a polynomial follows."""
+    tried: list[tuple[Scaramuzza, Fit]] = []
+    for part in PARTS:
+        upto = round(part * len(theta))
+        camera, off_px = nearest_polynomial(delta_px[:upto], theta[:upto], np.array([1.0, 0.0, 0.0]), centre, size)
+        tried.append((camera, Fit(off_px, math.degrees(theta[upto - 1]))))
+        if off_px < NEAR_PX:
+            break
+    return min(tried, key=lambda pair: pair[1].off_px)
 
 
 def nearest_polynomial(

@@ -5,20 +5,23 @@
     pinhole_radial_k3    pinhole           and disto_k3: k1 k2 k3
     pinhole_brown_t2     pinhole           and disto_t2: k1 k2 k3 t1 t2, which are OpenCV's k1 k2 k3 p1 p2
     fisheye              opencv-fisheye    and fisheye: k1 k2 k3 k4
+    spherical            equirectangular   read only
 
-All have one focal length. The centre of the first pixel is (0, 0): OpenMVG's undistortion takes the pixel (i, j) for the point
-(i, j) and back. Its spherical camera, whose middle is w / 2 in the same coordinates, is half a pixel beside `equirectangular` and
-refused. OpenMVG's sources, `cameras/Camera_*.hpp`, `Camera_undistort_image.hpp`.
+All others have one focal length. The centre of the first pixel is (0, 0): OpenMVG's undistortion takes the pixel (i, j) for the
+point (i, j) and back. Its spherical camera, whose middle is w / 2 in the same coordinates, is half a pixel beside
+`equirectangular`, which a note states; it is not written, and made from the size of the image there. OpenMVG's sources,
+`cameras/Camera_*.hpp`, `Camera_undistort_image.hpp`.
 """
 
 from pathlib import Path
 from typing import Any, ClassVar
 
 from camera_models._model import CameraModel
+from camera_models.equirectangular import Equirectangular
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.forms import Form
+from camera_models.formats.forms import Form, listed
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, numbers, required, text, whole
@@ -26,6 +29,7 @@ from camera_models.formats.values import items, mapping, number, numbers, requir
 _CENTRE = ("f", "cx", "cy")
 _TERMS = {"pinhole_radial_k1": "disto_k1", "pinhole_radial_k3": "disto_k3", "pinhole_brown_t2": "disto_t2", "fisheye": "fisheye"}
 """Key of the coefficients of each type."""
+_SPHERICAL = "spherical"
 _VERSION = "0.3"
 _FIRST = 1 << 31
 """cereal marks a type, or an object, that a file holds for the first time by the highest bit of its number."""
@@ -54,6 +58,7 @@ class OpenMVG(CalibrationFormat):
         data = mapping(read_json(path), "the file")
         kinds: dict[int, str] = {}
         cameras: dict[str, CameraModel] = {}
+        panoramas: list[str] = []
         beside: dict[str, list[str]] = {}
         for index, entry in enumerate(items(required(data, "intrinsics", "the file"), "intrinsics")):
             where = f"intrinsic {index}"
@@ -66,17 +71,22 @@ class OpenMVG(CalibrationFormat):
             wrapper = mapping(required(value, "ptr_wrapper", where), where)
             keys = mapping(required(wrapper, "data", where), where)
             name = f"cam{index}"
-            cameras[name] = self._camera(self.form_named(kinds[number_of_kind], name), keys, name)
+            if kinds[number_of_kind] == _SPHERICAL:
+                cameras[name] = Equirectangular([], _size(keys, name))
+                panoramas.append(name)
+            else:
+                cameras[name] = self._camera(self.form_named(kinds[number_of_kind], name), keys, name)
             beside[name] = [key for key in keys if key not in (_BASE, *_OWN, *_TERMS.values())]
         if not cameras:
             raise InputError("Intrinsics were expected in the file, found none; give one that OpenMVG has calibrated.")
         beside["the file"] = [key for key in ("views", "extrinsics", "structure", "control_points") if data.get(key)]
-        return Content(Calibration(cameras), left_out(beside))
+        half = "its middle is half a pixel right of and below that of equirectangular, by which directions differ from OpenMVG's"
+        notes = (f"OpenMVG's spherical camera ({listed(panoramas)}): {half}.",) if panoramas else ()
+        return Content(Calibration(cameras), (*notes, *left_out(beside)))
 
     def _camera(self, form: Form, keys: dict[str, Any], name: str) -> CameraModel:
-        # Newer versions hold what all pinhole cameras have in a part of its own.
-        base = mapping(keys[_BASE], name) if _BASE in keys else keys
-        size = size_of([required(base, key, name) for key in ("width", "height")], f"width and height of {name}")
+        base = _base(keys, name)
+        size = _size(keys, name)
         focal = number(required(base, "focal_length", name), f"focal_length of {name}")
         centre = numbers(required(base, "principal_point", name), (2,), f"principal_point of {name}").tolist()
         count = len(form.order or ()) - len(_CENTRE)
@@ -102,3 +112,13 @@ class OpenMVG(CalibrationFormat):
             "sfm_data_version": _VERSION, "root_path": "", "views": [], "intrinsics": entries, "extrinsics": [], "structure": [],
             "control_points": [],
         })}  # fmt: skip
+
+
+def _base(keys: dict[str, Any], name: str) -> dict[str, Any]:
+    # Newer versions hold what all cameras have in a part of its own.
+    return mapping(keys[_BASE], name) if _BASE in keys else keys
+
+
+def _size(keys: dict[str, Any], name: str) -> tuple[int, int]:
+    base = _base(keys, name)
+    return size_of([required(base, key, name) for key in ("width", "height")], f"width and height of {name}")
