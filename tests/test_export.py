@@ -16,6 +16,7 @@ from camera_models import Calibration, Equirectangular, InputError, OpenCVFishey
 from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.files import write_lines, write_png, write_poses, write_segments
+from omnilines.geometry.geodetic import Origin, geodetic
 from omnilines.photo_file import read_photo
 from omnilines.posing._pycolmap import pycolmap
 from omnilines.records import ImagePoses, Lines, Segments
@@ -24,15 +25,15 @@ FAR_M = np.array([500_000.0, 5_400_000.0, 300.0])
 LENS, POLYNOMIAL = OpenCVFisheye.examples()[0], Scaramuzza.examples()[0]
 
 
-def scene(folder: Path, cameras: Calibration, images: int = 3) -> Path:
-    """Three known lines and one that is not, seen by photos that stand far from the origin."""
+def scene(folder: Path, cameras: Calibration, images: int = 3, middle_m: np.ndarray = FAR_M) -> Path:
+    """Three known lines and one that is not, seen by photos that stand about a place, far from the origin unless given."""
     rng = np.random.default_rng(0)
-    ends = FAR_M + rng.normal(size=(4, 2, 3))
+    ends = middle_m + rng.normal(size=(4, 2, 3))
     ends[2] = np.nan
     unknown = np.full(4, np.nan)
     status = ("ok", "weak", "too_few_views", "ok")
     lines = Lines(("a b", "c", "d", "e"), ends, np.array([3, 2, 0, 2]), unknown, unknown, status)
-    turns = torch.as_tensor(rng.normal(size=(images, 3))), torch.as_tensor(FAR_M + rng.normal(size=(images, 3)))
+    turns = torch.as_tensor(rng.normal(size=(images, 3))), torch.as_tensor(middle_m + rng.normal(size=(images, 3)))
     poses = Pose.exp(torch.cat([turns[0], torch.zeros(images, 3)], -1))
     poses = Pose(poses.rotation, -(poses.rotation @ turns[1][..., None])[..., 0])
     names = tuple(f"in/{k}.png" for k in range(images))
@@ -81,6 +82,55 @@ def test_glb_is_read_by_trimesh_upright_and_to_a_millimetre_far_from_the_origin(
         off = np.linalg.norm(found[node][:, None] - ends, axis=-1)
         assert len(found[node]) == len(ends) and off.min(0).max() < 1e-3 and off.min(1).max() < 1e-3
     assert len(found["camera centres"]) == 3
+
+
+PLACES = (
+    ((48.1, 11.6, 520.0), (377.19066, -396.31459, 64.04227), (11.6050634392, 48.0964359861, 584.065727)),
+    ((-33.8, 151.2, 30.0), (-1165.43494, -826.10232, -124.01112), (151.1874131343, -33.8074472764, -93.851060)),
+    ((89.99, 10.0, 0.0), (-4055.59389, -1987.71634, -8.18003), (-42.5650749968, 89.9542721810, -6.586266)),
+    ((-90.0, 0.0, 100.0), (964.42012, -2434.75245, 44.80918), (158.3911830577, -89.9765543054, 145.344993)),
+    ((0.0, 179.9999, 5.0), (509.22026, -3195.03345, -0.18911), (-179.9955256000, -0.0288948828, 5.636863)),
+)
+"""Origin (latitude, longitude, height), metres east, north, up -> longitude, latitude, height, by PROJ 9.5.1 (pyproj 3.7.2)."""
+
+
+@pytest.mark.parametrize(("origin", "place", "wanted"), PLACES)
+def test_geojson_lies_where_proj_says(origin: tuple, place: tuple, wanted: tuple, tmp_path: Path) -> None:
+    off = np.abs(geodetic(np.array([place, place]), Origin(*origin)) - wanted)
+    assert off[:, :2].max() < 1e-9 and off[:, 2].max() < 1e-5
+    folder = scene(tmp_path / "scene", Calibration({"cam0": LENS}), middle_m=np.array(place))
+    ((path,), lost) = ol.export(folder, tmp_path / "lines.geojson", origin=origin).save()
+    features = json.loads(path.read_text())["features"]
+    assert [feature["properties"]["track"] for feature in features] == ["a b", "c", "e"]
+    seen = [["in/0.png", "in/1.png", "in/2.png"], ["in/1.png", "in/0.png"], ["in/2.png"]]
+    assert [feature["properties"]["photos"] for feature in features] == seen
+    for feature, ends in zip(features, ends_of(folder), strict=True):
+        assert feature["geometry"]["type"] == "LineString" and feature["properties"]["sigma_m"] is None
+        assert feature["properties"]["length_m"] == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1e-4)
+        np.testing.assert_allclose(feature["geometry"]["coordinates"], geodetic(ends, Origin(*origin)), rtol=0, atol=6e-5)
+    assert "cameras and poses" in lost
+
+
+def test_geojson_asks_for_an_origin_and_metres(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "lines.geojson"
+    with pytest.raises(InputError, match="needs `origin`"):
+        ol.export(folder, out)
+    with pytest.raises(InputError, match=r"`origin` is for geojson, .* found dxf"):
+        ol.export(folder, tmp_path / "lines.dxf", origin=(0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="latitude of -90 to 90"):
+        ol.export(folder, out, origin=(91.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"within 100 km of `origin`.* 5,423 km away; .*UTM"):
+        ol.export(folder, out, origin=(48.0, 11.0, 0.0)).save()
+    with pytest.raises(SystemExit) as stopped:
+        main(["export", str(folder), str(out), "--origin", "48.1;11.6"])
+    assert stopped.value.code == 2 and "--origin was expected as three numbers" in capsys.readouterr().err
+    near = scene(tmp_path / "near", Calibration({"cam0": LENS}), middle_m=np.zeros(3))
+    with pytest.raises(SystemExit) as stopped:
+        main(["export", str(near), str(out), "--origin", "-33.8,151.2,30"])
+    assert not stopped.value.code and out.is_file()
+    save(near / "calibration.yaml", Calibration({"cam0": LENS}, provenance={"length_unit": "units"}))
+    with pytest.raises(InputError, match="a scene in metres was expected, found units whose length"):
+        ol.export(near, out, origin=(48.0, 11.0, 0.0)).save()
 
 
 @pytest.mark.parametrize("cameras", [{"cam0": LENS}, {"left": LENS, "right": Equirectangular([], (2048, 1024))}])
@@ -154,9 +204,12 @@ def test_limap_itself_reads_them(folder: Path, tmp_path: Path) -> None:
     [
         (
             "{scene} {out}/lines.dwg",
-            "A name that tells the format was expected (*.dxf, *.glb, *.json, *limap*, *colmap*), found 'lines.dwg'",
+            "A name that tells the format was expected (*.dxf, *.glb, *.geojson, *.json, *limap*, *colmap*), found 'lines.dwg'",
         ),
-        ("{scene} {out}/lines.dxf --to dwg", "A format of scenes is one of dxf, glb, nerfstudio, limap, colmap, found 'dwg'"),
+        (
+            "{scene} {out}/lines.dxf --to dwg",
+            "A format of scenes is one of dxf, glb, geojson, nerfstudio, limap, colmap, found 'dwg'",
+        ),
         ("{out} {out}/lines.dxf", "found no calibration.yaml in it"),
         ("{scene} {out}/lines.dxf --photos {out}", "--photos is for nerfstudio"),
         ("{scene} {out}/t.json --photos {out}/nowhere", "which is none"),

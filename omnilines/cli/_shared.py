@@ -1,6 +1,7 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -140,6 +141,17 @@ def parse_px(text: str, option: str) -> float:
     if not 0 < value < LARGEST_SIDE_PX:
         raise InputError(f"{option} was expected as a positive number of pixels, such as 0.1px, found '{text[:40]}'.")
     return value
+
+
+def parse_three(text: str, option: str) -> tuple[float, float, float]:
+    """Three numbers of a text such as 48.1,11.6,520; raises InputError otherwise."""
+    try:
+        first, second, third = (float(part) for part in text.split(","))
+    except ValueError:
+        first = second = third = math.nan
+    if not all(math.isfinite(value) for value in (first, second, third)):
+        raise InputError(f"{option} was expected as three numbers, such as 48.137,11.575,520.0, found '{text[:40]}'.")
+    return first, second, third
 
 
 def parse_each(text: str, option: str) -> dict[str, str]:

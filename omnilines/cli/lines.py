@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, parse_three, run
 from omnilines.cli.counts import PARTS
 from omnilines.triangulation import method_options
 
@@ -231,15 +231,20 @@ def export(
     scene: Annotated[Path, typer.Argument(help="Folder that reconstruct or adjust wrote.", metavar="SCENE", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
     to_format: Annotated[
-        str | None, typer.Option("--to", help="dxf, glb, nerfstudio, limap or colmap, else told by the name of OUT.")
+        str | None, typer.Option("--to", help="dxf, glb, geojson, nerfstudio, limap or colmap, else told by the name of OUT.")
     ] = None,
     photos: Annotated[
         Path | None,
         typer.Option("--photos", help="Folder of the photos: nerfstudio names them, masks of colmap are found in them."),
     ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option("--origin", help="LAT,LON,HEIGHT (WGS84, m) of the scene's origin, x east, y north, z up: for GeoJSON."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """A scene for other tools: DXF, GLB, LIMAP, Nerfstudio, COLMAP with masks."""
+    """A scene for other tools: DXF, GLB, GeoJSON, LIMAP, Nerfstudio, COLMAP with masks."""
     from omnilines.commands.export import export as command
 
-    run(lambda progress: command(scene, out, to_format=to_format, photos=photos), as_json)
+    place = parse_three(origin, "--origin") if origin is not None else None
+    run(lambda progress: command(scene, out, to_format=to_format, photos=photos, origin=place), as_json)

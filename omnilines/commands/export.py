@@ -7,9 +7,16 @@ from omnilines.pipelines.export import export as pipeline
 from omnilines.records import Summary
 
 
-def export(scene: Path, out: Path, *, to_format: str | None = None, photos: Path | None = None) -> CommandResult:
+def export(
+    scene: Path,
+    out: Path,
+    *,
+    to_format: str | None = None,
+    photos: Path | None = None,
+    origin: tuple[float, float, float] | None = None,
+) -> CommandResult:
     """Read the scene, write it, and say what was fitted or lost. Raises InputError as `pipelines.export.export` does."""
-    made = pipeline(scene, out, to_format=to_format, photos=photos)
+    made = pipeline(scene, out, to_format=to_format, photos=photos, origin=origin)
     files, lost = made.save()
     lines, poses = int(made.scene.lines.known.sum()), len(made.scene.poses)
     rows = (("lines", f"{lines}, in {made.scene.lines.unit.words}"), ("photos", str(poses)), ("written", str(out)))

@@ -11,7 +11,7 @@ from hostile.good import FX, give
 
 from omnilines.files.scene_folder import SCENE_TABLES
 
-OUTS = {"dxf": "OUT/a.dxf", "glb": "OUT/a.glb", "nerfstudio": "OUT/a.json", "limap": "OUT/limap"}
+OUTS = {"dxf": "OUT/a.dxf", "glb": "OUT/a.glb", "geojson": "OUT/a.geojson", "nerfstudio": "OUT/a.json", "limap": "OUT/limap"}
 CHECK = ("check", "IN/photos", "--calibration", "IN/calibration.yaml")
 LINES = ("calibrate", "IN/photos", "--pattern", "lines", "--out", "OUT")
 Bytes = Callable[[bytes], bytes]
@@ -59,7 +59,7 @@ def cells(column: int, text: bytes, row: int = 1) -> Bytes:
 
 def exported(to: str = "dxf", scene: str = "IN/scene") -> tuple[str, ...]:
     """The command that writes the scene in a format."""
-    return ("export", scene, OUTS[to])
+    return ("export", scene, OUTS[to], *(("--origin", "48.1,11.6,520") if to == "geojson" else ()))
 
 
 SPOILT_ROWS: dict[str, tuple[str, Bytes, str]] = {
@@ -110,8 +110,12 @@ def of_export() -> Iterator[Case]:
         yield Case(f"scene:out={out!r}", ("export", "IN/scene", out), give("scene"), "name|format|written|folder|OUT|value|place")
     for name in SCENE_TABLES:
         for to in OUTS:
-            over = ("export", "IN/scene", f"IN/scene/{name}", "--to", to)
+            over = ("export", "IN/scene", f"IN/scene/{name}", "--to", to, *exported(to)[3:])
             yield Case(f"scene:over-{name}:{to}", over, give("scene"), "IN/scene|over|input|folder")
+    for place in ("", ",", "nan,0,0", "91,0,0", "0,0,1e999", "0,0", "0,0,0,0", "x", "1e400,0,0", "0,9e99,0", "--photos"):
+        yield Case(f"scene:origin={place!r}", ("export", "IN/scene", "OUT/a.geojson", "--origin", place), give("scene"), "origin")
+    yield Case("scene:no-origin", ("export", "IN/scene", "OUT/a.geojson"), give("scene"), "origin")
+    yield Case("scene:origin-of-dxf", (*exported(), "--origin", "0,0,0"), give("scene"), "origin")
     yield Case("scene:format", (*exported(), "--to", "bundler"), give("scene"), "bundler")
     yield Case("scene:photos", (*exported("nerfstudio"), "--photos", "nowhere"), give("scene"), "nowhere")
     yield Case("scene:photos-of-dxf", (*exported(), "--photos", "IN/scene"), give("scene"), "photos")
