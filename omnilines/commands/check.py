@@ -48,7 +48,6 @@ def check(
         check_data(result),
         checks=(Check("drift beyond chance", drift, options.tolerance_px, "px", result.holds),),
         files=files,
-        warnings=(result.verdict,),
         details=result.skipped,
         photos=len(refs),
     )

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from omnilines import report
 from omnilines.records import Polyline, Summary
 from omnilines.report import Section
+from omnilines.report.numbers import with_sigma
 from omnilines.studies.validation import Validation
 
 RINGS = 40
@@ -57,7 +58,7 @@ def parameter_rows(validation: Validation) -> tuple[tuple[str, str], ...]:
     z = dict(zip(validation.parameters.names, validation.parameters.z.tolist(), strict=True))
     pairs = zip(validation.model.named_parameters().items(), true.named_parameters().values(), strict=True)
     return tuple(
-        (name, f"{value:.8g} ± {sigma.get(name, 0.0):.2g}, true {actual:.8g}" + (f", {z[name]:+.2f} sigma" if name in z else ""))
+        (name, f"{with_sigma(value, sigma.get(name, 0.0))}, true {actual:.7g}" + (f", {z[name]:+.2f} sigma" if name in z else ""))
         for (name, value), actual in pairs
     )
 
