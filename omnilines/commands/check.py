@@ -5,7 +5,7 @@ from pathlib import Path
 
 from camera_models import load
 from omnilines.commands.extract import read_mask
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -50,4 +50,5 @@ def check(
         files=files,
         details=result.skipped,
         photos=len(refs),
+        then=with_calibration(calibration),
     )

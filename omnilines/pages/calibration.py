@@ -43,7 +43,7 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     notes = result.notes if selection is None else (selection.reason, *result.notes)
     parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
     verdict = calibration_verdict(median, largest, (result.min_angle_deg, result.max_angle_deg))
-    advice = board_advice(result, calibrated.next_views)
+    advice = board_advice(result, calibrated.next_views, calibrated.found.corners, compared=selection is not None)
     summaries = [
         Summary("Calibration", rows, notes, verdict=verdict, advice=advice),
         Summary("Parameters ± one standard deviation", parameters),
