@@ -89,7 +89,8 @@ def _standing_out(views: Sequence[ViewResult]) -> tuple[Advice, ...]:
     _, median, worst = _far_off(views)
     if not worst:
         return ()
-    said = f"{named(worst)} {'fits' if len(worst) == 1 else 'fit'} worse than half of the photos, which have less than {median:.2g} px."
+    fits = "fits" if len(worst) == 1 else "fit"
+    said = f"{named(worst)} {fits} worse than the others, of which half have less than {median:.2g} px."
     return (Advice(said, "Look at it in the report, and leave it out where it is blurred or the board moved."),)
 
 
