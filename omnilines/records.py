@@ -206,6 +206,14 @@ class Polyline:
 
 
 @dataclass(frozen=True)
+class Advice:
+    """Something that limits a result, as it was measured, and what to do about it; a sentence each."""
+
+    limit: str
+    do: str
+
+
+@dataclass(frozen=True)
 class Summary:
     """Named figures for a report or a table on standard output: (name, text) rows under a title."""
 
@@ -215,7 +223,9 @@ class Summary:
     of_photos: bool = False
     """Whether there is a row for each photo, which a terminal shows the first of."""
     verdict: str = ""
-    """What it comes to, in one or two sentences: how good the result is, and what limits it."""
+    """What it comes to, in one sentence: how good the result is."""
+    advice: tuple[Advice, ...] = ()
+    """What limits it, the gravest first."""
 
 
 @dataclass(frozen=True)

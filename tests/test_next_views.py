@@ -179,11 +179,14 @@ def test_part_of_the_result_its_table_and_its_data(tmp_path):
     rows = dict(summary.rows)
     assert rows["next photo"].startswith("Hold the board") and rows["all in all"] == advice.conclusion
     verdict = calibration_summaries(result)[0].verdict
-    assert verdict.startswith("The camera is known to ") and verdict.endswith(advice.limits[0])
+    assert verdict.startswith("The camera is known to ") and verdict.endswith("degrees off axis.")
+    told = calibration_summaries(result)[0].advice
+    assert told[0].limit == " ".join(advice.limits) and told[0].do.lower().startswith(advice.sentences[0].lower())
     data = calibration_data(result)["next_views"]
     assert [pose["worst_px"] for pose in data["poses"]] == [pose.worst_px for pose in advice.poses]
     values = [data["worst_px"], *(pose["worst_px"] for pose in data["poses"])]
     assert all(later < before for before, later in itertools.pairwise(values))
     page = result.report(tmp_path / "report.html").read_text()
-    assert f'<p class="verdict">{verdict}</p>' in page
+    assert f'<p class="verdict">{verdict}</p>' in page and f"<td>{told[0].limit}</td><td>{told[0].do}</td>" in page
+    assert page.index('class="verdict"') < page.index("Boards to shoot next over the image") < page.index('class="facts"')
     assert advice.poses[0].words in page and "Boards to shoot next over the image" in page

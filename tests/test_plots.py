@@ -10,6 +10,8 @@ import pytest
 from test_cli import CORNERS, corner_rows, refused, run, write_csv
 from test_report import every_section
 
+import omnilines as ol
+from camera_models import InputError
 from omnilines import report
 from omnilines.records import Polyline
 from omnilines.report.paper import paper_figures
@@ -41,6 +43,20 @@ def test_every_figure_of_a_report_is_written(tmp_path: Path, capsys: pytest.Capt
         assert shown.shape[1] == 1920 and (shown[[0, -1]] > 250).all(), "white to the border"
         assert (shown < 128).any(2).mean() > 1e-3
         assert "<svg" in svg.read_text()
+
+
+@pytest.mark.full
+def test_the_library_writes_the_figures_of_its_page(tmp_path: Path) -> None:
+    table = write_csv(tmp_path / "corners.csv", CORNERS, corner_rows())
+    result = ol.calibrate(ol.read_corners(table), (640, 480), model="opencv-fisheye")
+    page = result.report(tmp_path / "page" / "report.html", plots=tmp_path / "figures")
+    labels = re.findall(r'<div class="plot" role="group" aria-label="([^"]*)"', page.read_text())
+    kinds = sorted(path.suffix for path in (tmp_path / "figures").glob("[!.]*"))
+    assert len(labels) >= 9 and kinds == [".png"] * len(labels) + [".svg"] * len(labels)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is no folder"):
+        result.report(tmp_path / "other.html", plots=tmp_path / "file")
+    assert not (tmp_path / "other.html").exists()
 
 
 def test_curves_lie_where_the_page_has_them(tmp_path: Path) -> None:

@@ -200,8 +200,8 @@ def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, c
     shutil.copy(room / "calibration.yaml", tmp_path)
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     assert call(room / "photos", tmp_path, tmp_path / "scene", "--tolerance-px", "0.1") == 0
-    said = capsys.readouterr().err
-    assert "Lines explain few of the arcs of view00.png (" in said and "view01.png" not in said
+    said = capsys.readouterr().out
+    assert "- Lines explain few of the arcs of view00.png (" in said and "view01.png" not in said
     assert "Lines explain few of the arcs of view00.png (" in (tmp_path / "scene" / "report.html").read_text()
 
 
@@ -216,11 +216,12 @@ def test_a_pose_that_is_a_little_off_is_said_to_be_at_fault(room, rebuilt, tmp_p
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     assert call(room / "photos", tmp_path, tmp_path / "scene", "--tolerance-px", "0.1", "--json") == 0
     said = capsys.readouterr()
-    named = re.search(
-        r"The lines of the other photos put view05.png \((\S+) degrees and (\S+) m from its pose\) elsewhere", said.err
+    wrong = json.loads(said.out)["advice"][0]
+    named = re.fullmatch(
+        r"The lines of the other photos put view05.png \((\S+) degrees and (\S+) m from its pose\) elsewhere.", wrong["limit"]
     )
     assert named and 2.7 < float(named[1]) < 3.3 and float(named[2]) < 0.05
-    assert "--refine lines,poses" in said.err and said.err.count("view0") == 1
+    assert "--refine lines,poses" in wrong["do"] and "view0" not in said.err
     counts = {photo["image"]: photo for photo in json.loads(said.out)["arcs"]}
     assert counts["view05.png"]["share"] < 0.5 * min(one["share"] for name, one in counts.items() if name != "view05.png")
     for one in counts.values():
@@ -236,9 +237,9 @@ def test_a_photo_of_another_room_is_told_from_one_with_a_wrong_pose(room, rebuil
     render_scene(tmp_path / "other", scene="plain-room", views=1, size=SIZE, seed=SEED + 1)
     shutil.copy(tmp_path / "other" / "view00.png", tmp_path / "photos" / "view03.png")
     assert call(tmp_path / "photos", room, tmp_path / "scene", "--tolerance-px", "0.1") == 0
-    said = capsys.readouterr().err
-    assert "Lines explain few of the arcs of view03.png (" in said and "elsewhere" not in said
-    near = re.search(r"take photos between view03.png and (view\d\d.png)", said)
+    said = capsys.readouterr().out
+    assert "- Lines explain few of the arcs of view03.png (" in said and "elsewhere" not in said
+    near = re.search(r"Take photos between view03.png and (view\d\d.png)", said)
     poses = read_poses(room / "poses.csv")
     away = (poses.cam_from_world.centre - poses.cam_from_world.centre[3]).norm(dim=-1)
     assert near and near[1] == poses.images[int(away.argsort()[1])]

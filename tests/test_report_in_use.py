@@ -8,7 +8,7 @@ import pytest
 from test_report import chromium, opened, some_lines, some_segments
 
 from omnilines import report
-from omnilines.records import Polyline, Summary, ViewResult
+from omnilines.records import Advice, Polyline, Summary, ViewResult
 
 __all__ = ["chromium"]
 
@@ -28,7 +28,10 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     across = np.array([[10.0, 100.0], [390.0, 120.0]])
     curves = [Polyline("wide.jpg", across, "track 2", "model"), Polyline("small.png", across, "track 0", "model")]
     sections = [
-        report.summary_section(Summary("Result", (("rms_px_per_axis", "0.30 px"),), NOTES, verdict="It is good.")),
+        report.verdict_section(
+            Summary("Result", (), verdict="It is good.", advice=(Advice("Few photos.", "Give `min_views` 3."),))
+        ),
+        report.summary_section(Summary("Result", (("rms_px_per_axis", "0.30 px"),), NOTES)),
         report.scene_section(lines=some_lines(), groups=["family 1"] * 3 + ["no family"] * 2, segments=some_segments()),
         report.photos_section(folder, curves),
         report.views_section(VIEWS),
@@ -43,6 +46,8 @@ def test_a_reader_sorts_picks_unfolds_and_prints(chromium: str, page_file: pathl
         page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=30_000)
 
         assert page.locator("p.verdict").inner_text() == "It is good."
+        assert page.locator(".advice tbody td").all_inner_texts() == ["Few photos.", "Give min_views 3."]
+        assert page.locator(".advice code").inner_text() == "min_views"
         assert page.locator("text=Note 2:").is_visible() and not page.locator("text=Note 3:").is_visible()
         page.locator("summary", has_text="2 more notes").click()
         assert page.locator("text=Note 4:").is_visible()

@@ -88,9 +88,18 @@ def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
 def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: Scene) -> None:
     sigma_m = scene.median_sigma_m()
     assert scene_summary(scene).verdict.startswith(
-        f"{int(scene.lines.known.sum())} lines from {VIEWS} photos, known to {sigma_m:.2g} m"
+        f"{int(scene.lines.known.sum())} lines from {VIEWS} photos, half of them known to {1e3 * sigma_m:.2g} mm across"
     )
+    assert scene_summary(scene).advice
+    open_scale = replace(scene, adjusted=replace(scene.adjusted, lines=replace(scene.lines, unit=LengthUnit.OPEN)))
+    assert " percent of their distance across" in scene_summary(open_scale).verdict
+    centres = scene.poses.cam_from_world.centre
+    apart = [(float((a - b).norm()), i, j) for i, a in enumerate(centres) for j, b in enumerate(centres[:i])]
+    _, first, last = max(apart)
+    (scale,) = [one for one in scene_summary(open_scale).advice if "how large" in one.limit]
+    assert all(scene.poses.images[k] in scale.do for k in (first, last)) and "`scale_from`" in scale.do
     doubtful = replace(scene, checks=(Check("agreement", 2.0, 1.0, "px", False),))
+    assert scene_summary(doubtful).advice[0].limit == "Agreement: 2 px, where 1 is the limit."
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
 
 

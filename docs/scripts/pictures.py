@@ -81,8 +81,19 @@ def draw_first_page(folder: Path) -> None:
     figure.savefig(PICTURES / "room.jpg", facecolor="white", pil_kwargs={"quality": 88})
 
 
+def beside(first: Path, second: Path, name: str, *, below: bool = False) -> None:
+    """Two images as one picture, side by side or one below the other, as large as the smaller of them there."""
+    images = [cv2.imread(str(path)) for path in (first, second)]
+    side = min(image.shape[1 if below else 0] for image in images)
+    scales = [side / image.shape[1 if below else 0] for image in images]
+    sized = [cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA) for image, k in zip(images, scales, strict=True)]
+    cv2.imwrite(str(PICTURES / f"{name}.jpg"), (cv2.vconcat if below else cv2.hconcat)(sized), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
 if __name__ == "__main__":
     walks = Path(sys.argv[1])
+    beside(walks / "field/photos/view03.png", walks / "field/level/view03.png", "walk_field")
+    beside(walks / "camera360/board/view01.png", walks / "camera360/panorama/view01.png", "walk_camera360", below=True)
     photo = cv2.imread(str(walks / "fisheye/photos/view01.png"))
     cv2.imwrite(str(PICTURES / "walk_fisheye_photo.jpg"), photo, [cv2.IMWRITE_JPEG_QUALITY, 85])
     draw_first_page(walks / "room")

@@ -23,7 +23,7 @@ from typing import Any
 from omnilines.cli import main
 
 PAGES = Path(__file__).resolve().parents[1] / "walks"
-NAMES = ("fisheye", "rig", "room")
+NAMES = ("fisheye", "rig", "room", "field", "camera360")
 NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.M | re.S)
 

@@ -57,6 +57,8 @@ class NextViews:
     corner_sigma_px: float
     limits: tuple[str, ...]
     """What limits the calibration, the gravest first, one sentence each."""
+    noisy: bool
+    """Whether the last of them is the noise of the corners, which poses of the board do not lower."""
     poses: tuple[NextPose, ...]
     """Each for when those before it have been shot; none where no pose helps."""
     conclusion: str
@@ -112,6 +114,7 @@ def next_views(
         worst_where=place_words(field, worst),
         corner_sigma_px=fit.corner_sigma_px,
         limits=limits_of(field, pixels, poses, seen, fit.corner_sigma_px, thresholds),
+        noisy=fit.corner_sigma_px > thresholds.noisy_px,
         poses=proposed,
         conclusion=_conclusion(float(sigma.max()), fit.corner_sigma_px, len(used), bool(proposed), thresholds),
         board_m=board,

@@ -256,7 +256,18 @@ def _data(result: "CommandResult") -> dict[str, Any]:
     checks = known_numbers([vars(check) for check in result.checks])
     files = [str(path) for path in result.files]
     report = str(result.report) if result.report else None
-    return {"notes": result.notes, **result.data, "checks": checks, "holds": result.holds, "files": files, "report": report}
+    verdict = " ".join(summary.verdict for summary in result.summaries if summary.verdict) or None
+    advice = [{"limit": one.limit, "do": one.do} for summary in result.summaries for one in summary.advice]
+    return {
+        "verdict": verdict,
+        "advice": advice,
+        "notes": result.notes,
+        **result.data,
+        "checks": checks,
+        "holds": result.holds,
+        "files": files,
+        "report": report,
+    }
 
 
 @contextmanager
@@ -294,8 +305,11 @@ def _print_tables(result: "CommandResult") -> None:
         for check in result.checks:
             verdict = "holds" if check.holds else "DOES NOT HOLD"
             typer.echo(f"  {check.name:<{width}}  {figure(check.value, '.4g', check.unit)} (limit {check.limit:.4g})  {verdict}")
-    for verdict in filter(None, (summary.verdict for summary in result.summaries)):
-        typer.echo(printable(verdict))
+    for summary in result.summaries:
+        if summary.verdict:
+            typer.echo(printable(summary.verdict))
+        for one in summary.advice:
+            typer.echo(printable(with_flags(f"- {one.limit} {one.do}")))
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))
     if result.then and result.holds:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from camera_models import load
 from omnilines.commands.extract import read_mask
-from omnilines.commands.result import CommandResult
+from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
@@ -48,7 +48,7 @@ def check(
         check_data(result),
         checks=(Check("drift beyond chance", drift, options.tolerance_px, "px", result.holds),),
         files=files,
-        warnings=(result.verdict,),
         details=result.skipped,
         photos=len(refs),
+        then=with_calibration(calibration),
     )

@@ -12,9 +12,10 @@ from camera_models.formats.forms import listed
 from omnilines.commands.result import CommandResult
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
+from omnilines.pages.corners import corners_summary
 from omnilines.pipelines import detect as pipeline
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Detail, Summary
+from omnilines.records import Detail
 
 
 def detect(
@@ -44,7 +45,6 @@ def detect(
         files = found.save(out)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))
-    rows = tuple((image, f"{count} corners" + (f"; {remark}" if remark else "")) for image, count, remark in seen)
     skipped = tuple(Detail(view.image, f"{view.image} is skipped: {view.reason}") for view in found.skipped)
     data = {
         "pattern": found.inputs["pattern"],
@@ -52,9 +52,8 @@ def detect(
         "photos": [{"image": image, "corners": count, "reason": None, "remark": remark} for image, count, remark in seen]
         + [{"image": view.image, "corners": 0, "reason": view.reason, "remark": None} for view in found.skipped],
     }
-    title = f"Corners of {found.inputs['pattern']}"
-    summary = Summary(title, rows, (f"{len(found.corners)} corners in {files[0]}",), of_photos=True)
-    given = len(rows) + len(skipped)
+    summary = corners_summary(found, str(files[0]))
+    given = len(seen) + len(skipped)
     size = "x".join(map(str, found.image_size))
     then = ("calibrate", str(files[0]), "--image-size", size, "--out", "result")
     return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given, then=then)

@@ -20,6 +20,8 @@ from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
 
 PICTURES, REPORT = "pictures", "report.html"
+UPRIGHT = ("--view", "panorama", "--upright", "--out", "level")
+"""What most often comes next: the photos turned upright."""
 
 
 def directions(
@@ -61,4 +63,5 @@ def directions(
         details=found.details,
         photos=len(refs),
         report=page,
+        then=("rectify", *map(str, photos), "--calibration", str(calibration), *UPRIGHT),
     )

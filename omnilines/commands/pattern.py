@@ -39,7 +39,8 @@ def pattern(specification: str, out: Path) -> CommandResult:
         "ruler_mm": page.ruler_mm,
         "corners": len(target.points_m),
     }
-    return CommandResult((Summary(target.specification, rows),), data, files=paths)
+    then = ("calibrate", "PHOTOS", "--pattern", target.specification, "--out", "result")
+    return CommandResult((Summary(target.specification, rows),), data, files=paths, then=then)
 
 
 def pattern_on_screen(specification: str, out: Path) -> CommandResult:

@@ -69,4 +69,6 @@ def render_scene(
         "edge_length_px": seen_px,
         "seed": seed,
     }
-    return CommandResult((Summary("Rendered scene", rows),), data, files=files)
+    given = ("--calibration", str(files[files.index(Path(out) / "calibration.yaml")]), "--poses", str(Path(out) / "poses.csv"))
+    then = ("reconstruct", str(out), *given, "--out", "lines")
+    return CommandResult((Summary("Rendered scene", rows),), data, files=files, then=then)

@@ -44,4 +44,7 @@ def render_targets(
         "max_angle_deg": math.degrees(rendered.max_angle_rad),
         "seed": options.seed,
     }
-    return CommandResult((Summary("Rendered photos", rows),), data, files=files)
+    seen = ("--pattern", rendered.pattern.specification, "--model", camera.NAME)
+    return CommandResult(
+        (Summary("Rendered photos", rows),), data, files=files, then=("calibrate", str(out), *seen, "--out", "result")
+    )

@@ -13,10 +13,12 @@ from camera_models import CameraModel
 from camera_models.formats.disk import write_atomically
 from omnilines.files import Photo, photos_at_once
 from omnilines.geometry.sphere import angle_between, arc_normal
+from omnilines.pages.limits_of_lines import arcs_advice
 from omnilines.photo_file import jpeg_of
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Summary
+from omnilines.report.numbers import figure
 
 COLOURS = ((80, 255, 80), (255, 190, 60), (80, 200, 255), (255, 110, 220), (90, 120, 255), (230, 230, 90))
 """BGR, one after another."""
@@ -32,7 +34,27 @@ _SUBPIXEL_BITS = 4
 def arcs_summary(arcs: PhotoArcs, table: Path) -> Summary:
     """A row for each photo that was used; `table` is where the arcs are."""
     rows = tuple((one.photo.name, _row(one, arcs.cameras[one.camera])) for one in arcs.used)
-    return Summary("Arcs", rows, (f"{len(arcs)} arcs in {table}",), of_photos=True)
+    notes = (f"{len(arcs)} arcs in {table}",)
+    return Summary("Arcs", rows, notes, of_photos=True, verdict=_verdict(arcs), advice=arcs_advice(arcs))
+
+
+def _verdict(arcs: PhotoArcs) -> str:
+    """How many there are, and how well their ends are known across them."""
+    used = [one for one in arcs.used if len(one)]
+    if not used:
+        return f"None of {len(arcs.photos)} photos shows a straight line."
+    half = float(np.median([len(one) for one in used]))
+    across = []
+    for one in used:
+        along = one.endpoints_px[:, 1] - one.endpoints_px[:, 0]
+        normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True).clip(1e-300)
+        across.append(np.sqrt(np.einsum("ni,neij,nj->ne", normal, one.covariance_px2, normal).clip(0)).ravel())
+    known = float(np.median(np.concatenate(across)))
+    return (
+        f"{len(arcs)} arcs of straight lines in {len(used)} of {len(arcs.photos)} photos, {half:.0f} in the "
+        f"median photo; half of "
+        f"their ends are known to {figure(known, '.2g', 'px')} across or better."
+    )
 
 
 def arcs_data(arcs: PhotoArcs) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
-from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.select import Selection
 from omnilines.calibration.single import CameraCalibration
 from omnilines.pages.board_curves import grid_curves_px
+from omnilines.pages.limits import board_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
 from omnilines.pages.uncertainty_map import CertainCamera, UncertaintyMap
 from omnilines.pipelines.calibrate import CalibrationResult
@@ -42,10 +42,14 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     )
     notes = result.notes if selection is None else (selection.reason, *result.notes)
     parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
-    verdict = calibration_verdict(median, largest, (result.min_angle_deg, result.max_angle_deg), calibrated.next_views)
-    summaries = [Summary("Calibration", rows, notes, verdict=verdict), Summary("Parameters ± one standard deviation", parameters)]
+    verdict = calibration_verdict(median, largest, (result.min_angle_deg, result.max_angle_deg))
+    advice = board_advice(result, calibrated.next_views, calibrated.found.corners, compared=selection is not None)
+    summaries = [
+        Summary("Calibration", rows, notes, verdict=verdict, advice=advice),
+        Summary("Parameters ± one standard deviation", parameters),
+    ]
     if result.board_terms:
-        terms = tuple((name, with_sigma(value, result.board_sigma[name], ".3g")) for name, value in result.board_terms.items())
+        terms = tuple((name, with_sigma(value, result.board_sigma[name])) for name, value in result.board_terms.items())
         summaries.append(Summary("Board ± one standard deviation", terms))
     if result.line_delay is not None and result.line_delay.modelled:
         row = ("line delay", f"{result.line_delay.text}, {result.line_delay.order}")
@@ -57,16 +61,14 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     return tuple(summaries)
 
 
-def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[float, float], views: NextViews | None) -> str:
-    """How well the camera is known where there are data, and what limits that."""
+def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[float, float]) -> str:
+    """How well the camera is known where there are data."""
     if not math.isfinite(worst_px):
-        known = "How well the camera is known cannot be said from these photos."
-    else:
-        known = (
-            f"The camera is known to {figure(median_px, unit='px')} in the median and {figure(worst_px, unit='px')} at worst, "
-            f"from {reach_deg[0]:.0f} to {reach_deg[1]:.0f} degrees off axis."
-        )
-    return known if views is None or not views.limits else f"{known} {views.limits[0]}"
+        return "How well the camera is known cannot be said from these photos."
+    return (
+        f"The camera is known to {figure(median_px, '.2g', 'px')} in the median and {figure(worst_px, '.2g', 'px')} at worst, "
+        f"from {reach_deg[0]:.0f} to {reach_deg[1]:.0f} degrees off axis."
+    )
 
 
 def _parameter_text(result: CameraCalibration, name: str, value: float) -> str:
@@ -174,12 +176,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
     sigmas = np.array(list(result.sigma.values()))
     uncertainty = UncertaintyMap.of(result)
     sections = [
-        report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
-        report.parameters_section(
-            model.NAME, model.PARAMETER_NAMES, values, sigmas, intervals=result.interval_95 if result.curved else None
-        ),
-        report.residual_section(pixels, residual, model.image_size, corners.view[kept], list(corners.images), theta_deg=theta),
-        report.coverage_section(pixels, model.image_size, circle, supported_angle_deg=result.max_angle_deg),
+        report.verdict_section(summaries[0]),
         report.uncertainty_section(
             uncertainty.sigma_px,
             uncertainty.u_px,
@@ -189,6 +186,12 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
             corners_px=pixels,
             supported_angle_deg=result.max_angle_deg,
         ),
+        report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
+        report.parameters_section(
+            model.NAME, model.PARAMETER_NAMES, values, sigmas, intervals=result.interval_95 if result.curved else None
+        ),
+        report.residual_section(pixels, residual, model.image_size, corners.view[kept], list(corners.images), theta_deg=theta),
+        report.coverage_section(pixels, model.image_size, circle, supported_angle_deg=result.max_angle_deg),
         report.radial_section(curve_theta, curve_rho, supported_angle_deg=result.max_angle_deg),
         report.views_section(result.views),
     ]

@@ -9,6 +9,7 @@ import torch
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.pages.calibration import calibration_verdict, projection_curve, supported_circle_px, trial_rows
+from omnilines.pages.limits import line_advice
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_lines import LineResult
 from omnilines.records import Summary
@@ -32,14 +33,14 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         ("field of view supported by the data", f"{fit.min_angle_deg:.1f} to {fit.max_angle_deg:.1f} degrees off axis"),
         ("projection uncertainty in it", f"{figure(median, unit='px')} (median), {figure(largest, unit='px')} (worst)"),
     )
-    verdict = calibration_verdict(median, largest, (fit.min_angle_deg, fit.max_angle_deg), None)
+    verdict = calibration_verdict(median, largest, (fit.min_angle_deg, fit.max_angle_deg))
     parameters = tuple((name, with_sigma(value, fit.sigma[name])) for name, value in model.named_parameters().items())
     photos = tuple(
         (p.image, f"{p.straight} edges, {p.members} along {p.directions} directions, {figure(p.rms_px, '.3f', unit='px')}")
         for p in used
     )
     summaries = [
-        Summary("Calibration from straight lines", rows, result.notes, verdict=verdict),
+        Summary("Calibration from straight lines", rows, result.notes, verdict=verdict, advice=line_advice(fit)),
         Summary("Parameters ± one standard deviation", parameters),
         Summary("Photos", photos, of_photos=True),
     ]
@@ -120,12 +121,7 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
     curve_theta, curve_rho = projection_curve(fit)
     images = [photo.image for photo in fit.photos]
     sections: list[Section] = [
-        report.summary_section(summaries[0], *summaries[2:]),
-        report.parameters_section(
-            fit.model.NAME, fit.model.PARAMETER_NAMES, fit.model.parameters.numpy(), np.array(list(fit.sigma.values()))
-        ),
-        report.residual_section(fit.pixels, -fit.residual_px, fit.model.image_size, fit.photo, images, theta_deg=theta),
-        report.coverage_section(fit.pixels, fit.model.image_size, circle, supported_angle_deg=fit.max_angle_deg),
+        report.verdict_section(summaries[0]),
         report.uncertainty_section(
             uncertainty.sigma_px,
             uncertainty.u_px,
@@ -135,6 +131,12 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
             corners_px=fit.pixels,
             supported_angle_deg=fit.max_angle_deg,
         ),
+        report.summary_section(summaries[0], *summaries[2:]),
+        report.parameters_section(
+            fit.model.NAME, fit.model.PARAMETER_NAMES, fit.model.parameters.numpy(), np.array(list(fit.sigma.values()))
+        ),
+        report.residual_section(fit.pixels, -fit.residual_px, fit.model.image_size, fit.photo, images, theta_deg=theta),
+        report.coverage_section(fit.pixels, fit.model.image_size, circle, supported_angle_deg=fit.max_angle_deg),
         report.radial_section(curve_theta, curve_rho, supported_angle_deg=fit.max_angle_deg),
     ]
     return report.write_report(path, f"Calibration of one {fit.model.NAME} camera from straight lines", sections)

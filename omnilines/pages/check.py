@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from omnilines.pages.limits_of_lines import check_advice
 from omnilines.pipelines.check import CheckResult
 from omnilines.records import Summary
 from omnilines.report.numbers import figure, with_sigma
@@ -30,7 +31,7 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         for one in found.regions
     )
     return (
-        Summary("Check of a calibration", rows, (result.verdict,)),
+        Summary("Check of a calibration", rows, verdict=result.verdict, advice=check_advice(result)),
         Summary("Change of parameters that lines ask for", changes),
         Summary("Drift by region", regions),
     )

@@ -10,18 +10,21 @@ import torch
 from jaxtyping import UInt8
 
 from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
+from omnilines.pages.limits_of_lines import directions_advice
 from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.directions import FoundDirections, PhotoDirections, Wanted
 from omnilines.progress import ProgressCallback
 from omnilines.records import Summary
-from omnilines.report import Section, pictures_section, table_section
+from omnilines.report import Section, pictures_section, table_section, verdict_section
 
 
 def directions_summary(found: PhotoDirections) -> Summary:
     """A row for each photo that was used."""
     rows = tuple((one.arcs.photo.name, _row(one)) for one in found.photos)
     some = sum(len(one) > 0 for one in found.photos)
-    return Summary("Directions", rows, (f"a {found.wanted.value} in {some} of {len(rows)} photos",), of_photos=True)
+    notes = (f"a {found.wanted.value} in {some} of {len(rows)} photos",)
+    advice = directions_advice(found)
+    return Summary("Directions", rows, notes, of_photos=True, verdict=directions_verdict(found), advice=advice)
 
 
 def directions_verdict(found: PhotoDirections) -> str:
@@ -53,8 +56,9 @@ def directions_sections(found: PhotoDirections) -> list[Section]:
     )
     said = "Arcs in the colours of their directions, grey for none; a ring where a direction, or the one opposite, is seen."
     return [
-        table_section("Directions", head, rows, (directions_verdict(found), text), [one.text for one in found.details]),
+        verdict_section(directions_summary(found)),
         pictures_section(list(of_photo), lambda name: draw_directions(found, of_photo[name]), said, "Photos"),
+        table_section("Directions", head, rows, (text,), [one.text for one in found.details]),
     ]
 
 

@@ -18,7 +18,8 @@ from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.calibration.single import CameraCalibration
-from omnilines.pages.calibration import board_curves, line_delay_data, projection_curve, supported_circle_px
+from omnilines.pages.calibration import board_curves, calibration_verdict, line_delay_data, projection_curve, supported_circle_px
+from omnilines.pages.limits import rig_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.calibrate_rig import RigResult
@@ -47,8 +48,9 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
+    advice = rig_advice(result, dict(calibrated.next_views))
     title = "Calibration of the rig" if len(result.members) > 1 else "Calibration"
-    summaries = [Summary(title, rows, result.notes, verdict=_verdict(result))]
+    summaries = [Summary(title, rows, result.notes, verdict=_verdict(result), advice=advice)]
     cameras = tuple((member.name, _camera_text(member)) for member in result.members)
     summaries.append(Summary("Cameras: RMS px per point in the rig, alone; field of view", cameras))
     places = tuple((member.name, _place_text(member)) for member in result.members[1:])
@@ -65,7 +67,7 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         boards = tuple((name, _board_text(result, k)) for k, name in enumerate(result.boards))
         summaries.append(Summary(f"Boards in the frame of {result.boards[0]} ± one standard deviation", boards))
     if result.board_terms:
-        terms = tuple((name, f"{value:.3g} ± {result.board_sigma[name]:.2g}") for name, value in result.board_terms.items())
+        terms = tuple((name, with_sigma(value, result.board_sigma[name])) for name, value in result.board_terms.items())
         summaries.append(Summary("How the board differs from its drawing ± one standard deviation", terms))
     for member in result.members:
         summaries.append(Summary(f"{PARAMETERS_OF}{member.name} ± one standard deviation", _parameters(member)))
@@ -89,29 +91,30 @@ def _place_text(member: RigMember) -> str:
     sigma = np.sqrt(np.diag(centre_covariance(member.cam_from_rig, member.pose_covariance))).tolist()
     angle = math.degrees(float(member.cam_from_rig.log()[:3].norm()))
     turn = math.degrees(float(np.sqrt(np.linalg.eigvalsh(member.pose_covariance[:3, :3])[-1].clip(0))))
-    xyz = ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(centre, sigma, strict=True))
-    return f"centre {xyz} m; turned by {angle:.3f} ± {figure(turn, '.2g')} degrees"
+    xyz = _millimetres(centre, sigma)
+    return f"centre {xyz}; turned by {with_sigma(angle, turn, 'degrees')}"
 
 
 def _verdict(result: RigCalibration) -> str:
-    """How well it is known where the cameras stand, and what holds the weakest of them."""
+    """How well it is known where the cameras stand; of one alone, how well it is known."""
     others = result.members[1:]
     if not others:
-        alone = f"Only {result.members[0].name} could be calibrated: {', '.join(result.left_out)} share no view with it."
-        return alone if result.left_out else ""
+        one = result.members[0]
+        median, largest = UncertaintyMap.of(one).figures
+        known = calibration_verdict(median, largest, (one.min_angle_deg, one.max_angle_deg))
+        return f"Only {one.name} could be calibrated. {known}" if result.left_out else known
     spread = [max(0.0, np.linalg.eigvalsh(centre_covariance(one.cam_from_rig, one.pose_covariance))[-1]) for one in others]
     turn = [max(0.0, np.linalg.eigvalsh(one.pose_covariance[:3, :3])[-1]) for one in others]
     least = others[int(np.argmax(spread))]
-    link = "" if result.weakest is None else f" The weakest link is {_names(result, result.weakest)}."
     return (
         f"{len(result.members)} cameras: each is known to stand within {figure(1e3 * math.sqrt(max(spread)), '.2g')} mm and "
-        f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least).{link}"
+        f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least)."
     )
 
 
 def _clock_text(member: RigMember) -> str:
     assert member.time_offset_s is not None and member.time_offset_sigma_s is not None
-    return with_sigma(1e3 * member.time_offset_s, 1e3 * member.time_offset_sigma_s) + " ms"
+    return with_sigma(1e3 * member.time_offset_s, 1e3 * member.time_offset_sigma_s, "ms")
 
 
 def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "3 3"]:
@@ -123,14 +126,19 @@ def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float
 def _board_text(result: RigCalibration, board: int) -> str:
     place = result.target_from_board[board].translation.tolist()
     sigma = np.sqrt(np.diag(result.board_covariance[board])[3:]).tolist()
-    return ", ".join(f"{value:.5f} ± {figure(spread, '.2g')}" for value, spread in zip(place, sigma, strict=True)) + " m"
+    return _millimetres(place, sigma)
+
+
+def _millimetres(place_m: Sequence[float], sigma_m: Sequence[float]) -> str:
+    return ", ".join(with_sigma(1e3 * value, 1e3 * spread) for value, spread in zip(place_m, sigma_m, strict=True)) + " mm"
 
 
 def _link_row(result: RigCalibration, link: Link) -> tuple[str, str]:
-    apart, turn = figure(link.baseline_sigma_m, ".2g"), figure(link.rotation_sigma_deg, ".2g", "degrees")
+    turn = figure(link.rotation_sigma_deg, ".2g", "degrees")
+    apart = with_sigma(1e3 * link.baseline_m, 1e3 * link.baseline_sigma_m, "mm")
     text = (
-        f"{link.corners} common corners in {link.frames} frames; {link.rms_px_per_point:.4f} px; apart {link.baseline_m:.5f} ± "
-        f"{apart} m; rotation to {turn}, translation to {figure(1e3 * link.translation_sigma_m, '.2g', 'mm')}"
+        f"{link.corners} common corners in {link.frames} frames; {link.rms_px_per_point:.4f} px; apart {apart}; rotation to "
+        f"{turn}, translation to {figure(1e3 * link.translation_sigma_m, '.2g', 'mm')}"
     )
     return _names(result, link) + (" (weakest)" if link is result.weakest else ""), text
 
@@ -231,7 +239,11 @@ def rig_sections(calibrated: RigResult) -> list[Section]:
         for link in result.links
     ]
     count = next(k for k, summary in enumerate(summaries) if summary.title.startswith(PARAMETERS_OF))
-    sections = [report.summary_section(*summaries[:count]), rig_section(cameras, drawn, _boards_in_rig(result))]
+    sections = [
+        report.verdict_section(summaries[0]),
+        rig_section(cameras, drawn, _boards_in_rig(result)),
+        report.summary_section(*summaries[:count]),
+    ]
     for member in result.members:
         sections += _camera_sections(*one_camera(result, member), member.name, calibrated.next_views.get(member.name))
     sections.append(report.views_section(result.views))

@@ -12,9 +12,10 @@ from omnilines import report
 from omnilines.adjustment.suspects import Suspect
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.least_squares import Outcome
+from omnilines.pages.limits_of_lines import length, scene_advice
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
 from omnilines.pipelines.scene import FromPhotos, Scene
-from omnilines.records import Summary
+from omnilines.records import LengthUnit, Summary
 from omnilines.report.line_scene import (
     families_section,
     line_photos_section,
@@ -33,7 +34,7 @@ def scene_summary(scene: Scene) -> Summary:
     """The figures that people read first."""
     of_photos = scene.from_photos
     rows, notes = _of_tables(scene) if of_photos is None else _of_photos(scene, of_photos)
-    return Summary("Line scene", rows, notes, verdict=_verdict(scene))
+    return Summary("Line scene", rows, notes, verdict=_verdict(scene), advice=scene_advice(scene))
 
 
 def _verdict(scene: Scene) -> str:
@@ -44,9 +45,18 @@ def _verdict(scene: Scene) -> str:
     lines = scene.lines
     weak = sum(status == "weak" for status in lines.status)
     sigma = scene.median_sigma_m()
-    known = "" if math.isnan(sigma) else f", known to {figure(sigma, '.2g', lines.unit.sign)} across in the median"
+    known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
     faint = f"; {weak} of them are weak" if weak else ""
     return f"{int(lines.known.sum())} lines from {len(scene.poses)} photos{known}{faint}."
+
+
+def _known_to(scene: Scene, sigma: float) -> str:
+    """A standard deviation in millimetres; where the scale is open, as a share of the distance from which lines are seen."""
+    if scene.lines.unit is LengthUnit.METRES:
+        return length(sigma, scene.lines.unit)
+    middles = scene.lines.ends_m[scene.lines.known].mean(1)
+    away = np.linalg.norm(middles[:, None] - scene.poses.cam_from_world.centre.numpy(), axis=-1)
+    return f"{100 * sigma / float(np.median(away)):.2g} percent of their distance"
 
 
 def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
@@ -180,10 +190,11 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
         before = np.abs(scene.adjusted.residual_before_px)
         distances = {"triangulated": before[np.isfinite(before)], "adjusted": adjusted}
         return [
+            report.verdict_section(summary),
+            report.scene_section(lines=scene.lines, segments=scene.segments, cameras=scene.poses),
             report.summary_section(summary),
             *([report.checks_section(scene.checks)] if scene.checks else []),
             report.histogram_section(title, distances, label),
-            report.scene_section(lines=scene.lines, segments=scene.segments, cameras=scene.poses),
         ]
     groups = [f"family {k + 1}" if k >= 0 else "no family" for k in of_photos.families.family.tolist()]
     named = {stage.stage for stage in scene.stages}
@@ -191,8 +202,9 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
     photos = () if of_photos.folder is None else (of_photos.folder,)
     unused = Summary("Photos that were not used", tuple((one.photo, one.text) for one in scene.details))
     return [
-        report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
+        report.verdict_section(summary),
         report.scene_section(lines=scene.lines, groups=groups, segments=scene.segments, cameras=scene.poses, up=of_photos.up),
+        report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
         stage_section(scene.stages),
         photo_arcs_section(scene.photos),
         *(line_photos_section(folder, scene.lines, scene.segments, scene.poses, scene.cameras) for folder in photos),

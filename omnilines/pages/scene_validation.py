@@ -11,6 +11,7 @@ from omnilines import report
 from omnilines.evaluation.arcs import MIN_PX
 from omnilines.evaluation.scene import MIN_CONTRAST, MIN_VIEWS, scene_scores
 from omnilines.geometry.line import end_radius_sigmas
+from omnilines.pages.validation import checks_advice, checks_words
 from omnilines.records import Summary
 from omnilines.report import Section
 from omnilines.report.line_scene import line_photos_section, stage_section
@@ -61,10 +62,19 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
         f"or more. A line is within a distance when nine tenths of its length are. The last distance is {TOLERANCE_PX:g} pixels."
     )
     return (
-        Summary("Rendered scene", setting),
+        Summary("Rendered scene", setting, verdict=_verdict(validation), advice=checks_advice(validation.checks)),
         Summary("Arcs", extracted),
         Summary("Lines", lines, (note,)),
         Summary("What the lines state of their accuracy", stated),
+    )
+
+
+def _verdict(validation: SceneValidation) -> str:
+    """How much of the lines is right and how much of the edges is found, in one sentence."""
+    scores = validation.scores
+    return (
+        f"{checks_words(validation.checks)}: of {scores.lines} lines {_percent(scores.precision[-1])} lie within "
+        f"{1e3 * scores.thresholds_m[-1]:.2g} mm of a true edge, and {_percent(scores.recall[-1])} of the edges' length is found."
     )
 
 
@@ -139,9 +149,18 @@ def scene_validation_sections(validation: SceneValidation, photo_folder: str | P
         photos = [line_photos_section(photo_folder, rebuilt.lines, rebuilt.segments, rebuilt.poses, rebuilt.cameras)]
     in_sigmas = validation.across_m / rebuilt.lines.sigma_m[:, None]
     seen = np.unique(truth.stretches.edge)
+    summaries = scene_validation_summaries(validation)
     return [
+        report.verdict_section(summaries[0]),
+        report.scene_section(
+            lines=rebuilt.lines,
+            groups=[_ON if own else _OFF for own in validation.own.tolist()],
+            cameras=rebuilt.poses,
+            truth_m=truth.edges.ends_m[seen],
+            caption="The true lines are the edges that any photo sees.",
+        ),
         report.checks_section(validation.checks),
-        report.summary_section(*scene_validation_summaries(validation)),
+        report.summary_section(*summaries),
         stage_section(rebuilt.stages),
         _by_distance(validation),
         report.histogram_section(
@@ -153,13 +172,6 @@ def scene_validation_sections(validation: SceneValidation, photo_folder: str | P
         ),
         report.summary_section(_photos(validation), title="Photos"),
         *photos,
-        report.scene_section(
-            lines=rebuilt.lines,
-            groups=[_ON if own else _OFF for own in validation.own.tolist()],
-            cameras=rebuilt.poses,
-            truth_m=truth.edges.ends_m[seen],
-            caption="The true lines are the edges that any photo sees.",
-        ),
     ]
 
 

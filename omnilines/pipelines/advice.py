@@ -17,7 +17,7 @@ from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
-from omnilines.records import PhotoCount
+from omnilines.records import Advice, PhotoCount
 
 MOST_LOOKED_AT = 8
 """Photos whose poses are looked into."""
@@ -41,8 +41,8 @@ def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[P
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) -> tuple[str, ...]:
-    """Few sentences on the photos and the stage at which most arcs are lost, each with what to do.
+def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
+    """The photos, and the stage, at which most arcs are lost, each with what to do.
 
     Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
     pose is at fault. With poses refined that was done before.
@@ -89,7 +89,7 @@ def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float, matching
     return BetterPose(float(turn), float((best.pose.centre - arcs.poses.centre).norm()), best.score)
 
 
-def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[str, ...]:
+def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[Advice, ...]:
     """The photos whose poses are at fault."""
     wrong = [photo for photo in weak if photo.image in better]
     if not wrong:
@@ -100,11 +100,12 @@ def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str,
         one = better[photo.image]
         return f"{photo.image} ({math.degrees(one.turn_rad):.2g} degrees and {one.distance:.2g} {sign} from its pose)"
 
-    them = "it" if len(wrong) == 1 else "them"
-    return (f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere; {TO_REFINE} mends {them}.",)
+    them = "its pose" if len(wrong) == 1 else "their poses"
+    where = f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere."
+    return (Advice(where, f"{TO_REFINE} mends {them}."),)
 
 
-def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[str, ...]:
+def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[Advice, ...]:
     """The photos that share hardly any line with others, and the photos that stand nearest to them."""
     apart = [photo for photo in weak if photo.image not in better]
     if not apart:
@@ -112,12 +113,13 @@ def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, Bette
     names = _named([f"{photo.image} ({photo.in_lines} of {photo.arcs})" for photo in apart])
     median = 100 * float(np.median([photo.share for photo in scene.photos]))
     beside = _nearest(scene, apart[0].image, {photo.image for photo in weak})
-    between = f"take photos between {apart[0].image} and {beside}" if beside else "take more photos"
+    between = f"Take photos between {apart[0].image} and {beside}" if beside else "Take more photos"
     poses = "" if refined else f", or try {TO_REFINE}"
-    return (
+    few = (
         f"Lines explain few of the arcs of {names}; half of the photos have {median:.0f} % explained or more. They show what no "
-        f"others do, or their poses are far off: {between}{poses}.",
+        "others do, or their poses are far off."
     )
+    return (Advice(few, f"{between}{poses}."),)
 
 
 def _nearest(scene: KeptLines, image: str, weak: set[str]) -> str | None:
@@ -128,7 +130,7 @@ def _nearest(scene: KeptLines, image: str, weak: set[str]) -> str | None:
     return min(others)[1] if others else None
 
 
-def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptions) -> tuple[str, ...]:
+def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptions) -> tuple[Advice, ...]:
     """Where most arcs are lost, if lines explain few of them in most photos."""
     share = float(np.median([photo.share for photo in scene.photos]))
     if share >= options.few_explained:
@@ -147,12 +149,12 @@ def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptio
     lost, why = max(losses, key=lambda loss: loss[0])
     told = f"Lines explain {100 * kept / total:.0f} % of all arcs; {100 * lost / total:.0f} % {why}."
     if scene.tolerance_px >= options.poor_tolerance_px:
-        do = "calibrate the camera again" if refined else f"{TO_REFINE} mends poses"
-        return (f"{told} Poses or calibration are off by {scene.tolerance_px:g} px: {do}.",)
+        do = "Calibrate the camera again." if refined else f"{TO_REFINE} mends poses."
+        return (Advice(f"{told} Poses or calibration are off by {scene.tolerance_px:g} px.", do),)
     a, b, shared = weakest_link(shared_lines(scene.segments, len(scene.scene.lines)))
     fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
     images = scene.segments.images
-    return (f"{told} Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}.",)
+    return (Advice(told, f"Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}."),)
 
 
 def _named(items: Sequence[str]) -> str:

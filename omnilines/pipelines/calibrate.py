@@ -19,11 +19,12 @@ from omnilines.calibration.record import calibration_record
 from omnilines.calibration.select import Selection, select_model
 from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
 from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresholds
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
 from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
+from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
 
@@ -113,11 +114,12 @@ class CalibrationResult:
         """Of what `save` writes."""
         return CALIBRATION_FILES
 
-    def report(self, path: str | Path) -> Path:
-        """Write the page that shows all of it, with the photos where they are files, and return its path."""
+    def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files, and return its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.calibration import write_calibration_page
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_calibration_page(self, path)
 
 

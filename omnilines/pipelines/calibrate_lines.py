@@ -15,7 +15,7 @@ from omnilines.calibration.lines.select import LineSelection, LineTrial, candida
 from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.boards_beside import contradiction, off_boards, prior_of_boards, require_global_shutter
 from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
@@ -23,6 +23,7 @@ from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
 from omnilines.records import Detail
@@ -97,11 +98,12 @@ class LineResult:
             save(out / CALIBRATION, self.calibration)
         return (out / CALIBRATION,)
 
-    def report(self, path: str | Path) -> Path:
-        """Write the page that shows all of it, and return its path."""
+    def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, and return its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.calibration_lines import write_line_calibration_page
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_line_calibration_page(self, path)
 
 

@@ -24,11 +24,12 @@ from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import BOARDS
 from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import write_corners
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
 from omnilines.pipelines.detect_rig import RigCorners, require_all_named
 from omnilines.pipelines.line_delay import require_times
 from omnilines.pipelines.next_views import next_views_of
+from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
@@ -187,11 +188,12 @@ class RigResult:
         """Of what `save` writes."""
         return (*RIG_FILES, *(f"calibration-{name}.yaml" for name in self.fit.left_out_alone))
 
-    def report(self, path: str | Path) -> Path:
-        """Write the page that shows all of it, with photos where they are files, and return its path."""
+    def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with photos where they are files, and return its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.rig import write_rig_page
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_rig_page(self, path)
 
 

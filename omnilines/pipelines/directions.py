@@ -15,8 +15,9 @@ from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
+from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses
@@ -130,12 +131,13 @@ class PhotoDirections:
                 write_covariance(out / COVARIANCE, self.poses)
         return tuple(out / name for name in self.file_names)
 
-    def report(self, path: str | Path) -> Path:
-        """Write the report, one self-contained HTML file; its path."""
+    def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
+        """Write the report, one self-contained HTML file; its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.directions import directions_sections
         from omnilines.report import write_report
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_report(path, "Directions", directions_sections(self))
 
 

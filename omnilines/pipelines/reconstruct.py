@@ -151,7 +151,6 @@ def _scene(
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
-        *advice(found, options, progress),
     )
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
@@ -168,6 +167,7 @@ def _scene(
         of_photos,
         options,
         _checks(found),
+        advice(found, options, progress),
     )
 
 

@@ -13,10 +13,11 @@ from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
 from omnilines.files.scene_folder import UNIT_KEY
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.pages import claimed_report
 from omnilines.provenance import provenance
-from omnilines.records import Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
+from omnilines.records import Advice, Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
 
 SCENE = "scene"
@@ -64,6 +65,8 @@ class Scene:
     options: SceneOptions = SceneOptions()
     checks: tuple[Check, ...] = ()
     """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
+    advice: tuple[Advice, ...] = ()
+    """What photos and stages of matching lose, and what to do."""
 
     @property
     def lines(self) -> Lines:
@@ -95,7 +98,9 @@ class Scene:
         """All that a person should know of the scene, one sentence each."""
         from omnilines.pages.scene import scene_summary
 
-        return (*(one.text for one in self.details), *self.told, *scene_summary(self).notes)
+        summary = scene_summary(self)
+        said = (f"{one.limit} {one.do}" for one in summary.advice)
+        return (*(one.text for one in self.details), *self.told, *said, *summary.notes)
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -127,12 +132,13 @@ class Scene:
         """Of what `save` writes."""
         return SCENE_FILES if self.from_photos is None else (*SCENE_FILES, "lines.obj")
 
-    def report(self, path: str | Path) -> Path:
-        """Write the report, one self-contained HTML file; its path."""
+    def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
+        """Write the report, one self-contained HTML file; its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.scene import scene_sections
         from omnilines.report import write_report
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_report(path, "Line scene", scene_sections(self))
 
 

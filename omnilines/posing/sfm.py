@@ -138,7 +138,10 @@ def _result(
         None if frame_names is None else tuple(frame_names[k] for k in kept),
     )
     first = grown.rig_from_world[grown.frames.of_photo[kept[0]]]
-    note = f"{len(grown.points)} points, {len(grown.seen)} observations, standard deviation {grown.scale:.2f} times that assumed."
+    note = (
+        f"Structure from motion: {len(grown.points)} points, seen {len(grown.seen)} times; they scatter {grown.scale:.2f} times "
+        "as much as was assumed."
+    )
     if grown.frames.has_scale:
         return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note))
     centre = table.cam_from_world.centre

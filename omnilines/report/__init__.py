@@ -9,7 +9,14 @@ from omnilines.report.page import PAGE_LIMIT_BYTES, Section, write_report
 from omnilines.report.photos import photos_section, pictures_section
 from omnilines.report.residuals import residual_section
 from omnilines.report.scene import scene_section
-from omnilines.report.tables import checks_section, parameters_section, summary_section, table_section, views_section
+from omnilines.report.tables import (
+    checks_section,
+    parameters_section,
+    summary_section,
+    table_section,
+    verdict_section,
+    views_section,
+)
 from omnilines.report.uncertainty import uncertainty_section
 
 __all__ = [
@@ -29,6 +36,7 @@ __all__ = [
     "summary_section",
     "table_section",
     "uncertainty_section",
+    "verdict_section",
     "views_section",
     "write_report",
 ]

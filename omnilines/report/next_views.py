@@ -27,8 +27,8 @@ def next_views_section(
     corners_px: Float[np.ndarray, "n 2"],
     title: str = "What to shoot next",
 ) -> Section:
-    """The table of `summary`, and each of the boards as its rows and columns in the image (NaN where they have none) over the
-    uncertainty `sigma_px` at the pixels (u_px, v_px), as in `uncertainty_section`."""
+    """Each of the boards as its rows and columns in the image (NaN where they have none) over the uncertainty `sigma_px` at the
+    pixels (u_px, v_px), as in `uncertainty_section`, and the table of `summary`."""
     table = fragment("summary", summaries=(summary,), title=title)
     sigma = np.where(np.isfinite(sigma_px) & (sigma_px > 0), sigma_px, np.nan)
     if not np.isfinite(sigma).any() or not boards_px:
@@ -52,4 +52,4 @@ def next_views_section(
     )
     aspect = image_size[0] / image_size[1] * 0.9
     figure = plot(traces, layout, label="Boards to shoot next over the image", caption=caption, wide=True, aspect=aspect)
-    return Section(title, table + fragment("plots", intro="", plots=[figure]))
+    return Section(title, fragment("plots", intro="", plots=[figure]) + table)

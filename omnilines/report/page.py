@@ -9,7 +9,7 @@ from typing import Any
 
 import jinja2
 import plotly.offline
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
@@ -25,6 +25,8 @@ _TEMPLATES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+# A name in backticks, of a parameter or an option, is set as code.
+_TEMPLATES.filters["spelled"] = lambda text: Markup(re.sub("`([^`<>]+)`", r"<code>\1</code>", str(escape(text))))
 # JSON has no NaN: one in a figure must fail here and not in the browser.
 _TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 

@@ -130,7 +130,7 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
     rows = np.flatnonzero(lines.known)
     rows = rows[sample(len(rows), SHOWN_LINES)]
     traces = []
-    for k, label in enumerate(dict.fromkeys(labels[i] for i in rows)):
+    for k, label in enumerate(sorted({labels[i] for i in rows})):
         own = [int(i) for i in rows if labels[i] == label]
         # The middle is there to be hovered over: only vertices answer the mouse.
         ends = lines.ends_m[own]

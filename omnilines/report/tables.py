@@ -9,8 +9,13 @@ from jaxtyping import Float
 from markupsafe import Markup
 
 from omnilines.records import Check, Summary, ViewResult
-from omnilines.report.numbers import NOT_KNOWN, figure
+from omnilines.report.numbers import NOT_KNOWN, cut_at_sigma, figure
 from omnilines.report.page import Section, fragment
+
+
+def verdict_section(summary: Summary, title: str = "Result") -> Section:
+    """How good a result is, what limits it and what to do about it: what stands on top of a page."""
+    return Section(title, fragment("verdict", summary=summary))
 
 
 def summary_section(*summaries: Summary, title: str = "Summary") -> Section:
@@ -109,11 +114,8 @@ def _with_sigma(value: float, sigma: float) -> Markup:
     """`value ± sigma`, both cut at the second significant digit of sigma; a power of ten is taken out of small numbers."""
     if not (math.isfinite(sigma) and sigma > 0 and math.isfinite(value)):
         return Markup(_power_of_ten(figure(value, ".7g")))
-    size = math.floor(math.log10(max(abs(value), sigma)))
-    power = size if size < -2 or size > 6 else 0
-    decimals = max(0, 1 - math.floor(math.log10(sigma)) + power)
-    scale = 10.0**-power
-    text = f"{value * scale:.{decimals}f} ± {sigma * scale:.{decimals}f}"
+    power, number, spread = cut_at_sigma(value, sigma)
+    text = f"{number} ± {spread}"
     return Markup(text) if power == 0 else Markup(f"({text}) × 10<sup>{power}</sup>")
 
 

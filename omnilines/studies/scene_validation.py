@@ -18,9 +18,9 @@ from omnilines.adjustment.lines import motion_across
 from omnilines.evaluation.arcs import MIN_PX, ArcScores, arc_scores
 from omnilines.evaluation.scene import MIN_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
 from omnilines.files import read_lines, read_poses, read_segments
-from omnilines.files.sets import claimed_page
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.render import RenderedScene
 from omnilines.pipelines.scene import Scene
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
@@ -128,11 +128,12 @@ class SceneValidation:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
 
-    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
-        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+    def report(self, path: str | Path, photo_folder: str | Path | None = None, *, plots: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.scene_validation import write_scene_validation_page
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_scene_validation_page(self, path, photo_folder)
 
     @property

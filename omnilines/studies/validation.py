@@ -19,8 +19,9 @@ from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lin
 from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
 from omnilines.evaluation.cameras import BearingErrors, LineErrors, ParameterErrors, bearing_errors, line_errors, parameter_errors
 from omnilines.files import write_corners
-from omnilines.files.sets import claimed, claimed_page
+from omnilines.files.sets import claimed
 from omnilines.least_squares.variance import NORMAL_MAD
+from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.render import RenderedTargets
 from omnilines.pipelines.scene import SCENE_FILES, Scene, refined_calibration
 from omnilines.records import Check, Corners, ImagePoses
@@ -77,11 +78,12 @@ class Validation:
             cameras = refined_calibration(self.scene, self.calibration)
             return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
 
-    def report(self, path: str | Path, photo_folder: str | Path | None = None) -> Path:
-        """Write the page that shows all of it, with the photos where they are files in a folder; its path."""
+    def report(self, path: str | Path, photo_folder: str | Path | None = None, *, plots: str | Path | None = None) -> Path:
+        """Write the page that shows all of it, with the photos where they are files in a folder; its path. Its figures
+        are written as PNG and SVG into the folder `plots`, where one is given."""
         from omnilines.pages.validation import write_validation_page
 
-        with claimed_page(path):
+        with claimed_report(path, plots):
             return write_validation_page(self, path, photo_folder)
 
     @property

@@ -56,7 +56,8 @@
       // On a narrow page the names would hide the scene: they stand below it.
       plot.style.aspectRatio = 0.8;
       layout.legend = { ...layout.legend, orientation: "h", y: 0, yanchor: "top" };
-      layout.margin = { ...layout.margin, b: 130 };
+      const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
+      layout.margin = { ...layout.margin, b: Math.min(130, 16 + 22 * Math.ceil(names.size / 3)) };
     }
     await Plotly.newPlot(plot, data, { ...layout, template: template() }, config);
     if (layout.meta?.lines) pickable(plot, layout.meta);

@@ -1,0 +1,207 @@
+"""What limits a line scene, arcs, directions and the check of a calibration, as it was measured, and what to do about it."""
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from omnilines.pages.limits import named
+from omnilines.pages.noise_notes import WORTH_SAYING
+from omnilines.pipelines.arcs import PhotoArcs
+from omnilines.pipelines.check import CheckResult
+from omnilines.pipelines.directions import PhotoDirections
+from omnilines.pipelines.scene import Scene
+from omnilines.records import Advice, LengthUnit
+from omnilines.report.numbers import figure
+
+STANDS_OUT = 3.0
+"""Standard deviation of a camera's place, in those of the median one, from which on its photo is named."""
+SAMPLE = 2000
+"""Lines of which angles are looked at, at most twice as many."""
+FEW_SHARE = 0.25
+"""Of the arcs of the median photo: one with fewer is named."""
+TO_REFINE = "`refine` lines,poses"
+CHECK_IT = "Check the calibration with the same photos: omnilines check."
+
+
+def scene_advice(scene: Scene) -> tuple[Advice, ...]:
+    """Of lines: whether they are to be trusted, what photos and stages lose, the noise, the scale, weak lines and photos."""
+    found = [Advice(f"{check.name[0].upper()}{check.name[1:]}: {figure(check.value, '.3g', check.unit)}, where "
+    f"{check.limit:.3g} is "
+                    "the limit.", "Check that poses and calibration are of these photos: the notes say what was tried.")
+             for check in scene.checks if not check.holds]  # fmt: skip
+    found += scene.advice
+    noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
+    if noise.stated and not noise.holds and noise.measured > WORTH_SAYING:
+        do = CHECK_IT if refined else f"Try {TO_REFINE}."
+        limit = (
+            f"Arcs lie {noise.measured:.2g} times as far from their lines as their noise lets expect: poses "
+            f"or calibration are off."
+        )
+        found.append(Advice(limit, do))
+    if scene.lines.unit is LengthUnit.OPEN and len(scene.poses) > 1:
+        a, b = _farthest_apart(scene)
+        do = f"Measure how far apart {a} and {b} were taken, and give it: `scale_from` {a},{b}:METRES."
+        found.append(Advice("Photos alone do not tell how large the scene is.", do))
+    return (*found, *_weak_lines(scene), *_least_sure_photo(scene), *(() if found else _of_number(scene)))
+
+
+def _farthest_apart(scene: Scene) -> tuple[str, str]:
+    centres = scene.poses.cam_from_world.centre
+    row, column = np.unravel_index(int(torch.cdist(centres, centres).argmax()), (len(centres), len(centres)))
+    return scene.poses.images[row], scene.poses.images[column]
+
+
+def _weak_lines(scene: Scene) -> tuple[Advice, ...]:
+    """Lines that cameras see under small angles only, and the photos that show most of them."""
+    lines, weak = scene.lines, np.array([status == "weak" for status in scene.lines.status], dtype=bool)
+    sure = lines.known & ~weak
+    if not weak.any() or not sure.any():
+        return ()
+    low, usual = (float(np.median(plane_angles_deg(scene, np.flatnonzero(rows)))) for rows in (weak, sure))
+    if not low < usual:
+        return ()
+    track = scene.segments.track
+    image = scene.segments.image[(track >= 0) & weak[track.clip(min=0)]]
+    most = scene.segments.images[int(np.bincount(image).argmax())]
+    said = (
+        f"{int(weak.sum())} of {int(lines.known.sum())} lines are weak: their photos see them from within "
+        f"{low:.0f} degrees, the others from within {usual:.0f}."
+    )
+    return (Advice(said, f"Take a photo far to the side of {most}, or above or below it, which shows most of them."),)
+
+
+def plane_angles_deg(scene: Scene, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+    """The largest angle between the planes in which two photos see a line: of some lines, a sample where they are many."""
+    lines, segments, poses = scene.lines, scene.segments, scene.poses
+    rows = rows[:: 1 + len(rows) // SAMPLE]
+    row = {image: k for k, image in enumerate(poses.images)}
+    of_photo = np.array([row.get(image, -1) for image in segments.images])
+    place = {track: k for k, track in enumerate(lines.tracks)}
+    of_track = np.array([place.get(track, -1) for track in segments.tracks])
+    centres = poses.cam_from_world.centre.numpy()
+    angle = np.zeros(len(rows))
+    photo, track = of_photo[segments.image], np.where(segments.track >= 0, of_track[segments.track], -1)
+    order = np.argsort(track, kind="stable")
+    begins, ends = (np.searchsorted(track[order], rows, side=side) for side in ("left", "right"))
+    for k, (line, begin, end) in enumerate(zip(rows, begins, ends, strict=True)):
+        seen = np.unique(photo[order[begin:end]])
+        to_ends = lines.ends_m[line] - centres[seen[seen >= 0], None]
+        normal = np.cross(to_ends[:, 0], to_ends[:, 1])
+        unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True).clip(1e-300)
+        angle[k] = math.degrees(math.acos(float(np.abs(unit @ unit.T).min(initial=1.0).clip(0.0, 1.0))))
+    return angle
+
+
+def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
+    """The photo whose place is much less sure than that of the others."""
+    covariance = scene.poses.covariance
+    if covariance is None or len(scene.poses) < 3:
+        return ()
+    back = scene.poses.cam_from_world.rotation.mT.numpy()
+    sigma = np.sqrt(np.linalg.eigvalsh(back @ covariance[:, 3:, 3:] @ back.swapaxes(-1, -2))[:, -1].clip(min=0))
+    worst, median = int(sigma.argmax()), float(np.median(sigma))
+    if not sigma[worst] > STANDS_OUT * median > 0:
+        return ()
+    apart = (scene.poses.cam_from_world.centre - scene.poses.cam_from_world.centre[worst]).norm(dim=-1)
+    apart[worst] = math.inf
+    image, beside = scene.poses.images[worst], scene.poses.images[int(apart.argmin())]
+    ratio = sigma[worst] / median
+    said = f"{image} is placed {ratio:.2g} times less surely than half of the photos."
+    return (Advice(said, f"Take photos between {image} and {beside}, the nearest to it."),)
+
+
+def _of_number(scene: Scene) -> tuple[Advice, ...]:
+    """Where nothing else limits: what as many photos again would do."""
+    sigma, views = scene.median_sigma_m(), scene.lines.views[scene.lines.known]
+    if not len(views) or math.isnan(sigma):
+        return ()
+    said = (
+        f"Nothing stands out but the noise of arcs and the number of photos: half of the lines are seen by "
+        f"{np.median(views):.0f} or fewer."
+    )
+    after = length(sigma / math.sqrt(2), scene.lines.unit)
+    return (Advice(said, f"As many photos again, from places in between, would bring the sigma of a line to about {after}."),)
+
+
+def length(value: float, unit: LengthUnit) -> str:
+    """In millimetres, or in units where metres are not known."""
+    scale = 1e3 if unit is LengthUnit.METRES else 1.0
+    return figure(scale * value, ".2g", unit.thousandth if unit is LengthUnit.METRES else unit.sign)
+
+
+def arcs_advice(arcs: PhotoArcs) -> tuple[Advice, ...]:
+    """Of arcs: photos that have far fewer than the others, and photos that were skipped."""
+    found = []
+    if arcs.skipped:
+        name, reason = next(iter(arcs.skipped.items()))
+        said = f"{len(arcs.skipped)} of {len(arcs.photos)} photos are skipped; of {name} it is said: {reason.rstrip('.')}."
+        found.append(Advice(said, f"Give {named(list(arcs.skipped))} anew, or leave them out."))
+    median = float(np.median([len(one) for one in arcs.used])) if arcs.used else 0.0
+    few = [f"{one.photo.name} ({len(one)})" for one in sorted(arcs.used, key=len) if len(one) < FEW_SHARE * median]
+    if few:
+        said = f"{named(few)} {'has' if len(few) == 1 else 'have'} few arcs, where half of the photos have {median:.0f} or more."
+        do = "Look at the pictures: what is dark, blurred or without straight edges gives none. Take it again or leave it out."
+        found.append(Advice(said, do))
+    return tuple(found)
+
+
+def directions_advice(found: PhotoDirections) -> tuple[Advice, ...]:
+    """Of directions: photos in which none stands out, and lines that are less parallel than their noise explains."""
+    told = []
+    some, none = ([one for one in found.photos if bool(len(one)) is has] for has in (True, False))
+    if none:
+        arcs = [float(np.median([len(one.arcs) for one in rows])) if rows else 0.0 for rows in (none, some)]
+        few = bool(some) and arcs[0] < FEW_SHARE * arcs[1]
+        count = f"they have {arcs[0]:.0f} arcs (median)" + (f", the others {arcs[1]:.0f}" if some else "")
+        do = (
+            "Take sharper or larger photos of the same."
+            if few
+            else "Take photos that show more edges of what is built: their lines do not meet."
+        )
+        photos = named([one.arcs.photo.name for one in none])
+        told.append(
+            Advice(f"No {found.wanted.value} stands out in {len(none)} of {len(found.photos)} photos: {photos}; {count}.", do)
+        )
+    if some:
+        stray = math.degrees(float(np.median([one.meeting.stray_rad for one in some])))
+        sigma = math.degrees(float(np.median(np.concatenate([one.meeting.sigma_rad for one in some]))))
+        if stray > sigma:
+            said = (
+                f"Lines differ from their direction by {stray:.2g} degrees (median) beyond what the noise of their arcs explains."
+            )
+            do = f"{CHECK_IT} Where it holds, what was photographed is that crooked."
+            told.append(Advice(said, do))
+    return tuple(told)
+
+
+def check_advice(result: CheckResult) -> tuple[Advice, ...]:
+    """Of a check: where the drift is largest, or what the photos could not tell."""
+    found = result.found
+    if not result.holds:
+        worst = max((one for one in found.regions if math.isfinite(one.drift_px)), key=lambda one: one.drift_px)
+        ratio = np.abs(found.change) / np.where(found.change_sigma > 0, found.change_sigma, np.inf)
+        name = found.model.PARAMETER_NAMES[int(ratio.argmax())]
+        said = (
+            f"The drift is largest at the {worst.name} of the image, {worst.drift_px:.2g} px; the parameter {name} is off most "
+            f"clearly, by {ratio.max():.0f} sigma."
+        )
+        return (
+            Advice(said, "Calibrate the camera again, with a board or from these photos: omnilines calibrate --pattern lines."),
+        )
+    told = []
+    if not found.frames:
+        said = "No photo shows lines at right angles: nothing tells whether the focal length still holds."
+        told.append(Advice(said, "Add photos of the corner of a room or a building, where edges meet at right angles."))
+    if found.sigma_px > result.options.tolerance_px:
+        need = math.ceil(len(result.images) * (found.sigma_px / result.options.tolerance_px) ** 2)
+        asked = f"where {result.options.tolerance_px:g} px are asked for"
+        said = f"{len(result.images)} photos tell the camera to {found.sigma_px:.2g} px only, {asked}."
+        told.append(Advice(said, f"About {need} photos like these would tell it."))
+    unseen = [one.name for one in found.regions if not one.edges]
+    if unseen:
+        told.append(
+            Advice(f"No edges lie at the {named(unseen)} of the image: nothing tells of it.", "Add photos with long edges there.")
+        )
+    return tuple(told)
