@@ -11,7 +11,8 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.engine import EXACT_FIT, LineEngine, is_compiled, line_convergence
+from omnilines.adjustment.engine import LineEngine, is_compiled, line_convergence
+from omnilines.adjustment.engine_passes import EXACT_FIT
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
 from omnilines.adjustment.memory import layout_that_fits, require_for_general
 from omnilines.adjustment.noise import Noise
