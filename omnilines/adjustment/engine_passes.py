@@ -31,8 +31,7 @@ class LinePasses:
 
     def poses(self, rig_from_world: Pose) -> Float[np.ndarray, "frames 12"]:
         """R by rows and the centre of every frame, in the order of the layout."""
-        poses = rig_from_world[self.layout.frames]
-        return torch.cat([poses.rotation.flatten(1), poses.centre], 1).numpy()
+        return pose_rows(rig_from_world[self.layout.frames])
 
     def lines(self, chart: LineChart) -> LineStates:
         """The charts of all lines."""
@@ -121,6 +120,11 @@ class LinePasses:
         least = (TOLERANCE * float(search.cost.sum()) + EXACT_FIT * 2 * len(self.layout.observations)) / len(search.cost)
         work = (self.views, pose, lines, search, least)
         return sum(in_shares(lambda _, low, high: line_step.step_lines(low, high, *work), self.layout.shares))
+
+
+def pose_rows(poses: Pose) -> Float[np.ndarray, "frames 12"]:
+    """R by rows and the centre of each."""
+    return torch.cat([poses.rotation.flatten(1), poses.centre], 1).numpy()
 
 
 def search_from(cost: Float[np.ndarray, " t"]) -> LineSearch:
