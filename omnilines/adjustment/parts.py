@@ -4,7 +4,6 @@ The graph of the photos that share a line is cut by few separating photos (`leas
 that do not separate are of one part. A photo whose lines are all of one part is *inner* to it, the others are *shared*.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,14 +12,13 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from camera_models import InputError
 from omnilines.adjustment.engine_layout import Layout
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
+from omnilines.costs import WHITENED
 from omnilines.least_squares.dissection import dissected
 from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern
-
-AUTOMATIC = 500
-"""Photos of a part where memory asks for parts."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,29 @@ class Division:
     """The frames that parts share, in the order of the separators' system."""
     pattern: PairPattern
     """Of the shared frames: pairs that are of one part."""
+
+
+def why_in_one_piece(*, cost: str, poses: bool, cameras: bool, rig: bool, prior: bool, device: str) -> str:
+    """Why a problem is adjusted in one piece only; empty where it may be divided. `poses` and `cameras` are refined, or not."""
+    reasons = {
+        "held poses": not poses,
+        f"the cost {cost}": cost != WHITENED,
+        "a rig": rig,
+        "refined cameras": cameras,
+        "a prior": prior,
+        f"the device {device}": device != "cpu",
+    }
+    return " and ".join(reason for reason, holds in reasons.items() if holds)
+
+
+def require_divisible(partition: int, in_one_piece: str) -> None:
+    """Raises InputError for a `partition` of what is adjusted in one piece only."""
+    if partition < 0 or (partition and in_one_piece):
+        found = f"{partition}" if partition < 0 else f"{partition} with {in_one_piece}"
+        raise InputError(
+            "A `partition` of 0 or more photos was expected, with refined poses, the cost whitened, and without a rig, refined "
+            f"cameras, a prior or a GPU, found {found}; leave it out."
+        )
 
 
 def divided(problem: LineProblem, whole: Layout, most: int) -> Division | None:
@@ -133,8 +154,3 @@ def problem_of(part: Part, problem: LineProblem, state: LinesAndPoses) -> LinePr
     alone = LinesAndPoses(state.rig_from_world[frames], state.chart[tracks])
     mix = None if problem.mix is None else problem.mix[part.rows]
     return LineProblem(arcs, problem.cost_name, Freedom(freedom.held_frames[frames], held), alone, mix=mix)
-
-
-def photos_of(division: Division) -> Sequence[int]:
-    """How many photos each part has, the shared ones too."""
-    return [len(part.frames) for part in division.parts]

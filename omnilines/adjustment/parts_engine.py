@@ -5,10 +5,14 @@ In each iteration every part eliminates its lines and then its inner photos, and
 part only its observations and its blocks are in memory, in the process that works on it: they lie in a file.
 """
 
+import contextlib
+import shutil
+import tempfile
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -26,11 +30,15 @@ from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, mini
 from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import orthonormal
 from omnilines.least_squares.separators import SharedStep, SharedSystem, blocks_of
+from omnilines.progress import one_torch_thread
 
+PARTS = "parts-"
+"""How the names of folders of parts begin."""
 T = TypeVar("T")
 R = TypeVar("R")
 
 
+@runtime_checkable
 class Each(Protocol):
     """Does a piece of work with every item: here, or by workers."""
 
@@ -42,6 +50,15 @@ class Each(Protocol):
 def here(work: Callable[[T], R], items: Sequence[T], /) -> list[R]:
     """In this process, one after another, so that one part is in memory at a time."""
     return [work(item) for item in items]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who works on parts, and where these lie."""
+
+    each: Each = here
+    folder: Path | None = None
+    """That all of them see; temporary files of this machine where there is none."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +83,35 @@ class PartsEngine:
     """An `Engine` for one problem from one start, without a prior."""
 
     def __init__(
-        self, problem: LineProblem, state: LinesAndPoses, loss: Loss, division: Division, folder: Path, each: Each = here
+        self, problem: LineProblem, state: LinesAndPoses, loss: Loss, division: Division, workers: Workers = Workers()
     ) -> None:
-        """The parts are written into the folder, which those who work on them have to see."""
+        """The parts lie in files for as long as the engine does."""
         assert problem.prior is None, "a prior is left to the adjustment in one piece"
-        self.problem, self.division, self.each = problem, division, each
+        self.problem, self.division, self.each = problem, division, workers.each
+        folder = Path(tempfile.mkdtemp(prefix=PARTS, dir=workers.folder))
+        self._remove = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.residuals = 2 * len(problem.arcs)
         self._places: list[_Places] = []
         shared = torch.from_numpy(division.shared)
         for number, part in enumerate(division.parts):
             own = problem_of(part, problem, state)
             last = torch.searchsorted(part.frames, shared[part.shared])
-            laid_out = layout(own, last.numpy())
+            # Workers have a core each; here a part has all of them.
+            with contextlib.nullcontext() if self.each is here else one_torch_thread():
+                laid_out = layout(own, last.numpy())
             file, inner = folder / f"part{number}.pickle", laid_out.pattern.kept - len(part.shared)
             tasks.store_part(file, PartPasses(passes_of(own, loss, laid_out), inner))
             self._places.append(_Places(file, part.frames[laid_out.frames], inner, part.shared, part.tracks))
 
+    def close(self) -> None:
+        """Remove the files of the parts, which go with the engine otherwise."""
+        self._remove()
+
     def cost(self, state: LinesAndPoses) -> float:
         """Sum of the loss."""
-        return sum(self.each(tasks.cost_of_part, self._at(state, 0.0, self._of_frames(np.zeros((6 * len(self.problem.free), 0))))))
+        return sum(
+            self.each(tasks.cost_of_part, self._at(state, 0.0, self._of_frames(np.zeros((6 * len(self.problem.free), 0)))))
+        )
 
     def minimise(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None = None
@@ -224,7 +251,8 @@ class PartsSolution:
         places = self.engine._places
         rows = [torch.nonzero(torch.isin(blocks, part.tracks)).flatten() for part in places]
         asked = {k: torch.searchsorted(places[k].tracks, blocks[own]).numpy() for k, own in enumerate(rows) if len(own)}
-        found = dict(zip(asked, self.engine.each(tasks.joint_of_part, self._told(asked)), strict=True))
+        # Here: it may be asked for when the workers have gone.
+        found = dict(zip(asked, here(tasks.joint_of_part, self._told(asked)), strict=True))
         by_shared = np.zeros((size, len(self.system.gauge)))
         left, right = np.zeros((size, self.system.gauge.shape[1])), np.zeros((size, self.system.gauge.shape[1]))
         own = np.zeros((size, size))

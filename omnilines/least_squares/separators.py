@@ -60,7 +60,7 @@ class SharedSystem:
     @staticmethod
     def of(
         pattern: PairPattern,
-        touched: Sequence[Int[np.ndarray, " s"]],
+        touched: Sequence[Int[np.ndarray, " _"]],
         reduced: Sequence[Reduced],
         gauge: Float[np.ndarray, "k g"],
         damping: float,
