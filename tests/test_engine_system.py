@@ -104,7 +104,7 @@ def test_a_problem_that_does_not_fit_is_refused_before_it_is_built(monkeypatch: 
     monkeypatch.setattr(memory, "available_bytes", lambda: 50_000)
     with pytest.raises(InputError, match=r"observations of 60 lines in 10 photos was expected, about .* found 0\.0 GB available"):
         adjust_lines(scene.arcs, scene.lines, scene.poses)
-    with pytest.raises(InputError, match=r"about 0\.8 GB"):
+    with pytest.raises(InputError, match=r"about 0\.5 GB"):
         memory.require_for_arcs(1_000_000, 100_000, 1_000)
     monkeypatch.setattr(memory, "available_bytes", lambda: None)
     memory.require_for_arcs(1_000_000, 100_000, 1_000)

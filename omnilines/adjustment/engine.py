@@ -1,7 +1,7 @@
 """The compiled engine of the common adjustment: lines, and poses where asked, from costs of two residuals each.
 
 Frames are renumbered so that the band of the reduced system is narrow, lines are sorted along them so that neighbours in time are
-neighbours in memory, observations by line. `kernels/schur.py` has the arithmetic.
+neighbours in memory, observations by line. `engine_passes.py` has the passes over the lines, `kernels/schur.py` the arithmetic.
 """
 
 from collections.abc import Callable
@@ -12,31 +12,15 @@ import torch
 from jaxtyping import Float
 
 from omnilines.adjustment.engine_layout import Layout, layout
-from omnilines.adjustment.kernels import line_step, schur
-from omnilines.adjustment.kernels.line import (
-    CONVERGED,
-    LOSS_KINDS,
-    MOVING,
-    SINGULAR,
-    STALLED,
-    FrameSums,
-    LineBlocks,
-    LineSearch,
-    LineStates,
-    Views,
-)
+from omnilines.adjustment.engine_passes import MOST_STEPS_ALONE, LinePasses, search_from
+from omnilines.adjustment.kernels.line import CONVERGED, LOSS_KINDS, MOVING, SINGULAR, STALLED, FrameSums, LineBlocks, LineStates
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.costs import cost_named
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
 from omnilines.least_squares.reduced_system import ReducedSystem
-from omnilines.progress import in_shares
 
-TOLERANCE, EXACT_FIT, FIRST_DAMPING = 1e-12, 1e-30, 1e-4
-"""Of a line alone, as `minimise` has them."""
-MOST_STEPS_ALONE = 20
-"""Of each line after every step of the frames; nearly all need two or three."""
 LINE_OUTCOMES = {CONVERGED: Outcome.CONVERGED, STALLED: Outcome.STALLED, SINGULAR: Outcome.DEGENERATE}
 
 
@@ -68,16 +52,13 @@ class LineEngine:
 
     def __init__(self, problem: LineProblem, loss: Loss, laid_out: Layout | None = None) -> None:
         self.problem = problem
-        self.layout = laid_out or layout(problem)
-        self.views: Views = self.layout.views(problem, LOSS_KINDS[loss.name], loss.scale)
+        self.passes = passes_of(problem, loss, laid_out)
+        self.layout, self.views = self.passes.layout, self.passes.views
         self.residuals = 2 * len(problem.arcs)
-        held = problem.freedom.held_lines
-        self._held = np.zeros(problem.arcs.tracks, dtype=np.bool_) if held is None else held.numpy()
-        self._sums: list[FrameSums] = []
 
     def cost(self, state: LinesAndPoses) -> float:
         """Sum of the loss, and of the prior."""
-        return float(self._costs(self.poses(state), self.lines(state.chart)).sum()) + self._prior_cost(state)
+        return float(self.passes.costs(self.poses(state), self.lines(state.chart)).sum()) + self._prior_cost(state)
 
     def minimise(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None = None
@@ -100,29 +81,10 @@ class LineEngine:
         delta[: len(self.problem.free)] = kept.reshape(-1, 6)
         free = self.layout.frames[: len(self.problem.free)]
         moved = moved_poses(state.rig_from_world, free, torch.from_numpy(delta[: len(free)]))
-        trial = replace(state, rig_from_world=moved, chart=self._empty_chart(state.chart))
+        trial = replace(state, rig_from_world=moved, chart=empty_chart(state.chart))
         pose, moved_pose, lines, into = self.poses(state), self.poses(trial), self.lines(state.chart), self.lines(trial.chart)
-        cost = np.empty(self.problem.arcs.tracks)
-        of_lines = in_shares(
-            lambda _, low, high: line_step.follow_frames(
-                low, high, self.views, pose, moved_pose, delta, lines, damping, reduction.solved, into, cost
-            ),
-            self.layout.shares,
-        )
-        self._converge_lines(moved_pose, into, cost)
-        return Step(trial, float(cost.sum()) + self._prior_cost(trial), promised + float(sum(of_lines)))
-
-    def _converge_lines(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates, cost: Float[np.ndarray, " t"]) -> None:
-        """Take every line to its own minimum, in place, while the frames stay.
-
-        Without it few lines in curved valleys, or with as many doubtful observations as good ones, hold up all: they ask for a
-        damping that the others do not need, and creep on at the rate of the reweighted equations. With it the frames see a
-        function of themselves alone (variable projection, G. Golub and V. Pereyra, 1973).
-        """
-        search = _search(cost)
-        for _ in range(MOST_STEPS_ALONE):
-            if not self._step_lines(pose, lines, search):
-                break
+        of_lines, cost = self.passes.follow(pose, moved_pose, delta, lines, damping, solved=reduction.solved, into=into)
+        return Step(trial, cost + self._prior_cost(trial), promised + of_lines)
 
     def _minimise_lines(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None
@@ -131,12 +93,12 @@ class LineEngine:
         is less than the tolerance of the whole cost."""
         pose, lines = self.poses(state), self.lines(state.chart)
         lines = lines._replace(centre=lines.centre.copy(), turn=lines.turn.copy(), phi=lines.phi.copy())
-        cost = self._costs(pose, lines)
-        search = _search(cost)
+        cost = self.passes.costs(pose, lines)
+        search = search_from(cost)
         initial, iteration = float(cost.sum()), 0
         while iteration < max_iterations and (search.end == MOVING).any():
             iteration += 1
-            moved = self._step_lines(pose, lines, search)
+            moved = self.passes.step_lines(pose, lines, search)
             if callback is not None:
                 callback(Progress(iteration, float(cost.sum()), float(search.damping.max()), moved > 0))
         outcome = Outcome.OUT_OF_ITERATIONS
@@ -146,39 +108,16 @@ class LineEngine:
         end = replace(state, chart=replace(state.chart, centre=centre, S=turn, phi=phi))
         return Minimum(end, outcome, float(cost.sum()), initial, iteration)
 
-    def _step_lines(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates, search: LineSearch) -> int:
-        """One step of every line that still moves, in place; how many did."""
-        least = (TOLERANCE * float(search.cost.sum()) + EXACT_FIT * self.residuals) / len(search.cost)
-        work = (self.views, pose, lines, search, least)
-        return sum(in_shares(lambda _, low, high: line_step.step_lines(low, high, *work), self.layout.shares))
-
     def reduce(self, state: LinesAndPoses, damping: float) -> Reduction | None:
         """One pass over the lines; None where a line's block is singular."""
-        pose, lines, tracks = self.poses(state), self.lines(state.chart), self.problem.arcs.tracks
-        solved = LineBlocks(np.empty((tracks, 10)), np.empty((tracks, 4)), np.empty((tracks, 4)))
-        if not self._sums:
-            blocks, free = len(self.layout.pattern.row), self.layout.pattern.kept
-            self._sums = [
-                FrameSums(np.empty((blocks, 6, 6)), np.empty((free, 12)), np.empty((free, 6))) for _ in self.layout.shares[1:]
-            ]
-
-        def share(k: int, low: int, high: int) -> int:
-            for array in self._sums[k]:
-                array.fill(0.0)
-            return schur.reduce_lines(low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved)
-
-        if sum(in_shares(share, self.layout.shares)):
+        found = self.passes.reduce(self.poses(state), self.lines(state.chart), damping)
+        if found is None:
             return None
-        total = self._sums[0]
-        for other in self._sums[1:]:
-            for array, more in zip(total, other, strict=True):
-                array += more
+        solved, total = found
         self._add_prior(state, total)
-        within = np.arange(6)
-        total.blocks[self.layout.pattern.diagonal[:, None], within, within] += damping * total.diagonal
         system = None
         if len(self.problem.free):
-            system = ReducedSystem.of(self.layout.pattern, total.blocks, self.gauge(state), damping)
+            system = ReducedSystem.of(self.layout.pattern, self.passes.damped(total, damping), self.gauge(state), damping)
         right, own = total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel()
         return Reduction(solved, system, right, own, total.diagonal.ravel())
 
@@ -187,26 +126,13 @@ class LineEngine:
         gauge = self.problem.gauge(state).numpy()
         return gauge.reshape(len(self.problem.free), 6, gauge.shape[1])[self.layout.rank].reshape(gauge.shape)
 
-    def _costs(self, pose: Float[np.ndarray, "frames 12"], lines: LineStates) -> Float[np.ndarray, " t"]:
-        """Loss of the observations of each line."""
-        cost = np.empty(self.problem.arcs.tracks)
-        in_shares(lambda _, low, high: line_step.cost_of_lines(low, high, self.views, pose, lines, cost), self.layout.shares)
-        return cost
-
     def poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
         """R by rows and the centre of every frame, in the engine's order."""
-        poses = state.rig_from_world[self.layout.frames]
-        return torch.cat([poses.rotation.flatten(1), poses.centre], 1).numpy()
+        return self.passes.poses(state.rig_from_world)
 
     def lines(self, chart: LineChart) -> LineStates:
         """The charts of all lines."""
-        centre, rho, turn, phi = (
-            np.ascontiguousarray(array.numpy()) for array in (chart.centre, chart.scale, chart.S, chart.phi)
-        )
-        return LineStates(centre, rho, turn, phi, self._held)
-
-    def _empty_chart(self, like: LineChart) -> LineChart:
-        return LineChart(torch.empty(len(like), 3).double(), like.scale, torch.empty(len(like), 3, 3).double(), like.phi.clone())
+        return self.passes.lines(chart)
 
     def _prior_cost(self, state: LinesAndPoses) -> float:
         if self.problem.prior is None or not len(self.problem.free):
@@ -234,6 +160,19 @@ class LineEngine:
         total.diagonal[:] += own.diagonal(axis1=1, axis2=2)
 
 
+def passes_of(problem: LineProblem, loss: Loss, laid_out: Layout | None = None) -> LinePasses:
+    """The passes over the lines of a problem, with a loss."""
+    found = laid_out or layout(problem)
+    held = problem.freedom.held_lines
+    held_lines = np.zeros(problem.arcs.tracks, dtype=np.bool_) if held is None else held.numpy()
+    return LinePasses(found, found.views(problem, LOSS_KINDS[loss.name], loss.scale), held_lines)
+
+
+def empty_chart(like: LineChart) -> LineChart:
+    """Where a step leaves the lines: as many, filled by the pass that follows the frames."""
+    return LineChart(torch.empty(len(like), 3).double(), like.scale, torch.empty(len(like), 3, 3).double(), like.phi.clone())
+
+
 def line_convergence(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPoses], LinesAndPoses] | None:
     """What takes every line of a state to its own minimum, for problems of which the engine takes no more (cameras, rigs).
 
@@ -254,9 +193,3 @@ def line_convergence(problem: LineProblem, loss: Loss) -> Callable[[LinesAndPose
         return replace(state, chart=engine.minimise(alone, MOST_STEPS_ALONE).state.chart)
 
     return converge
-
-
-def _search(cost: Float[np.ndarray, " t"]) -> LineSearch:
-    """Every line at its start; `cost` is kept and changed."""
-    lines = len(cost)
-    return LineSearch(cost, np.full(lines, FIRST_DAMPING), np.full(lines, 2.0), np.full(lines, MOVING, dtype=np.int8))

@@ -72,8 +72,8 @@ class Layout:
         return Views(order=self.lines, start=self.start, frame=self.frame, rows=rows, spread=spread, kind=kind, scale=scale)
 
 
-def layout(problem: LineProblem) -> Layout:
-    """The order for a problem without a rig."""
+def layout(problem: LineProblem, last: Int[np.ndarray, " s"] | None = None) -> Layout:
+    """The order for a problem without a rig; the free frames `last` are the last ones, in that order."""
     arcs, free = problem.arcs, len(problem.free)
     order = torch.cat([problem.free, torch.nonzero(problem.freedom.held_frames).flatten()])
     found = _sorted(arcs, order, free)
@@ -81,6 +81,10 @@ def layout(problem: LineProblem) -> Layout:
     better = narrower_order(found[3]) if free else None
     if better is not None:
         order = torch.cat([order[:free][torch.from_numpy(better)], order[free:]])
+        found = _sorted(arcs, order, free)
+    if last is not None:
+        others = order[:free][~torch.isin(order[:free], torch.from_numpy(last))]
+        order = torch.cat([others, torch.from_numpy(last), order[free:]])
         found = _sorted(arcs, order, free)
     lines, start, observations, pattern, frame = found
     rank = np.searchsorted(problem.free.numpy(), order[:free].numpy())

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,11 +12,14 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError, InputError
 from camera_models.pose import Pose, adjoint, hat
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.engine import EXACT_FIT, LineEngine, is_compiled, line_convergence
+from omnilines.adjustment.engine import LineEngine, is_compiled, line_convergence
+from omnilines.adjustment.engine_passes import EXACT_FIT
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
-from omnilines.adjustment.memory import layout_that_fits, require_for_general
+from omnilines.adjustment.memory import laid_out_to_fit, require_for_general
 from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.adjustment.parts import require_divisible, why_in_one_piece
+from omnilines.adjustment.parts_engine import PartsEngine, PartsSolution, Workers, parts_solution
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses, Rig
@@ -49,7 +53,7 @@ class Adjusted:
     """Of the left perturbation of the pose of every photo, in the gauge of the adjustment; zero for held poses."""
     noise: Noise
     """Of the end points: what is stated, what the residuals say, and which of the two all covariances are for."""
-    whitened: Solution[LinesAndPoses] | LineSolution
+    whitened: Solution[LinesAndPoses] | LineSolution | PartsSolution
     """The normal equations of the whitened residuals at the solution, with the weights that the cost and the loss give them,
     for the noise that is stated (or 1 px); with a prior or a robust loss for that of `noise_factor` times as much."""
     scale: float
@@ -89,6 +93,8 @@ def adjust_lines(
     max_iterations: int = 100,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
+    partition: int = 0,
+    workers: Workers = Workers(),
 ) -> Adjusted:
     """Refine lines (world frame, one per track, all of them finite) and, if asked, poses, cameras and a rig from their arcs.
 
@@ -108,7 +114,12 @@ def adjust_lines(
     With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
     on the processor, which also works out the covariances. Cameras are refined on the processor only.
 
-    Raises InputError where nothing that was asked for can move, and where the problem does not fit into memory (`memory.py`).
+    With a `partition` lines and poses are adjusted in parts of so many photos besides those that parts share
+    (`parts_engine.py`), by `workers`; the result is the same. With 0 it is so, in parts of 500, only where the whole does not fit
+    into memory. Scenes of fewer photos are adjusted in one piece.
+
+    Raises InputError where nothing that was asked for can move, where the problem does not fit into memory (`memory.py`), and for
+    a partition of what is adjusted in one piece only (`require_divisible`).
     """
     state = LinesAndPoses(cam_from_world, _no_chart(lines), rig, models)
     frame = arcs.image if rig is None else rig.frame[arcs.image]
@@ -124,15 +135,24 @@ def adjust_lines(
         loss = Loss()
 
     place = usable_device(device)
+    whole = why_in_one_piece(
+        cost=cost, poses=refine_poses, cameras=bool(models), rig=rig is not None, prior=prior is not None, device=device
+    )
+    require_divisible(partition, whole)
     plain = LineProblem(arcs, WHITENED, freedom, state)
     if prior is None:
         _require_scale(plain, state)
+    laid_out, division = None, None
+    if is_compiled(plain, state):
+        laid_out, division = laid_out_to_fit(plain, partition, not whole)
     task = Task(
         arcs=arcs,
         cost=cost,
         freedom=freedom,
         loss=loss,
-        layout=layout_that_fits(plain) if is_compiled(plain, state) else None,
+        layout=laid_out,
+        division=division,
+        workers=workers,
         cautious=cautious,
         options=options,
     )
@@ -160,6 +180,9 @@ def _minimum(
         if state.models:
             raise InputError("Cameras are refined on the processor, found the device cuda; use the device cpu.")
         return _on_device(place, problem, state, loss, max_iterations, callback=callback)
+    if task.division is not None:
+        with closing(PartsEngine(problem, state, loss, task.division, task.workers)) as parts:
+            return parts_solution(parts, parts.minimise(state, max_iterations, callback)).end
     if task.layout is not None and is_compiled(problem, state):
         engine = LineEngine(problem, loss, task.layout)
         return line_solution(engine, engine.minimise(state, max_iterations, callback)).end
@@ -268,7 +291,7 @@ def _described(done: Uncertain) -> Adjusted:
     problem, equations, scale, noise = done.problem, done.equations, done.scale, done.noise
     state, freedom = done.found.state, problem.freedom
     rig_covariance, cameras = None, []
-    if isinstance(equations, LineSolution):
+    if isinstance(equations, LineSolution | PartsSolution):
         of_frames, lines = equations.covariances()
         poses = torch.zeros(len(freedom.held_frames), 6, 6, dtype=torch.float64)
         poses[problem.free] = of_frames

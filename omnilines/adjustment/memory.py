@@ -14,6 +14,7 @@ pixels and their images take 208 bytes more. The general path takes its Jacobian
 from camera_models import InputError
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine_layout import Layout, layout
+from omnilines.adjustment.parts import Division, divided
 from omnilines.adjustment.problem import LineProblem
 from omnilines.least_squares.band import band_width
 from omnilines.least_squares.devices import free_bytes
@@ -24,6 +25,8 @@ ARC, ARC_WITH_PIXELS = 224, 432
 ENGINE_ROW, GENERAL_ROW, LINE, PAIR = 230, 1700, 900, 288
 MOST_SHARE = 0.9
 """Of the available memory that a problem may take."""
+AUTOMATIC = 500
+"""Photos of a part where memory asks for parts."""
 
 
 def arcs_bytes(observations: int, with_pixels: bool) -> int:
@@ -55,14 +58,15 @@ def require_memory(needed: int, observations: int, lines: int, photos: int, avai
 
 def require_for_arcs(observations: int, lines: int, photos: int) -> None:
     """Raise InputError where not even arcs and lines would fit, whatever the photos see together."""
-    needed = arcs_bytes(observations, with_pixels=True) + engine_bytes(
-        observations=observations, lines=lines, free=photos, pairs=photos, width=5, threads=1
-    )
-    require_memory(needed, observations, lines, photos)
+    require_memory(arcs_bytes(observations, with_pixels=True) + lines * LINE, observations, lines, photos)
 
 
-def layout_that_fits(problem: LineProblem) -> Layout:
-    """The layout of the compiled engine, which is small. Raises InputError where what follows it does not fit into memory."""
+def laid_out_to_fit(problem: LineProblem, partition: int, divisible: bool) -> tuple[Layout, Division | None]:
+    """The layout of the compiled engine, which is small, and the division of the scene into parts of so many photos.
+
+    With a `partition` of 0 there is none, unless the whole does not fit into memory and the problem is `divisible`. Raises
+    InputError where what follows does not fit.
+    """
     found, arcs = layout(problem), problem.arcs
     pattern, threads = found.pattern, len(found.shares) - 1
     needed = engine_bytes(
@@ -73,8 +77,27 @@ def layout_that_fits(problem: LineProblem) -> Layout:
         width=band_width(pattern, 6),
         threads=threads,
     )
+    division = None
+    if partition or (divisible and not _fits(needed)):
+        division = divided(problem, found, partition or AUTOMATIC)
+    if division is not None:
+        needed = arcs.tracks * LINE + max(
+            part_bytes(len(part.rows), len(part.tracks), len(part.frames), len(part.shared)) for part in division.parts
+        )
     require_memory(needed, len(arcs), arcs.tracks, arcs.images)
-    return found
+    return found, division
+
+
+def part_bytes(observations: int, lines: int, photos: int, shared: int) -> int:
+    """What one part takes at most while it is worked on: as if all its photos were tied to each other."""
+    pairs = photos * (photos + 1) // 2
+    alone = engine_bytes(observations=observations, lines=lines, free=photos, pairs=pairs, width=6 * photos, threads=1)
+    return alone + 4 * 8 * 36 * photos * shared
+
+
+def _fits(needed: int) -> bool:
+    available = available_bytes()
+    return available is None or needed <= MOST_SHARE * available
 
 
 def require_for_general(arcs: MatchedArcs, kept: int) -> None:

@@ -18,6 +18,7 @@ from omnilines.adjustment.line_table import line_table, too_uncertain
 from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.start import Method, no_chart, residual_sigma, scaled_loss, started
@@ -80,13 +81,16 @@ def reconstruct_lines(
     options: AdjustmentOptions = AdjustmentOptions(),
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
+    partition: int = 0,
+    workers: Workers = Workers(),
 ) -> AdjustedScene:
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `triangulation_options` are those of the method's function, `cautious` is that of `adjust_lines`. `rig` is that of the
     calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m) makes the given poses a
     prior. With `robust`, observations of other lines are found by consensus and left out. `device` is where lines are
-    triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor.
+    triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor. `partition`
+    and `workers` are those of `adjust_lines`.
 
     Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
@@ -118,6 +122,8 @@ def reconstruct_lines(
             options=options,
             callback=callback,
             device=device,
+            partition=partition,
+            workers=workers,
         )
 
     adjusted = adjust(state, scaled_loss(loss, cost, inner, state, options))

@@ -14,6 +14,8 @@ from omnilines.adjustment.engine_layout import Layout
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
 from omnilines.adjustment.noise import Noise, fitting
 from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.adjustment.parts import Division
+from omnilines.adjustment.parts_engine import PartsEngine, PartsSolution, Workers, parts_solution
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
@@ -40,6 +42,10 @@ class Task:
     cautious: bool = False
     """Whether the noise is what all residuals show, also those of arcs that stand out, whatever is stated."""
     options: AdjustmentOptions = AdjustmentOptions()
+    division: Division | None = None
+    """Into parts that are adjusted apart, where the scene is divided."""
+    workers: Workers = Workers()
+    """Of the parts."""
 
     @property
     def stated(self) -> bool:
@@ -61,7 +67,7 @@ class Uncertain:
 
     found: Minimum[LinesAndPoses]
     problem: LineProblem
-    equations: "GeneralSolution | LineSolution"
+    equations: "GeneralSolution | LineSolution | PartsSolution"
     noise: Noise
     scale: float
 
@@ -184,9 +190,13 @@ def _noise_of(task: Task, state: LinesAndPoses, whitened: Float[Tensor, "n 2"], 
 
 def _equations(
     task: Task, state: LinesAndPoses, weights: Weighting, prior: PosePrior | None
-) -> tuple[LineProblem, GeneralSolution | LineSolution]:
+) -> tuple[LineProblem, GeneralSolution | LineSolution | PartsSolution]:
     """The weighted equations at a state."""
     problem = LineProblem(task.arcs, WHITENED, task.freedom, state, prior, mix=weights.mix)
+    if task.division is not None:
+        assert weights.scatter is None, "the whitened cost weighs arcs by their noise"
+        parts = PartsEngine(problem, state, Loss(), task.division, task.workers)
+        return problem, parts_solution(parts, parts.minimise(state, 0), weights.unit)
     if task.layout is not None:
         engine = LineEngine(problem, Loss(), task.layout)
         return problem, line_solution(engine, engine.minimise(state, 0), weights.scatter, weights.unit)

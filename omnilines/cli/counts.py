@@ -171,7 +171,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
         Rule(tuple(f"scene.{part}" for part in OF_SCENE), _of_photos, WITH_PHOTOS),
         Rule(("pattern",), lambda call: call.values["poses"] == "boards", "with `poses` boards"),
-        Rule(("scene.rounds.",), _refined, "with `refine` poses"),
+        Rule(("scene.rounds.", "partition"), _refined, "with `refine` poses"),
         Rule(
             ("scene.rough_poses.",), lambda call: _refined(call) and call.values["poses"] != "sfm",
             "with `refine` poses, of a table or a model",
@@ -184,6 +184,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("scene.matching.tolerance.",), lambda call: not call.has("tolerance_px"), "without `tolerance_px`"),
     ),
     "adjust": (
+        Rule(("partition",), lambda call: "poses" in call.values["refine"], "with `refine` poses"),
         Rule(
             ("extraction.", *(f"scene.{part}" for part in (*OF_SCENE, "min_views", "tolerance_px", "seed"))),
             lambda call: False, "in reconstruct with photos",

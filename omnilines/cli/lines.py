@@ -79,6 +79,12 @@ ScaleFrom = Annotated[
     str | None,
     typer.Option("--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP)."),
 ]
+Partition = Annotated[
+    int,
+    typer.Option(
+        "--partition", help="Photos of a part in which lines and poses are adjusted (0: one piece, parts where memory asks)."
+    ),
+]
 Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
 MinViews = Annotated[
     int, typer.Option("--min-views", help="Photos that have to see a line (3 or more); one fewer where all of its arcs agree.")
@@ -116,6 +122,7 @@ def reconstruct(
     seed: Seed = 0,
     split: SplitInto = None,
     cluster: Cluster = None,
+    partition: Partition = 0,
     plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
@@ -141,6 +148,7 @@ def reconstruct(
         min_views=min_views,
         tolerance_px=tolerance_px,
         seed=seed,
+        partition=partition,
     )
     if not photos:
         assert segments is not None
@@ -209,6 +217,7 @@ def adjust(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     device: Device = "cpu",
+    partition: Partition = 0,
     plots: Plots = None,
     settings: Settings = None,
     as_json: Json = False,
@@ -222,6 +231,7 @@ def adjust(
         cost=cost,
         loss=loss,
         device=device,
+        partition=partition,
     )
     _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
 

@@ -32,6 +32,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "subset": (2, 20),
     "bandwidth": (1e-9, 10),
     "lines": (1, 10_000),
+    "partition": (0, 1_000_000),
     "port": (0, 65535),
 }
 """Of options with numbers, by their parameter, where a command would otherwise run for days or end in arithmetic."""

@@ -70,8 +70,8 @@ def reconstruct_photos(
 
     `poses` is a source of `estimate_poses`. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos,
     where poses leave the scale open. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
-    would be found in them; the workers of an `executor` find those. `colmap` and `recording` add a COLMAP model and a
-    recording for the rerun viewer.
+    would be found in them; the workers of an `executor` find those, and adjust the parts of a divided scene. `colmap` and
+    `recording` add a COLMAP model and a recording for the rerun viewer.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
@@ -113,7 +113,9 @@ def reconstruct_photos(
         arcs, cameras, poses, pattern=pattern, options=options.posing, seed=options.seed, work=work, progress=progress
     )
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
-    scene = reconstruct(arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, progress=progress)
+    scene = reconstruct(
+        arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, executor=executor, progress=progress
+    )
     with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
     if result.holds:

@@ -125,7 +125,7 @@ class ReducedSystem:
         pattern: PairPattern, blocks: Float[np.ndarray, "blocks d d"], gauge: Float[np.ndarray, "n c"], damping: float
     ) -> "ReducedSystem | None":
         """The system with these (damped) blocks; None where it does not determine the kept blocks."""
-        basis = _orthonormal(gauge)
+        basis = orthonormal(gauge)
         if basis is None:
             return None
         if basis.shape[1] == 0 or damping >= LEAST_DAMPING:
@@ -221,7 +221,7 @@ def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return 0.5 * (matrix + matrix.T)
 
 
-def _orthonormal(gauge: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n g"] | None:
+def orthonormal(gauge: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n g"] | None:
     """An orthonormal basis of the columns; None where they are not independent."""
     if gauge.shape[1] == 0:
         return gauge

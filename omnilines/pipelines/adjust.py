@@ -1,6 +1,7 @@
 """Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
+from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
@@ -38,13 +40,15 @@ def adjust(
     robust: bool = False,
     pose_sigma: tuple[float, float] | None = None,
     inputs: Mapping[str, Any] | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> Scene:
     """Triangulate the tracks of matched segments and adjust their lines, and what `options.refine` names beside them.
 
     `poses` alone (a `Pose` of n) are those of `segments.images` in their order. With `robust`, observations of other lines are
     found by consensus and left out. `pose_sigma` (rad, m) makes the given poses a prior with these standard deviations of each
-    component; poses have to be refined then. `inputs` is what the scene says that it was made from.
+    component; poses have to be refined then. `inputs` is what the scene says that it was made from. The workers of an `executor`
+    adjust the parts of a scene that is divided (`options.partition`).
 
     Raises InputError where tables do not fit together, segments lie outside their images, or poses and cameras explain the tracks
     no better than chance or far worse than if they were read in another way (`judge_tracks`), and GeometryError when no track
@@ -62,7 +66,9 @@ def adjust(
     if pose_sigma is not None:
         _check_prior(pose_sigma, options)
     cameras, table = calibration_of(camera), _table_of(poses, segments)
+    check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=pose_sigma is not None)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
+    workers = part_workers(executor, None)
 
     def tell(step: Progress) -> None:
         progress("adjusting the scene", step.iteration, 0)
@@ -85,6 +91,8 @@ def adjust(
             loss=options.loss,
             options=options.adjustment,
             device=options.device,
+            partition=options.partition,
+            workers=workers,
             callback=tell,
         )
     except GeometryError:

@@ -81,7 +81,7 @@ def look_at(
                     raise _lost(photos[first : first + BATCH], error, turn) from None
                 begin(first, turn + 1)
                 continue
-            except _worker_died() as error:
+            except worker_died() as error:
                 raise _lost(photos[first : first + BATCH], error, turn) from None
             for place, result in enumerate(results, first):
                 found[place] = result
@@ -114,7 +114,7 @@ def _of_batch(work: Callable[[T], R], items: Sequence[T], paths: Sequence[str], 
         return [work(item) for item in items]
 
 
-def _worker_died() -> tuple[type[BaseException], ...]:
+def worker_died() -> tuple[type[BaseException], ...]:
     """What executors raise where a worker is gone for good. Dask has tried again by itself by then."""
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from camera_models import Calibration, CameraModel, GeometryError
+from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.pipelines.arcs import FoundArcs, in_order, segments_of, viewed_arcs
@@ -16,12 +17,19 @@ from omnilines.records import ImagePoses, Segments
 
 
 def lines_of_arcs(
-    found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+    found: Sequence[FoundArcs],
+    poses: ImagePoses,
+    cameras: Calibration,
+    options: SceneOptions,
+    progress: ProgressCallback,
+    *,
+    workers: Workers = Workers(),
 ) -> KeptLines:
     """Match, triangulate, adjust, clip and filter.
 
     With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
-    arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`).
+    arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`). `workers`
+    adjust the parts of a scene that is divided (`options.partition`).
 
     Raises GeometryError naming the stage where no line is left.
     """
@@ -39,7 +47,7 @@ def lines_of_arcs(
         )
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)
-        scene = _adjusted(segments, poses, cameras, options, progress)
+        scene = _adjusted(segments, poses, cameras, options, progress, workers=workers)
         if "poses" not in options.refine or turn == options.rounds.max_rounds:
             break
         refined = replace(cameras, cameras=_refined(cameras, scene))
@@ -71,7 +79,13 @@ def _with_tracks(segments: Segments, matched: Matched) -> Segments:
 
 
 def _adjusted(
-    segments: Segments, poses: ImagePoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+    segments: Segments,
+    poses: ImagePoses,
+    cameras: Calibration,
+    options: SceneOptions,
+    progress: ProgressCallback,
+    *,
+    workers: Workers,
 ) -> AdjustedScene:
     progress("triangulating lines", 0, 0)
     return reconstruct_lines(
@@ -90,6 +104,8 @@ def _adjusted(
         # Arcs that stand out are mostly of near edges, and lines are off by them.
         cautious=True,
         device=options.device,
+        partition=options.partition,
+        workers=workers,
         callback=lambda step: progress("adjusting the scene", step.iteration, 0),
     )
 

@@ -120,6 +120,9 @@ class SceneOptions:
     """Robust loss of the adjustment: none, huber or cauchy."""
     device: str = "cpu"
     """Where lines are triangulated and adjusted: cpu or cuda."""
+    partition: int = 0
+    """Photos of a part in which lines and poses are adjusted; with 0 in one piece, or in parts of 500 where that does not fit
+    into memory. The result is the same."""
     seed: int = 0
     """Of everything random."""
     posing: PosingOptions = PosingOptions()

@@ -1,6 +1,7 @@
 """Arcs of photos, poses and cameras -> 3D lines with their uncertainty: `reconstruct`."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
+from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.poses import estimate_poses, given_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
@@ -43,6 +45,7 @@ def check_options(options: SceneOptions, cameras: Calibration) -> None:
     check_cost(options.cost)
     Loss(options.loss)
     usable_device(options.device)
+    check_partition(options, rig=False)
     if options.min_views < 3 or (options.tolerance_px is not None and not options.tolerance_px > 0):
         raise InputError(
             f"`min_views` of 3 or more and a `tolerance_px` above 0 were expected, found {options.min_views} and "
@@ -61,6 +64,7 @@ def reconstruct(
     distance: KnownDistance | None = None,
     inputs: Mapping[str, Any] | None = None,
     work: str | Path | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> Scene:
     """The straight lines that photos show, from their arcs (`extract`), or from a table of matched segments.
@@ -68,7 +72,7 @@ def reconstruct(
     `poses` are those of `estimate_poses` or `read_poses`. With poses refined (`options.refine`), rough ones are made better
     first, and photos that have none are placed by the lines. `distance`, known in metres, scales poses whose unit is open.
     `inputs` is what the scene says that it was made from. Poses that have to be found in the photos are kept in the folder
-    `work`, where one is given.
+    `work`, where one is given. The workers of an `executor` adjust the parts of a scene that is divided (`options.partition`).
 
     Raises InputError on bad options or tables, and where poses explain the photos only if they are read in another way, and
     GeometryError naming the stage where no line is left.
@@ -84,7 +88,7 @@ def reconstruct(
     if isinstance(arcs, Segments):
         if distance is not None:
             raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
-        return adjust(arcs, poses, camera, options, inputs=inputs, progress=progress)
+        return adjust(arcs, poses, camera, options, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
     check_options(options, cameras)
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
@@ -105,7 +109,7 @@ def reconstruct(
     if distance is not None:
         require_poses(distance, posed)
     try:
-        found = lines_of_arcs(arcs.photos, posed.poses, cameras, options, progress)
+        found = lines_of_arcs(arcs.photos, posed.poses, cameras, options, progress, workers=part_workers(executor, work))
     except GeometryError as error:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")

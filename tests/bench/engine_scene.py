@@ -1,9 +1,10 @@
-"""A street of any length for the engine's benchmarks: cameras on a path, every line (or point) seen by a few neighbours."""
+"""A street of any length, or a grid of streets, for the engine's benchmarks; a few neighbours see each line (or point)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from camera_models import Pinhole
 from camera_models.pose import Pose
@@ -65,18 +66,23 @@ class Street:
         return MatchedArcs(image, track, len(self.rotation), len(self.ends_m), bearings, by_pixel, covariance, True)
 
 
-def _determined_lines(rng: np.random.Generator, centre: np.ndarray, window: int, lines: int) -> tuple[np.ndarray, np.ndarray]:
-    """First camera of the window and ends of lines that stand at an angle to the path and pass no camera closely."""
-    first = rng.integers(0, len(centre) - window + 1, 6 * lines)
-    middle = np.stack([SPACING_M * (first + 0.5 * window), rng.uniform(-2, 2, len(first)), rng.uniform(6, 14, len(first))], 1)
-    ends = middle[:, None] + rng.uniform(-1.5, 1.5, (len(first), 2, 3))
-    planes = [np.cross(*(ends - centre[first + k, None]).transpose(1, 0, 2)) for k in (0, window - 1)]
+def _determined_lines(
+    rng: np.random.Generator, centre: np.ndarray, windows: np.ndarray, lines: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cameras of the window and ends of lines that stand at an angle to the path and pass no camera closely.
+
+    The first and the last camera of a window are its ends.
+    """
+    count, window = windows.shape
+    middle = centre[windows].mean(1) + np.stack([np.zeros(count), rng.uniform(-2, 2, count), rng.uniform(6, 14, count)], 1)
+    ends = middle[:, None] + rng.uniform(-1.5, 1.5, (count, 2, 3))
+    planes = [np.cross(*(ends - centre[windows[:, k], None]).transpose(1, 0, 2)) for k in (0, window - 1)]
     sine = np.linalg.norm(np.cross(*planes), axis=1) / np.prod([np.linalg.norm(plane, axis=1) for plane in planes], 0)
     length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    nearest = np.min([_distance(ends, centre[first + k]) for k in range(window)], 0)
+    nearest = np.min([_distance(ends, centre[windows[:, k]]) for k in range(window)], 0)
     kept = np.flatnonzero((sine > np.sin(LEAST_ANGLE_RAD)) & (length > 1) & (nearest > LEAST_DISTANCE_M))[:lines]
     assert len(kept) == lines
-    return first[kept], ends[kept]
+    return windows[kept], ends[kept]
 
 
 def _distance(ends: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -90,8 +96,29 @@ def street(cameras: int, lines: int, views: int, seed: int = 0) -> Street:
     rng = np.random.default_rng(seed)
     window = min(NEIGHBOURS, cameras)
     centre = np.stack([SPACING_M * np.arange(cameras), 0.3 * rng.standard_normal(cameras), np.zeros(cameras)], 1)
-    first, ends = _determined_lines(rng, centre, window, lines)
-    image = first[:, None] + np.sort(rng.random((lines, window)).argsort(1)[:, :views], 1)
+    windows = rng.integers(0, cameras - window + 1, 6 * lines)[:, None] + np.arange(window)
+    return _disturbed(rng, centre, windows, lines, views)
+
+
+def grid(streets: int, between: int, lines: int, views: int, seed: int = 0) -> Street:
+    """So many streets each way with `between` cameras from crossing to crossing, before a wall that they all look at."""
+    rng = np.random.default_rng(seed)
+    along, across = np.arange((streets - 1) * between + 1), between * np.arange(streets)
+    places = np.concatenate([np.stack(np.meshgrid(*pair), -1).reshape(-1, 2) for pair in ((along, across), (across, along))])
+    places = np.unique(places, axis=0)
+    centre = np.concatenate([SPACING_M * places + 0.1 * rng.standard_normal(places.shape), np.zeros((len(places), 1))], 1)
+    _, windows = cKDTree(centre).query(centre[rng.integers(0, len(centre), 6 * lines)], NEIGHBOURS)
+    # Its ends are those farthest along either street.
+    windows = np.take_along_axis(windows, centre[windows, :2].sum(-1).argsort(1), 1)
+    return _disturbed(rng, centre, windows, lines, views)
+
+
+def _disturbed(rng: np.random.Generator, centre: np.ndarray, windows: np.ndarray, lines: int, views: int) -> Street:
+    """Lines before cameras that look along z, each seen by some of a window, and a disturbed start."""
+    cameras = len(centre)
+    chosen, ends = _determined_lines(rng, centre, windows, lines)
+    picked = np.sort(rng.random(chosen.shape).argsort(1)[:, :views], 1)
+    image = np.sort(np.take_along_axis(chosen, picked, 1), 1)
     tilt = Pose.exp(torch.from_numpy(np.concatenate([0.05 * rng.standard_normal((cameras, 3)), np.zeros((cameras, 3))], 1)))
     rotation = tilt.rotation.numpy()
     track, image = np.repeat(np.arange(lines), views), image.ravel()

@@ -1,6 +1,7 @@
 """The line engine in a process of its own, as `peer_engine.py` runs its peers: the same figures as JSON on standard output.
 
-Arguments: a saved street; `poses`, `lines` or `whole` (lines and poses with all covariances); number of threads; most iterations.
+Arguments: a saved street; `poses`, `lines`, `whole` (lines and poses with all covariances), or `whitened` (the same, with arcs
+weighed by their noise) with a partition after a colon, as `whitened:500`; number of threads; most iterations.
 `warm` is what loading the compiled kernels takes. `iteration` is the least of all; of lines alone, which leave the adjustment one
 by one as they settle, the mean.
 """
@@ -56,13 +57,19 @@ def main() -> None:
     warm = timed(lambda: adjust_lines(small.arcs(), small.lines, small.poses, refine_poses=what != "lines"))[:2]
     arcs = scene.arcs()
     before = memory_mb()
-    if what == "whole":
-        wall, own, done = timed(lambda: adjust_lines(arcs, scene.lines, scene.poses, max_iterations=most))
-        print(
-            json.dumps(
-                {"warm": warm, "all": (wall, own), "iterations": done.iterations, "memory_mb": memory_mb(), "before_mb": before}
-            )
+    cost, _, partition = what.partition(":")
+    if cost in ("whole", "whitened"):
+        cost, parts = "sector" if cost == "whole" else cost, int(partition or 0)
+        steps: list[tuple[float, float]] = []
+
+        def stamp(progress: Progress) -> None:
+            steps.append((time.perf_counter(), time.process_time()))
+
+        wall, own, done = timed(
+            lambda: adjust_lines(arcs, scene.lines, scene.poses, cost=cost, partition=parts, max_iterations=most, callback=stamp)
         )
+        found = {"warm": warm, "all": (wall, own), "iterations": done.iterations, "cost": done.cost, "memory_mb": memory_mb()}
+        print(json.dumps({**found, "iteration": np.diff(np.array(steps), axis=0).min(0).tolist(), "before_mb": before}))
         return
     wall, own, (engine, state) = timed(lambda: engine_of(scene, arcs, what == "lines"))
     ticks: list[tuple[float, float]] = [(time.perf_counter(), time.process_time())]
