@@ -25,6 +25,7 @@ from omnilines import cli
 from omnilines.commands.cluster import workers
 from omnilines.commands.render_scene import render_scene
 from omnilines.commands.render_targets import render_targets
+from omnilines.commands.slurm import SlurmJobs, is_slurm
 from omnilines.pipelines import batches
 from omnilines.pipelines.arcs import PhotoArcs
 from omnilines.pipelines.render import MODEL, RenderOptions
@@ -178,7 +179,7 @@ def test_no_dask_and_no_address_are_told(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "out"))
-    assert "--cluster was expected as local or HOST:PORT" in refused(capsys, scene, *out, "--cluster", "my cluster")
+    assert "--cluster was expected as local, slurm or HOST:PORT" in refused(capsys, scene, *out, "--cluster", "my cluster")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert "pip install 'omnilines[cluster]'" in refused(capsys, scene, *out, "--cluster", "local")
     assert not (tmp_path / "out").exists()
@@ -222,6 +223,94 @@ def test_a_scheduler_of_dask_finds_what_this_process_does_and_one_that_is_not_th
     mine, scene.arcs = scene.arcs, alone
     scene.require_same_arcs(found)
     scene.arcs = mine
+
+
+FAKE_SLURM = {
+    # Of Slurm: what it says of a job that it would not take, and one process group for each job.
+    "sbatch": """#!/bin/sh
+if [ "$1" = --test-only ]; then
+    grep -q "^#SBATCH -A nobody" "$2" || exit 0
+    echo "allocation failure: Invalid account" >&2
+    exit 1
+fi
+number=$(($(cat SLURM/submitted | wc -l) + 1))
+echo "$number" >> SLURM/submitted
+cp "$1" "SLURM/$number.sh"
+setsid sh "SLURM/$number.sh" > "SLURM/$number.out" 2>&1 &
+echo $! > "SLURM/$number.pid"
+echo "Submitted batch job $number"
+""",
+    "scancel": """#!/bin/sh
+echo "$1" >> SLURM/cancelled
+kill -TERM -- "-$(cat "SLURM/$1.pid")"
+""",
+}
+
+
+def fake_slurm(folder: Path) -> str:
+    """The PATH with commands of Slurm whose jobs are processes of this machine."""
+    folder.mkdir()
+    (folder / "submitted").touch()
+    for name, script in FAKE_SLURM.items():
+        (folder / name).write_text(script.replace("SLURM", str(folder)))
+        (folder / name).chmod(0o755)
+    return f"{folder}{os.pathsep}{os.environ['PATH']}"
+
+
+def test_what_slurm_lacks_is_told(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(where: str) -> str:
+        return refused(capsys, scene, "--cluster", where, "--out", str(tmp_path / "out"))
+
+    for wrong in ("slurm:jobs=0", "slurm:jobs=2,jobs=3", "slurm:memory=16", "slurm:queue=a b", "slurm:colour=red", "slurm:jobs"):
+        assert "--cluster was expected as slurm:jobs=10,queue=long" in said(wrong)
+    assert SlurmJobs.of("slurm") == SlurmJobs()
+    asked = "slurm:jobs=10,queue=long,account=me,walltime=1-12:00:00,cores=8,memory=16GB,wait=2h"
+    assert SlurmJobs.of(asked) == SlurmJobs(10, "long", "me", "1-12:00:00", 8, "16GB", 7200.0)
+    # A host may be called so.
+    assert not is_slurm("slurm:8786")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "found no sbatch on the PATH" in said("slurm")
+    monkeypatch.setenv("PATH", fake_slurm(tmp_path / "slurm"))
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    assert "pip install 'omnilines[cluster]'" in said("slurm:jobs=2")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.full
+def test_jobs_of_slurm_find_what_this_process_does(scene: Scene, tmp_path: Path) -> None:
+    """With commands that stand for those of Slurm; in processes of their own, as with Dask."""
+    slurm = tmp_path / "slurm"
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "PATH": fake_slurm(slurm), "PYTHONPATH": paths}
+    command = [
+        sys.executable,
+        "-m",
+        "omnilines",
+        "extract",
+        scene.room,
+        "--calibration",
+        scene.room / "calibration.yaml",
+        "--out",
+    ]
+
+    def extract(out: str, *more: str) -> subprocess.CompletedProcess[str]:
+        line = [str(part) for part in (*command, tmp_path / out, *more)]
+        return subprocess.run(line, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    no = extract("no", "--cluster", "slurm:account=nobody")
+    assert no.returncode == 2 and "sbatch refuses it (allocation failure: Invalid account)" in no.stderr
+    assert (slurm / "submitted").read_text() == "" and not (tmp_path / "no").exists()
+    jobs = "slurm:jobs=2,queue=long,walltime=2:00:00,cores=1,memory=2GB,wait=2m"
+    for ended in (extract("there", "--cluster", jobs), extract("here")):
+        assert ended.returncode == 0, ended.stderr
+    there, here = (ol.read_segments(tmp_path / out / "segments.csv") for out in ("there", "here"))
+    assert len(here) > 50
+    np.testing.assert_allclose(there.endpoints_px, here.endpoints_px, rtol=0.0, atol=1e-6)
+    script = (slurm / "1.sh").read_text()
+    assert all(f"#SBATCH {line}" in script for line in ("-p long", "-t 2:00:00", "--cpus-per-task=1", "--mem=2G"))
+    assert sorted((slurm / "cancelled").read_text().split()) == sorted((slurm / "submitted").read_text().split()) == ["1", "2"]
 
 
 def answers(where: str) -> bool:
