@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from matching_scenes import (
+    SIZE,
     VIEWS,
     MatchingScene,
     camera_named,
@@ -28,6 +29,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
 from omnilines.matching.match import Matched, evidence_of_lines, match_arcs
 from omnilines.matching.options import HypothesisOptions, MatchingOptions
+from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import build_tracks
 
 CAMERAS = list(VIEWS)
@@ -433,3 +435,37 @@ def test_the_slack_is_the_same_for_the_same_seed() -> None:
     for stage in ("matching arcs", "building tracks"):
         own = [(done, total) for name, done, total in steps if name == stage]
         assert own and own[-1][0] == own[-1][1] and [done for done, _ in own] == sorted(done for done, _ in own)
+
+
+def two_rooms(views: int) -> MatchingScene:
+    """Rooms with a wall between, the photos of the second after those of the first."""
+    one, other = (room("fisheye", seed=seed, views=views) for seed in (1, 2))
+    beside = torch.tensor([SIZE[0] + 0.15, 0.0, 0.0], dtype=torch.float64)
+    rotation, translation = other.poses.rotation, other.poses.translation - other.poses.rotation @ beside
+    return MatchingScene(
+        one.camera,
+        Pose(torch.cat([one.poses.rotation, rotation]), torch.cat([one.poses.translation, translation])),
+        torch.cat([one.ends_m, other.ends_m + beside]),
+        np.concatenate([one.image, other.image + views]),
+        np.concatenate([one.line, other.line + len(one.ends_m)]),
+        torch.cat([one.pixels, other.pixels]),
+    )
+
+
+def test_photos_behind_a_wall_are_no_neighbours() -> None:
+    views = 14
+    scene = two_rooms(views)
+    arcs = scene.arcs(0.2, 1, colours=True).widened(0.1)
+    options = MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=12))
+    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), 12)
+    seen = neighbours_in_view(arcs, near, 4, options)
+    second = np.arange(2 * views) >= views
+    across = second[:, None] != second
+    assert int(near[across].sum()) > 30 and not seen[across].any()
+    assert seen[~across].mean() > near[~across].mean()
+    assert bool((seen == seen.T).all()) and not seen.diagonal().any()
+    # Photos that are all near are all compared; one without a line keeps those that are near.
+    every = every_neighbour(2 * views)
+    assert neighbours_in_view(arcs, every, 4, options) is every
+    blind = arcs.rows(np.flatnonzero(arcs.image != 3))
+    np.testing.assert_array_equal(neighbours_in_view(blind, near, 4, options)[3], near[3])

@@ -10,23 +10,29 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from board_views import board_corners, board_views
+from logged_work import DISK_IS_FULL, Logged
 
 import omnilines as ol
 from calib_patterns import Detection
-from camera_models import Calibration, InputError, load
+from camera_models import Calibration, InputError, OpenCVFisheye, load
 from omnilines import cli
+from omnilines.calibration.select import Candidate, select_model
 from omnilines.commands.cluster import workers
 from omnilines.commands.render_scene import render_scene
 from omnilines.commands.render_targets import render_targets
+from omnilines.commands.slurm import SlurmJobs, is_slurm
+from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines import batches
 from omnilines.pipelines.arcs import PhotoArcs
+from omnilines.pipelines.batches import one_by_one
 from omnilines.pipelines.render import MODEL, RenderOptions
 
 SIZE, VIEWS, PATTERN = (320, 240), 5, "checkerboard:8x6:30mm"
@@ -111,6 +117,33 @@ def test_any_executor_finds_what_this_process_does(scene: Scene) -> None:
     assert pickled.bytes < 20_000
 
 
+def test_models_fitted_by_workers_are_those_fitted_here() -> None:
+    """One task a model and stage, equal to the last bit; what a worker cannot fit is said as here."""
+    lens = OpenCVFisheye([320.0, 320.0, 645.0, 470.0, -0.05, 0.03, -0.02, 0.004], (1280, 960))
+    corners = board_corners(lens, board_views(lens, 80, 6, 4), 0.1, 1)
+    few = tuple(Candidate(*one) for one in (("opencv-fisheye", {}), ("scaramuzza", {"degree": 4})))
+    pickled, told = Pickled(), []
+    each = partial(
+        one_by_one,
+        stage="fitting",
+        executor=pickled,
+        noun="camera models",
+        progress=lambda stage, *count: told.append((stage, *count)),
+    )
+    here, there = (
+        select_model(corners, (1280, 960), candidates=few),
+        select_model(corners, (1280, 960), candidates=few, each=each),
+    )
+    assert pickled.count == 4 and told == 2 * [("fitting", 1, 2), ("fitting", 2, 2)]
+    assert there.chosen.candidate == here.chosen.candidate and there.reason == here.reason
+    assert [trial.failure for trial in there.trials] == [trial.failure for trial in here.trials]
+    np.testing.assert_array_equal([one.held_out_px for one in there.trials], [one.held_out_px for one in here.trials])
+    np.testing.assert_array_equal(*(one.result.model.parameters.numpy() for one in (there, here)))
+    pickled.before = fails(5, error=BrokenExecutor("a process was terminated abruptly"))
+    with pytest.raises(InputError, match="The camera models opencv-fisheye to opencv-fisheye could not be worked on"):
+        select_model(corners, (1280, 960), candidates=few, each=each)
+
+
 @pytest.mark.full
 def test_any_executor_calibrates_as_this_process_does(scene: Scene) -> None:
     pickled = Pickled()
@@ -122,6 +155,9 @@ def test_any_executor_calibrates_as_this_process_does(scene: Scene) -> None:
     calibrated = [ol.calibrate(fewer, model="opencv-fisheye", executor=one) for one in (None, pickled)]
     np.testing.assert_array_equal(*(result.camera.parameters.numpy() for result in calibrated))
     assert pickled.count > 3 and all(view.used for view in calibrated[1].views)
+    chosen = [ol.calibrate(here, model="auto", executor=one) for one in (None, pickled)]
+    np.testing.assert_array_equal(*(result.camera.parameters.numpy() for result in chosen))
+    assert chosen[0].warnings == chosen[1].warnings
 
 
 def test_what_came_back_is_kept_where_a_worker_is_lost(scene: Scene, tmp_path: Path) -> None:
@@ -178,7 +214,7 @@ def test_no_dask_and_no_address_are_told(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "out"))
-    assert "--cluster was expected as local or HOST:PORT" in refused(capsys, scene, *out, "--cluster", "my cluster")
+    assert "--cluster was expected as local, slurm or HOST:PORT" in refused(capsys, scene, *out, "--cluster", "my cluster")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert "pip install 'omnilines[cluster]'" in refused(capsys, scene, *out, "--cluster", "local")
     assert not (tmp_path / "out").exists()
@@ -224,6 +260,94 @@ def test_a_scheduler_of_dask_finds_what_this_process_does_and_one_that_is_not_th
     scene.arcs = mine
 
 
+FAKE_SLURM = {
+    # Of Slurm: what it says of a job that it would not take, and one process group for each job.
+    "sbatch": """#!/bin/sh
+if [ "$1" = --test-only ]; then
+    grep -q "^#SBATCH -A nobody" "$2" || exit 0
+    echo "allocation failure: Invalid account" >&2
+    exit 1
+fi
+number=$(($(cat SLURM/submitted | wc -l) + 1))
+echo "$number" >> SLURM/submitted
+cp "$1" "SLURM/$number.sh"
+setsid sh "SLURM/$number.sh" > "SLURM/$number.out" 2>&1 &
+echo $! > "SLURM/$number.pid"
+echo "Submitted batch job $number"
+""",
+    "scancel": """#!/bin/sh
+echo "$1" >> SLURM/cancelled
+kill -TERM -- "-$(cat "SLURM/$1.pid")"
+""",
+}
+
+
+def fake_slurm(folder: Path) -> str:
+    """The PATH with commands of Slurm whose jobs are processes of this machine."""
+    folder.mkdir()
+    (folder / "submitted").touch()
+    for name, script in FAKE_SLURM.items():
+        (folder / name).write_text(script.replace("SLURM", str(folder)))
+        (folder / name).chmod(0o755)
+    return f"{folder}{os.pathsep}{os.environ['PATH']}"
+
+
+def test_what_slurm_lacks_is_told(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(where: str) -> str:
+        return refused(capsys, scene, "--cluster", where, "--out", str(tmp_path / "out"))
+
+    for wrong in ("slurm:jobs=0", "slurm:jobs=2,jobs=3", "slurm:memory=16", "slurm:queue=a b", "slurm:colour=red", "slurm:jobs"):
+        assert "--cluster was expected as slurm:jobs=10,queue=long" in said(wrong)
+    assert SlurmJobs.of("slurm") == SlurmJobs()
+    asked = "slurm:jobs=10,queue=long,account=me,walltime=1-12:00:00,cores=8,memory=16GB,wait=2h"
+    assert SlurmJobs.of(asked) == SlurmJobs(10, "long", "me", "1-12:00:00", 8, "16GB", 7200.0)
+    # A host may be called so.
+    assert not is_slurm("slurm:8786")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "found no sbatch on the PATH" in said("slurm")
+    monkeypatch.setenv("PATH", fake_slurm(tmp_path / "slurm"))
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    assert "pip install 'omnilines[cluster]'" in said("slurm:jobs=2")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.full
+def test_jobs_of_slurm_find_what_this_process_does(scene: Scene, tmp_path: Path) -> None:
+    """With commands that stand for those of Slurm; in processes of their own, as with Dask."""
+    slurm = tmp_path / "slurm"
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "PATH": fake_slurm(slurm), "PYTHONPATH": paths}
+    command = [
+        sys.executable,
+        "-m",
+        "omnilines",
+        "extract",
+        scene.room,
+        "--calibration",
+        scene.room / "calibration.yaml",
+        "--out",
+    ]
+
+    def extract(out: str, *more: str) -> subprocess.CompletedProcess[str]:
+        line = [str(part) for part in (*command, tmp_path / out, *more)]
+        return subprocess.run(line, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    no = extract("no", "--cluster", "slurm:account=nobody")
+    assert no.returncode == 2 and "sbatch refuses it (allocation failure: Invalid account)" in no.stderr
+    assert (slurm / "submitted").read_text() == "" and not (tmp_path / "no").exists()
+    jobs = "slurm:jobs=2,queue=long,walltime=2:00:00,cores=1,memory=2GB,wait=2m"
+    for ended in (extract("there", "--cluster", jobs), extract("here")):
+        assert ended.returncode == 0, ended.stderr
+    there, here = (ol.read_segments(tmp_path / out / "segments.csv") for out in ("there", "here"))
+    assert len(here) > 50
+    np.testing.assert_allclose(there.endpoints_px, here.endpoints_px, rtol=0.0, atol=1e-6)
+    script = (slurm / "1.sh").read_text()
+    assert all(f"#SBATCH {line}" in script for line in ("-p long", "-t 2:00:00", "--cpus-per-task=1", "--mem=2G"))
+    assert sorted((slurm / "cancelled").read_text().split()) == sorted((slurm / "submitted").read_text().split()) == ["1", "2"]
+
+
 def answers(where: str) -> bool:
     """Whether anything listens there."""
     host, _, port = where.rpartition(":")
@@ -264,31 +388,58 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, Callable[..., subprocess.Po
         process.wait()
 
 
+def begun_with_four(
+    scene: Scene, executor: Executor, folder: Path, monkeypatch: pytest.MonkeyPatch, slow_s: float = 0.5
+) -> list[int]:
+    """Arcs found by the workers of a scheduler, which have to be those that are found here; processes that began a photo."""
+    folder.mkdir()
+    inner = arcs_module.look_at
+    monkeypatch.setattr(arcs_module, "look_at", lambda work, *args, **named: inner(Logged(work, folder, slow_s), *args, **named))
+    scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor), here=False)
+    return [int(path.name.partition("-")[0]) for path in folder.iterdir()]
+
+
 @pytest.mark.full
-def test_four_processes_of_a_scheduler_find_what_this_process_does_though_they_are_killed(
-    tmp_path: Path, scheduler: tuple[str, Callable[..., subprocess.Popen[bytes]]]
+def test_a_killed_worker_of_four_costs_one_batch_and_one_with_a_full_disk_nothing_but_tries(
+    tmp_path: Path, scheduler: tuple[str, Callable[..., subprocess.Popen[bytes]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Workers are killed at random while they work: the same arcs, and no more than one batch is begun again for each."""
     where, worker = scheduler
     scene = Scene(tmp_path, 24)
-    running = [worker() for _ in range(4)]
+    tests = {"PYTHONPATH": os.pathsep.join(str(Path(__file__).parents[k]) for k in (1, 0))}
+    running = [worker(**tests) for _ in range(4)]
     rng = np.random.default_rng(3)
-    stop = threading.Event()
+    killed: list[int] = []
 
     def kill_now_and_then() -> None:
-        for _ in range(3):
-            if stop.wait(rng.uniform(0.2, 1.5)):
-                return
-            running.pop(int(rng.integers(len(running)))).send_signal(signal.SIGKILL)
-            running.append(worker())
+        while len(killed) < 3 and not stop.wait(rng.uniform(0.2, 0.8)):
+            victim = running.pop(int(rng.integers(len(running))))
+            victim.kill()
+            killed.append(victim.pid)
+            running.append(worker(**tests))
 
     with workers(where, wait_s=120.0) as executor:
+        assert executor is not None
+        stop = threading.Event()
         murderer = threading.Thread(target=kill_now_and_then)
         murderer.start()
         try:
-            scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor), here=False)
+            begun = begun_with_four(scene, executor, tmp_path / "begun", monkeypatch)
         finally:
             stop.set()
             murderer.join()
+        assert killed and 24 <= len(begun) <= 24 + len(killed) * batches.BATCH
+    monkeypatch.undo()
+    monkeypatch.setattr(batches, "BATCH", 2)
+    full = worker(**tests, **{DISK_IS_FULL: "1"})
+    with workers(where, wait_s=120.0) as executor:
+        assert executor is not None
+        until = time.monotonic() + 120.0
+        while full.pid not in {executor.submit(os.getpid).result(60) for _ in range(20)}:
+            assert time.monotonic() < until
+        begun = begun_with_four(scene, executor, tmp_path / "begun again", monkeypatch)
+    # Of a batch that failed the first photo was begun.
+    assert begun.count(full.pid) >= 1 and len(begun) == 24 + begun.count(full.pid)
 
 
 @pytest.mark.full

@@ -11,7 +11,8 @@ not taken.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -29,7 +30,20 @@ from omnilines.calibration.start import CameraKind
 from omnilines.calibration.thresholds import CalibrationThresholds, HeldOutThresholds
 from omnilines.calibration.variants import CommonCorners
 from omnilines.calibration.views import UsableCorners
+from omnilines.progress import one_torch_thread
 from omnilines.records import Corners
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@runtime_checkable
+class Each(Protocol):
+    """Does some work for each item, which have names: here, or elsewhere; work and items can be pickled."""
+
+    def __call__(self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]) -> list[R]:
+        """The results, in the order of the items."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -85,6 +99,12 @@ def all_candidates() -> tuple[Candidate, ...]:
     return tuple(Candidate(kind.NAME, options) for kind in kinds if kind.CALIBRATED for options in kind.VARIANTS)
 
 
+def _here(work: Callable[[T], R], items: Sequence[T], names: Sequence[str]) -> list[R]:
+    """One after another."""
+    with one_torch_thread():
+        return [work(item) for item in items]
+
+
 def select_model(
     corners: Corners,
     image_size: tuple[int, int],
@@ -93,24 +113,18 @@ def select_model(
     mirror: bool = False,
     candidates: Sequence[Candidate] | None = None,
     thresholds: CalibrationThresholds = CalibrationThresholds(),
-    callback: Callable[[str, int, int], None] | None = None,
+    each: Each = _here,
 ) -> Selection:
     """Fit all candidates and take one, as the module's header says.
 
-    `callback` is told (label, done, total). Raises InputError for too few views to compare models by, and the first failure where
-    no candidate can be fitted.
+    `each` fits and judges them, one candidate an item. Raises InputError for too few views to compare models by, and the first
+    failure where no candidate can be fitted.
     """
     candidates = all_candidates() if candidates is None else tuple(candidates)
+    labels = [candidate.label for candidate in candidates]
     usable = UsableCorners.of(corners, thresholds.views)
-    fits: list[RobustFit | GeometryError | InputError] = []
-    for done, candidate in enumerate(candidates):
-        if callback is not None:
-            callback(candidate.label, done, len(candidates))
-        try:
-            kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
-            fits.append(robust_camera(usable.points, usable.weight, kind, loss, thresholds))
-        except (GeometryError, InputError) as error:
-            fits.append(error)
+    fit_one = partial(_fit, usable=usable, image_size=image_size, mirror=mirror, loss=loss, thresholds=thresholds)
+    fits = each(fit_one, candidates, labels)
     found = [fit for fit in fits if isinstance(fit, RobustFit)]
     if not found:
         assert not isinstance(fits[0], RobustFit)
@@ -124,12 +138,8 @@ def select_model(
             f"At least {thresholds.held_out.least_views} usable views were expected to choose a camera model by held-out views, "
             f"found {len(common.views)}; add photos or name a `model`."
         )
-    trials = [
-        _trial(candidate, fit, judge, usable, common, thresholds=thresholds)
-        if isinstance(fit, RobustFit)
-        else Trial(candidate, str(fit))
-        for candidate, fit in zip(candidates, fits, strict=True)
-    ]
+    judged = partial(_trial, judge=judge, usable=usable, common=common, thresholds=thresholds)
+    trials = each(judged, list(zip(candidates, fits, strict=True)), labels)
     while True:
         chosen, reason = _choose(trials, len(common.views), thresholds.held_out)
         assert chosen.fit is not None
@@ -153,16 +163,34 @@ def fit_boards(
     return state.cam_from_board, state.residual_px(points)
 
 
-def _trial(
+def _fit(
     candidate: Candidate,
-    fit: RobustFit,
+    usable: UsableCorners,
+    image_size: tuple[int, int],
+    *,
+    mirror: bool,
+    loss: str,
+    thresholds: CalibrationThresholds,
+) -> RobustFit | GeometryError | InputError:
+    """One candidate fitted robustly to all corners, or why it cannot be."""
+    try:
+        kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
+        return robust_camera(usable.points, usable.weight, kind, loss, thresholds)
+    except (GeometryError, InputError) as error:
+        return error
+
+
+def _trial(
+    fitted: tuple[Candidate, RobustFit | GeometryError | InputError],
     judge: RobustFit,
     usable: UsableCorners,
     common: CommonCorners,
-    *,
     thresholds: CalibrationThresholds,
 ) -> Trial:
     """One candidate fitted to the common corners, without a loss."""
+    candidate, fit = fitted
+    if not isinstance(fit, RobustFit):
+        return Trial(candidate, str(fit))
     poses = _nearer_poses(fit, judge, usable)
     start = CameraAndBoards(fit.state.model, poses[common.views])
     whole = BoardProblem(common.points, start.model.calibration_basis(), common.weight, start.shape)

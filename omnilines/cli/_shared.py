@@ -66,7 +66,7 @@ SplitInto = Annotated[
 ]
 Cluster = Annotated[
     str | None,
-    typer.Option("--cluster", help="Who works on the photos: local (processes), or HOST:PORT of a Dask scheduler."),
+    typer.Option("--cluster", help="Who works on the photos: local (processes), slurm (jobs), or HOST:PORT of a Dask scheduler."),
 ]
 Plots = Annotated[
     Path | None, typer.Option("--plots", help="Folder for every figure of the report, as PNG and SVG.", show_default=False)

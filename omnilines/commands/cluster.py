@@ -2,17 +2,19 @@
 
 with workers("local") as executor:      # processes of this machine, one for each core
 with workers("10.0.0.5:8786") as executor:      # those of a scheduler that runs already
+with workers("slurm:jobs=10") as executor:      # jobs of Slurm (`slurm.py`)
 """
 
 import logging
 import re
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import ModuleType
 from typing import Any
 
 from camera_models import InputError
+from omnilines.commands.slurm import SLURM, SlurmJobs, is_slurm, slurm_cluster
 from omnilines.machine import POOLS, THREADS, cores
 from omnilines.progress import ProgressCallback, silent
 
@@ -25,14 +27,16 @@ MORE_TRIES = 2
 
 @contextmanager
 def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: float = WORKER_S) -> Iterator[Executor | None]:
-    """What works on photos within it: `local`, or HOST:PORT of a scheduler; None stands for the cores of this process.
+    """What works on photos within it: `local`, HOST:PORT of a scheduler, or `slurm`; None stands for the cores of this process.
 
-    Raises InputError where Dask is missing, the scheduler does not answer within ANSWER_S, or no worker comes within `wait_s`.
+    Raises InputError where Dask or Slurm is missing, the scheduler does not answer within ANSWER_S, or no worker comes within
+    `wait_s`, of Slurm within what it is told.
     """
     if where is None:
         yield None
         return
-    address = where if where == LOCAL else _address(where)
+    jobs = SlurmJobs.of(where) if is_slurm(where) else None
+    address = where if where == LOCAL or jobs is not None else _address(where)
     distributed = _distributed()
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if where == LOCAL:
@@ -41,6 +45,12 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
             yield client.get_executor(pure=False)
         return
     progress("waiting for workers", 0, 0)
+    if jobs is not None:
+        with _failures_allowed(), slurm_cluster(jobs) as cluster, distributed.Client(cluster) as client:
+            look = "look at `squeue` and at the slurm-*.out of the jobs, or wait longer with wait=2h after slurm:"
+            _wait(client, "of Slurm", jobs.wait_s, look)
+            yield client.get_executor(pure=False)
+        return
     try:
         client = distributed.Client(address, timeout=ANSWER_S)
     except (OSError, ValueError) as error:
@@ -49,14 +59,16 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
             f"({type(error).__name__}); start one with `dask scheduler`, or check host and port."
         ) from None
     with client:
-        try:
-            client.wait_for_workers(1, timeout=wait_s)
-        except TimeoutError:
-            raise InputError(
-                f"A worker was expected at the scheduler {where}, none came within {wait_s:g} seconds; start workers with "
-                f"`dask worker {where} --nthreads 1`."
-            ) from None
+        _wait(client, f"at the scheduler {where}", wait_s, f"start workers with `dask worker {where} --nthreads 1`")
         yield client.get_executor(pure=False)
+
+
+def _wait(client: Any, whose: str, wait_s: float, advice: str) -> None:
+    """Until the first worker is there. Raises InputError where none comes."""
+    try:
+        client.wait_for_workers(1, timeout=wait_s)
+    except TimeoutError:
+        raise InputError(f"A worker was expected {whose}, none came within {wait_s:g} seconds; {advice}.") from None
 
 
 def _distributed() -> ModuleType:
@@ -74,10 +86,9 @@ def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
     """A scheduler and a process of one thread for each core, which listen on this machine only."""
     import dask
 
-    each = {name: "1" for name in (THREADS, *POOLS)}
-    settings = {"distributed.scheduler.allowed-failures": MORE_TRIES, "distributed.nanny.pre-spawn-environ": each}
     with (
-        dask.config.set(settings),
+        _failures_allowed(),
+        dask.config.set({"distributed.nanny.pre-spawn-environ": {name: "1" for name in (THREADS, *POOLS)}}),
         distributed.LocalCluster(
             n_workers=cores(),
             threads_per_worker=1,
@@ -90,10 +101,19 @@ def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
         yield cluster
 
 
+def _failures_allowed() -> AbstractContextManager[Any]:
+    """The setting of a scheduler in this process."""
+    import dask
+
+    setting: AbstractContextManager[Any] = dask.config.set({"distributed.scheduler.allowed-failures": MORE_TRIES})
+    return setting
+
+
 def _address(where: str) -> str:
     """The address of a scheduler. Raises InputError where it is none."""
     if not re.fullmatch(r"((tcp|tls)://)?(\[[0-9a-fA-F:]+\]|[\w.-]+):\d{1,5}", where):
         raise InputError(
-            f"`cluster` was expected as {LOCAL} or HOST:PORT of a Dask scheduler, such as 10.0.0.5:8786, found '{where[:80]}'."
+            f"`cluster` was expected as {LOCAL}, {SLURM} or HOST:PORT of a Dask scheduler, such as 10.0.0.5:8786, found "
+            f"'{where[:80]}'."
         )
     return where if "://" in where else f"tcp://{where}"

@@ -19,6 +19,7 @@ from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
 from omnilines.matching.options import MatchingOptions, ToleranceOptions
+from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.progress import ProgressCallback, silent
 from omnilines.triangulation.robust import noise_level
@@ -76,6 +77,7 @@ def match_arcs(
         its = evidence_of_lines(arcs, near, seed, options, progress)
         tolerance_px, beyond_chance = its.tolerance_px, its.beyond_chance
     widened = arcs.widened(tolerance_px)
+    near = neighbours_in_view(widened, near, min_views, options, progress)
     found = find_hypotheses(widened, near, options=options, progress=progress)
     tracks = build_tracks(widened, found, min_views, options, progress)
     return Matched(widened, found, tracks, tolerance_px, beyond_chance)

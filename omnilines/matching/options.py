@@ -45,7 +45,9 @@ class HypothesisOptions(NamedTuple):
     agree_sigmas: float = 3.0
     """Standard deviations within which two depths agree."""
     max_neighbours: int = 24
-    """Photos that each is compared with at most, the nearest."""
+    """Photos that each is compared with at most: first the nearest, then those that share most lines."""
+    sharpest_arcs: int = 100
+    """Of each photo, those whose circles are known best: by them it is told which photos share lines."""
 
 
 class ExplainedOptions(NamedTuple):

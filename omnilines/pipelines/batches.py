@@ -53,23 +53,67 @@ def look_at(
             return result
 
         return on_all_cores(here, range(len(items)), stage, progress, photos_at_once(photos, bytes_per_pixel))
+    paths = [str(photo.path) if isinstance(photo, PhotoRef) else None for photo in photos]
+    names = [photo.name for photo in photos]
+    return _by_workers(
+        work, items, names, stage, executor=executor, noun="photos", batch=BATCH, paths=paths, progress=progress, keep=keep
+    )
+
+
+def one_by_one(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    names: Sequence[str],
+    stage: str,
+    *,
+    executor: Executor | None,
+    noun: str,
+    progress: ProgressCallback,
+) -> list[R]:
+    """The results of `work`, which needs no photo, in the order of the items: one after another in this process, or each a task
+    of the workers of an executor. Results are equal: torch has one thread either way. Raises as `look_at`."""
+    if executor is not None:
+        return _by_workers(work, items, names, stage, executor=executor, noun=noun, batch=1, paths=(), progress=progress)
+    found = []
+    with one_torch_thread():
+        for done, item in enumerate(items):
+            progress(f"{stage} {names[done]}", done, len(items))
+            found.append(work(item))
+    return found
+
+
+def _by_workers(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    names: Sequence[str],
+    stage: str,
+    *,
+    executor: Executor,
+    noun: str,
+    batch: int,
+    paths: Sequence[str | None],
+    progress: ProgressCallback,
+    keep: Callable[[int, R], None] = lambda place, result: None,
+) -> list[R]:
+    """The results of the workers, `batch` items a task; `noun` and `names` are what the items are called, `paths` those of files
+    that workers have to see, by item."""
     found: dict[int, R] = {}
     waiting: dict[Future[list[R]], tuple[int, int]] = {}
     done: SimpleQueue[Future[list[R]]] = SimpleQueue()
 
     def begin(first: int, turn: int) -> None:
         """Hand a batch to a worker."""
-        part = slice(first, first + BATCH)
-        paths = [str(photo.path) for photo in photos[part] if isinstance(photo, PhotoRef)]
+        part = slice(first, first + batch)
+        files = [path for path in paths[part] if path is not None]
         try:
-            task = executor.submit(_of_batch, work, items[part], paths, revision(*SOURCES), turn)
+            task = executor.submit(_of_batch, work, items[part], files, revision(*SOURCES), turn)
         except BrokenExecutor as error:
-            raise _lost(photos[part], error, turn) from None
+            raise _lost(noun, names[part], error, turn) from None
         waiting[task] = (first, turn)
         task.add_done_callback(done.put)
 
     try:
-        for first in range(0, len(items), BATCH):
+        for first in range(0, len(items), batch):
             begin(first, 1)
         while waiting:
             task = done.get()
@@ -78,11 +122,11 @@ def look_at(
                 results = task.result()
             except (OSError, MemoryError) as error:
                 if turn == TRIES:
-                    raise _lost(photos[first : first + BATCH], error, turn) from None
+                    raise _lost(noun, names[first : first + batch], error, turn) from None
                 begin(first, turn + 1)
                 continue
             except worker_died() as error:
-                raise _lost(photos[first : first + BATCH], error, turn) from None
+                raise _lost(noun, names[first : first + batch], error, turn) from None
             for place, result in enumerate(results, first):
                 found[place] = result
                 keep(place, result)
@@ -120,10 +164,10 @@ def worker_died() -> tuple[type[BaseException], ...]:
     return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))
 
 
-def _lost(photos: Sequence[Photo], error: BaseException, turn: int) -> InputError:
+def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int) -> InputError:
     times = "" if turn == 1 else f", tried {turn} times"
     why = " ".join(str(error).split()) or "no reason given"
     return InputError(
-        f"The photos {photos[0].name} to {photos[-1].name} could not be worked on: {type(error).__name__}{times}. Workers that "
+        f"The {noun} {names[0]} to {names[-1]} could not be worked on: {type(error).__name__}{times}. Workers that "
         f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a time."
     )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -21,6 +21,7 @@ from omnilines.calibration.single import CameraCalibration, calibrate_camera, wi
 from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresholds
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
+from omnilines.pipelines.batches import one_by_one
 from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
 from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
@@ -140,7 +141,7 @@ def calibrate(
     `model="auto"` fits all camera models and takes the one that predicts held-out views best. Where frames follow one another
     closely (of a video, or a table with `times_s`) a rolling shutter is recognised, which a note says; with `rolling_shutter` its
     line delay is estimated with all else, and the pose of a view is that at the instant of its middle row. Photos are searched
-    again by the workers of an `executor`, where one is given.
+    again, and models fitted, by the workers of an `executor`, where one is given.
 
     Raises InputError for options out of range, corners outside the image and too few views, and GeometryError where the data
     cannot determine the camera.
@@ -172,7 +173,7 @@ def calibrate(
     notes = (*_gains(corners, found), *found.notes)
     selection = None
     if options.model == AUTO:
-        selection, options, result = _selected(found, options, progress)
+        selection, options, result = _selected(found, options, executor, progress)
     if result is None:
         result = _fitted(found, options, progress)
     result = with_line_delay(found, result, options, progress)
@@ -253,15 +254,12 @@ def _fitted(found: PhotoCorners, options: CalibrationOptions, progress: Progress
 
 
 def _selected(
-    found: PhotoCorners, options: CalibrationOptions, progress: ProgressCallback
+    found: PhotoCorners, options: CalibrationOptions, executor: Executor | None, progress: ProgressCallback
 ) -> tuple[Selection, CalibrationOptions, CameraCalibration | None]:
     """The model that was chosen, the options with it, and its calibration unless a board is to be refined with it."""
-
-    def trying(label: str, done: int, total: int) -> None:
-        progress(f"fitting {label}", done, total)
-
+    each = partial(one_by_one, stage="fitting", executor=executor, noun="camera models", progress=progress)
     selection = select_model(
-        found.corners, found.image_size, loss=options.loss, mirror=options.mirror, thresholds=options, callback=trying
+        found.corners, found.image_size, loss=options.loss, mirror=options.mirror, thresholds=options, each=each
     )
     chosen = selection.chosen.candidate
     options = replace(options, model=chosen.model, **chosen.options)

@@ -45,14 +45,16 @@ if __name__ == "__main__":
             stages[now[0]] = stages.get(now[0], 0.0) + time.process_time() - now[1]
             now[:] = [stage, time.process_time()]
 
-    start = time.perf_counter()
+    start, main, mine = time.perf_counter(), time.thread_time(), time.process_time()
     names = [folder / f"view{k:05d}.png" for k in range(photos)]
     with workers(cluster) as executor:
         reconstruct_photos(names, folder / "calibration.yaml", str(folder / "poses.csv"), out, executor=executor, progress=tell)
     tell("", 0, 0)
     own, theirs = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    found = {"cpu": own.ru_utime + own.ru_stime + theirs.ru_utime + theirs.ru_stime, "wall": time.perf_counter() - start}
-    print(json.dumps({**found, "mb": own.ru_maxrss / 1024, "stages": stages}))
+    main = time.thread_time() - main
+    found = {"main": main, "pool": time.process_time() - mine - main, "workers": theirs.ru_utime + theirs.ru_stime}
+    found |= {"cpu": own.ru_utime + own.ru_stime + found["workers"], "wall": time.perf_counter() - start}
+    print(json.dumps({**found, "mb": own.ru_maxrss / 1024, "worker_mb": theirs.ru_maxrss / 1024, "stages": stages}))
 """
 
 
@@ -104,9 +106,11 @@ def main(folder: Path, counts: list[int], workers: list[int]) -> None:
     found = {(photos, count): run(folder, photos, count) for count in workers for photos in counts}
     rows = []
     for (photos, count), one in found.items():
-        figures = (one["cpu"], 1e3 * one["cpu"] / photos, one["wall"], one["mb"])
-        rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in figures)])
-    print_table("reconstruct, given poses", ("photos", "workers", "CPU s", "ms a photo", "wall s", "MB"), rows)
+        path = one["main"] + (one["pool"] + one["workers"]) / max(count, 1)
+        figures = (one["cpu"], 1e3 * one["cpu"] / photos, one["main"], one["pool"], one["workers"], path, one["wall"], one["mb"])
+        rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in (*figures, one["worker_mb"]))])
+    columns = ("CPU s", "ms a photo", "main thread", "its pool", "workers", "longest path s", "wall s", "MB", "MB a worker")
+    print_table("reconstruct, given poses", ("photos", "workers", *columns), rows)
     of_photos = [found[photos, workers[0]]["stages"] for photos in counts]
     stages = []
     for name, last in of_photos[-1].items():
