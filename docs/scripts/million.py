@@ -1,6 +1,7 @@
 """What photos up to a million would take: a simulation on paper, from costs that the benchmarks measured.
 
-docs/scripts/tables.py writes its table into docs/scaling.md, and a test compares. Nothing here ran at a million photos. What is measured says where; what is assumed says so.
+`docs/scripts/tables.py` writes its table into docs/scaling.md, and a test compares. Nothing here ran at a million photos. What is
+measured says where; what is assumed says so.
 """
 
 import math
@@ -23,11 +24,11 @@ class Measured:
     """docs/scaling.md, flats."""
     lines_a_photo: float = 8.4
     """docs/scaling.md, flats."""
-    shared_a_photo: float = 0.114
-    """tests/bench/bench_parts.py, a grid of 20 x 20 streets in parts of 500; along a path it is 0.05."""
-    separators_s: tuple[tuple[int, float], ...] = ((3_520, 1.0), (14_840, 10.0))
-    """tests/bench/bench_parts.py, photos and seconds of factor and covariances of the separators' system."""
-    sent_bytes_a_photo: float = 10_000.0
+    separators_s: tuple[tuple[int, float], ...] = ((3_520, 0.21), (7_112, 0.82))
+    """tests/bench/bench_parts.py, photos of a grid of streets, and seconds of the factor of the separators, each iteration."""
+    separator_covariances_s: tuple[tuple[int, float], ...] = ((3_520, 3.3), (7_112, 20.6))
+    """The same of its covariances, once."""
+    sent_bytes_a_photo: float = 6_000.0
     """tests/bench/bench_parts.py, information matrices of all parts, each iteration."""
     arc_bytes: int = 432
     """omnilines/adjustment/memory.py, of an observation in the process that adjusts."""
@@ -57,12 +58,10 @@ def state_bytes(measured: Measured) -> float:
 def row(photos: int, measured: Measured, assumed: Assumed) -> tuple[str, ...]:
     """Of the table."""
     turns = assumed.rounds * assumed.iterations
-    (few, few_s), (many, many_s) = measured.separators_s[0], measured.separators_s[-1]
-    power = _power(few, few_s, many, many_s)
     extraction = photos * assumed.megapixels * measured.extraction_s_a_mpx / 3600
     lines = photos * assumed.rounds * measured.lines_s_a_photo / 3600
     parts = photos * turns * measured.parts_s_a_photo / 3600
-    joined = turns * many_s * (photos / many) ** power / 3600
+    joined = (turns * _at(photos, measured.separators_s) + _at(photos, measured.separator_covariances_s)) / 3600
     divided = extraction + parts
     read = photos * assumed.photo_bytes
     each_turn = state_bytes(measured) + measured.sent_bytes_a_photo
@@ -74,9 +73,10 @@ def row(photos: int, measured: Measured, assumed: Assumed) -> tuple[str, ...]:
     return (f"{photos:,}", *(f"{figure:,.2g}" if figure < 10 else f"{figure:,.0f}" for figure in figures))
 
 
-def _power(few: int, few_s: float, many: int, many_s: float) -> float:
-    """p of seconds ~ photos^p."""
-    return math.log(many_s / few_s) / math.log(many / few)
+def _at(photos: int, found: tuple[tuple[int, float], ...]) -> float:
+    """Seconds at so many photos, by the power of the photos that two measurements show."""
+    (few, few_s), (many, many_s) = found
+    return many_s * (photos / many) ** (math.log(many_s / few_s) / math.log(many / few))
 
 
 HEADER = (
