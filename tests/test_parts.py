@@ -194,7 +194,7 @@ def test_workers_find_what_one_process_does_and_leave_nothing_behind(tmp_path: P
 
 def test_what_an_executor_cannot_do_is_said(tmp_path: Path) -> None:
     lost = Pickled({2: BrokenExecutor("a process was terminated abruptly")})
-    with pytest.raises(InputError, match=r"A part of the scene could not be adjusted: BrokenExecutor\. Workers that last"):
+    with pytest.raises(InputError, match=r"The parts 2 to 2 could not be worked on: BrokenExecutor\. Workers that last"):
         by_parts(scene(), part_workers(lost, tmp_path))
     full = Pickled({count: OSError(28, "No space left on device") for count in range(1, 99)})
     with pytest.raises(InputError, match=r"OSError, tried 3 times.*No space left.*make `partition` smaller"):

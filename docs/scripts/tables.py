@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import million
 import typer
 
 import omnilines
@@ -104,6 +105,7 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
     "models.md": {"models": models, "equations": model_sections},
     "formats.md": {"formats": formats},
     "api.md": {"names": api},
+    "scaling.md": {"million": lambda: table(million.HEADER, million.rows())},
 }
 """Page -> mark -> what stands there."""
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -9,6 +10,9 @@ from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.geometry.line_chart import LineChart
+
+AT_ONCE = 1 << 16
+"""Observations whose normals are formed at once: charts and poses of all would take more memory than the arcs."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class LinesAndPoses:
 
     def normals(self, arcs: MatchedArcs) -> Float[Tensor, "n 3"]:
         """Projection-plane normal M of every observation, camera frame."""
-        return self.chart[arcs.track].projection_normal(self.cam_from_world[arcs.image])[0]
+        poses, rows = self.cam_from_world, zip(arcs.image.split(AT_ONCE), arcs.track.split(AT_ONCE), strict=True)
+        return torch.cat([self.chart[track].projection_normal(poses[image])[0] for image, track in rows])
 
 
 def moved_poses(poses: Pose, free: Int[Tensor, " f"], delta: Float[Tensor, "f 6"]) -> Pose:

@@ -125,7 +125,7 @@ def _by_workers(
                     raise _lost(noun, names[first : first + batch], error, turn) from None
                 begin(first, turn + 1)
                 continue
-            except worker_died() as error:
+            except _worker_died() as error:
                 raise _lost(noun, names[first : first + batch], error, turn) from None
             for place, result in enumerate(results, first):
                 found[place] = result
@@ -158,7 +158,7 @@ def _of_batch(work: Callable[[T], R], items: Sequence[T], paths: Sequence[str], 
         return [work(item) for item in items]
 
 
-def worker_died() -> tuple[type[BaseException], ...]:
+def _worker_died() -> tuple[type[BaseException], ...]:
     """What executors raise where a worker is gone for good. Dask has tried again by itself by then."""
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))
@@ -167,7 +167,8 @@ def worker_died() -> tuple[type[BaseException], ...]:
 def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int) -> InputError:
     times = "" if turn == 1 else f", tried {turn} times"
     why = " ".join(str(error).split()) or "no reason given"
+    smaller = ", or make `partition` smaller" if noun == "parts" else ""
     return InputError(
         f"The {noun} {names[0]} to {names[-1]} could not be worked on: {type(error).__name__}{times}. Workers that "
-        f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a time."
+        f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a time{smaller}."
     )

@@ -77,7 +77,7 @@ def bench_ten_thousand_cameras(tmp_path: pathlib.Path) -> None:
 def bench_systems_of_separators() -> None:
     """Time and memory of the system of the photos that parts of a grid of streets share."""
     rows = []
-    for streets in (3, 4) if SMALL else (6, 10, 20, 40):
+    for streets in (3, 4) if SMALL else (6, 10, 14):
         places, pairs = _tied(streets, 20)
         part = dissected(pairs[:, 0], pairs[:, 1], places, 100 if SMALL else 500)
         shared = np.flatnonzero(part < 0)
