@@ -170,5 +170,6 @@ def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int) -> I
     smaller = ", or make `partition` smaller" if noun == "parts" else ""
     return InputError(
         f"The {noun} {names[0]} to {names[-1]} could not be worked on: {type(error).__name__}{times}. Workers that "
-        f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a time{smaller}."
+        f"last were expected, found one that ended or lacks memory or disk ({why}); give them more, or use fewer at a "
+        f"time{smaller}."
     )
