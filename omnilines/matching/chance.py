@@ -2,9 +2,9 @@
 
 Among windows, steps and slats arcs of several edges meet in lines that are not there, of four photos and more. What tells them
 from true ones is that as many photos would show a line anywhere else: in each photo the line is moved across itself, and the
-share of the places where an arc would show it is the chance that the photo shows a line that is not there. Short arcs beside a long
-line, of which every photo shows most by one arc, are no such chance. Photos that look where the line is and do not show it count
-against it, the more the fewer arcs they have there.
+share of the places where an arc would show it is the chance that the photo shows a line that is not there. Short arcs beside a
+long line, of which every photo shows most by one arc, are no such chance. Photos that look where the line is and do not show it
+count against it, the more the fewer arcs they have there.
 """
 
 from collections.abc import Sequence
