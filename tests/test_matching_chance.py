@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -37,40 +38,43 @@ def test_the_chance_of_so_many_is_that_of_all_outcomes() -> None:
 
 
 def test_places_beside_a_line_are_counted_once_and_only_where_an_arc_looks_like_it() -> None:
-    """One photo: an arc on the line, two beside it that overlap, one of other colours, one too far off, one past its end."""
-    offsets = np.array([0.1, 30.0, 30.5, -50.0, REACH_PX + 20.0, -20.0])
-    low, high = np.array([400.0, 400, 400, 400, 400, 700]), np.array([560.0, 560, 560, 560, 560, 800])
+    """One photo: an arc on the line, two beside it that overlap, one of other colours, one too far off, one past its end, one
+    beside a third of it."""
+    offsets = np.array([0.1, 30.0, 30.5, -50.0, REACH_PX + 20.0, -20.0, 60.0])
+    low, high = np.array([400.0, 400, 400, 400, 400, 700, 420]), np.array([560.0, 560, 560, 560, 560, 800, 475])
     pixels = np.stack([np.stack([639.5 + offsets, end], -1) for end in (low, high)], 1)
-    colours = np.full((6, 2, 3), math.log(80.0))
+    colours = np.full((7, 2, 3), math.log(80.0))
     colours[3] = math.log(200.0)
     colours[:, 0] += 1.0
     colours[3, 0] -= 2.0
-    arcs = viewed(CAMERA, Pose.identity(1), np.zeros(6, dtype=np.int64), torch.as_tensor(pixels), SIGMA_PX, colours)
+    arcs = viewed(CAMERA, Pose.identity(1), np.zeros(7, dtype=np.int64), torch.as_tensor(pixels), SIGMA_PX, colours)
     ends = torch.tensor([[[0.0, (v - 479.5) / 3000.0 * 10.0, 10.0] for v in (400.0, 560.0)]], dtype=torch.float64)
     line = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
     span = (ends @ line.direction[0]).numpy()
-    own = np.array([0, -1, -1, -1, -1, -1])
+    own = np.array([0, -1, -1, -1, -1, -1, -1])
     seen = mean_colours(arcs, np.array([0]), np.array([0]), np.array([False]), 1)
-    width, beside = shown_and_beside(
-        line.direction.numpy(),
-        line.moment.numpy(),
-        span,
-        seen,
-        own,
-        arcs.packed,
-        arcs.px_rad,
-        arcs.colours,
-        arcs.starts,
-        np.array([0, 1]),
-        np.array([0]),
-        REACH_PX,
-        MOST_CHI_SQUARE,
-        OPTIONS.hypotheses.min_overlap_share,
-        OPTIONS.likeness,
-    )
     half = SIGMA_PX * math.sqrt(MOST_CHI_SQUARE / 2.0)
-    assert abs(width[0] - 2.0 * half) < 0.01
-    assert abs(beside[0] - (2.0 * half + 0.5)) < 0.02
+    for least_share, expected in ((0.0, 4.0 * half + 0.5), (0.3, 4.0 * half + 0.5), (0.4, 2.0 * half + 0.5)):
+        width, beside = shown_and_beside(
+            line.direction.numpy(),
+            line.moment.numpy(),
+            span,
+            seen,
+            own,
+            np.array([least_share]),
+            arcs.packed,
+            arcs.px_rad,
+            arcs.colours,
+            arcs.starts,
+            np.array([0, 1]),
+            np.array([0]),
+            REACH_PX,
+            MOST_CHI_SQUARE,
+            OPTIONS.hypotheses.min_overlap_share,
+            OPTIONS.likeness,
+        )
+        assert abs(width[0] - 2.0 * half) < 0.01
+        assert abs(beside[0] - expected) < 0.05
 
 
 def fence(noise_px: float) -> tuple[list, Pose, torch.Tensor, np.ndarray, np.ndarray, torch.Tensor]:
@@ -160,3 +164,23 @@ def test_a_line_across_the_seam_of_a_panorama_and_no_lines_at_all() -> None:
     raised = PlueckerLines.through(points[:, 0] + torch.tensor([0.0, 1.0, 0.0]), line.direction)
     assert chance_of_lines(arcs, raised, span, np.full(1, -1), [camera])[0] == 1.0
     assert chance_of_lines(arcs, line[[]], span[:0], np.full(1, -1), [camera]).shape == (0,)
+
+
+def test_short_edges_beside_a_long_line_do_not_speak_against_it() -> None:
+    """A long bar among short ones, in three photos of twelve: by its whole length it is there, by a piece it might be any."""
+    cameras, poses, ends, photo, bar, pixels = fence(SIGMA_PX)
+    long = BARS // 2
+    few = np.isin(photo, (3, 6, 9))
+    kept = few | (bar != long)
+    photo, bar, pixels = photo[kept], bar[kept], pixels[torch.as_tensor(kept)]
+    middle = pixels.mean(1, keepdim=True)
+    pixels = torch.where(torch.as_tensor(bar == long)[:, None, None], pixels, middle + 0.3 * (pixels - middle))
+    arcs = viewed(cameras[0], poses, photo, pixels, SIGMA_PX, np.full((len(bar), 2, 3), math.log(90.0)))
+    line = PlueckerLines.from_points(ends[long : long + 1, 0], ends[long : long + 1, 1])
+    span = (ends[long] @ line.direction[0]).numpy()[None]
+    own = np.where(bar == long, 0, -1)
+    chances = []
+    for as_much in (0.0, OPTIONS.chance.as_much):
+        options = replace(OPTIONS, chance=OPTIONS.chance._replace(as_much=as_much))
+        chances.append(float(chance_of_lines(arcs, line, span, own, cameras, options=options)[0]))
+    assert chances[0] > 1e-3 > chances[1]

@@ -2,8 +2,9 @@
 
 Among windows, steps and slats arcs of several edges meet in lines that are not there, of four photos and more. What tells them
 from true ones is that as many photos would show a line anywhere else: in each photo the line is moved across itself, and the
-share of the places where an arc would show it is the chance that the photo shows a line that is not there. Photos that look where
-the line is and do not show it count against it, the more the fewer arcs they have there.
+share of the places where an arc would show it is the chance that the photo shows a line that is not there. Short arcs beside a
+long line, of which every photo shows most by one arc, are no such chance. Photos that look where the line is and do not show it
+count against it, the more the fewer arcs they have there.
 """
 
 from collections.abc import Sequence
@@ -55,6 +56,7 @@ def chance_of_lines(
         positions_m,
         colours,
         own,
+        options.chance.as_much * _least_share(arcs, lines, positions_m, rows, own[rows]),
         arcs.packed,
         arcs.px_rad,
         arcs.colours,
@@ -83,6 +85,23 @@ def chance_of_lines(
     lengths_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
     could = shown | (near & (lengths_px >= options.chance.min_length_px))
     return at_least(chance[could], line[could], times)
+
+
+def _least_share(
+    arcs: ViewedArcs,
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    rows: Int[np.ndarray, " m"],
+    line: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, " l"]:
+    """Share of each line that an arc of its own covers, in the photo of those that show it where that is least; 0 for none."""
+    places, usable = arcs.positions(lines, rows, line)
+    low, high = positions_m[line].T
+    share = np.clip((np.minimum(places[:, 1], high) - np.maximum(places[:, 0], low)) / (high - low), 0.0, 1.0)
+    shown = np.full((len(lines), arcs.images), -1.0)
+    np.maximum.at(shown, (line[usable], arcs.image[rows[usable]]), share[usable])
+    least = np.where(shown >= 0.0, shown, np.inf).min(1)
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _lengths_px(

@@ -96,6 +96,9 @@ class ChanceOptions(NamedTuple):
     """A photo that has less of a line in its field could not show it by an arc."""
     farther: float = 1.5
     """Photos farther from a line than so many times the farthest that shows it are not asked: other rooms do not see it."""
+    as_much: float = 0.5
+    """Of what each photo that shows a line shows of it by one arc, at least: where another arc covers less of it, or of the line
+    moved, it shows something else. All of it would favour the line, whose ends are those of its own arcs."""
 
 
 class DirectionOptions(NamedTuple):

@@ -21,6 +21,7 @@ def shown_and_beside(
     span: np.ndarray,
     line_colours: np.ndarray,
     own: np.ndarray,
+    least_share: np.ndarray,
     packed: np.ndarray,
     px_rad: np.ndarray,
     colours: np.ndarray,
@@ -36,9 +37,10 @@ def shown_and_beside(
     shows the line, NaN where none does; and the length (px) of all other places, up to `reach_px` to both sides, at which arcs of
     the photo would show it.
 
-    `span` (l, 2) are the positions along each line between which it is known, `own` (n,) the line of each arc or -1. The plane
-    of a line is turned by t about an axis square to the middle of the line: distances h from it become h - t cos(f), f the
-    angle from that middle. An arc shows it where the sum of (h - t cos f)^2 / s^2 over its ends is at most `most_square`.
+    `span` (l, 2) are the positions along each line between which it is known, `own` (n,) the line of each arc or -1, and
+    `least_share` (l,) what of each line another arc that shows it has to cover. The plane of a line is turned by t about an axis
+    square to the middle of the line: distances h from it become h - t cos(f), f the angle from that middle. An arc shows it where
+    the sum of (h - t cos f)^2 / s^2 over its ends is at most `most_square`.
     """
     photos = len(starts) - 1
     width, beside = np.full(len(asked), np.nan), np.zeros(len(asked))
@@ -55,7 +57,7 @@ def shown_and_beside(
                 mine = own[arc] == line
                 if not mine and not close[arc - begin]:
                     continue
-                flipped = _seen(packed[arc], direction[line], view, mine, min_overlap_share, at)
+                flipped = _seen(packed[arc], direction[line], view, mine, min_overlap_share, least_share[line], at)
                 if flipped < 0:
                     continue
                 first, second = at[2] / packed[arc, 12], at[3] / packed[arc, 13]
@@ -110,10 +112,13 @@ def _within(ends: np.ndarray, view: np.ndarray, most_rad: np.ndarray, close: np.
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, min_overlap_share: float, out: np.ndarray) -> int:
+def _seen(
+    p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, min_overlap_share: float, least_share: float, out: np.ndarray
+) -> int:
     """Distances (rad) of both ends of an arc from the plane of a line and cosines of their angles from its middle into `out`.
 
-    1 where the arc runs against the line, 0 where along it, -1 where it is not its own and does not lie beside it.
+    1 where the arc runs against the line, 0 where along it, -1 where it is not its own and does not lie beside it, or beside too
+    little of it.
     """
     out[0] = p[0] * view[0] + p[1] * view[1] + p[2] * view[2]
     out[1] = p[3] * view[0] + p[4] * view[1] + p[5] * view[2]
@@ -123,6 +128,10 @@ def _seen(p: np.ndarray, d: np.ndarray, view: np.ndarray, mine: bool, min_overla
     overlap, shorter = min(end, high) - max(begin, low), min(end - begin, high - low)
     if not mine and (high - low > math.pi or overlap < min_overlap_share * shorter):
         return -1
+    if not mine:
+        covered = math.tan(min(end, high)) - math.tan(max(begin, low))
+        if covered < least_share * (math.tan(end) - math.tan(begin)):
+            return -1
     out[2], out[3] = math.cos(first - view[8]), math.cos(last - view[8])
     return 1 if last < first else 0
 
