@@ -40,24 +40,17 @@ class Lensfun(CalibrationFormat):
     TOGETHER = False
     FORMS: ClassVar[tuple[Form, ...]] = (
         Form(RECTILINEAR, "pinhole", ("f", "cx", "cy")),
-        Form(f"{RECTILINEAR} acm", "pinhole", ("f", "cx", "cy", "k1", "k2", "p1", "p2", "k3")),
         Form(f"{RECTILINEAR} poly5", "pinhole", ("f", "cx", "cy", "k1", "k2")),
+        Form(f"{RECTILINEAR} {_ACM}", "pinhole", ("f", "cx", "cy", "k1", "k2", "p1", "p2", "k3")),
         Form(FISHEYE, "opencv-fisheye", ("f", "cx", "cy")),
-        Form(f"{FISHEYE} acm", "opencv-fisheye", ("f", "cx", "cy", "k1", "k2", "k3")),
         Form(f"{FISHEYE} poly5", "opencv-fisheye", ("f", "cx", "cy", "k1", "k2")),
+        Form(f"{FISHEYE} {_ACM}", "opencv-fisheye", ("f", "cx", "cy", "k1", "k2", "k3")),
     )
 
-    @classmethod
-    def form_of(cls, model: CameraModel) -> Form | None:
-        """That with the fewest parameters, and so acm, which lensfun 0.3 does not know, only where nothing else holds it."""
-        held = [form for form in cls.FORMS if form.why_not(model) is None]
-        return min(held, key=lambda form: len(form.order or ()), default=None)
-
     def forms_at(self, path: Path, calibration: Calibration) -> tuple[Form, ...]:
-        """Those of fewer parameters first; acm is not fitted, for the same reason."""
+        """acm only where nothing else holds a camera exactly: lensfun 0.3 does not know it, so none is fitted by it."""
         exact = [self.form_of(model) for model in calibration.values()]
-        forms = sorted(self.FORMS, key=lambda form: len(form.order or ()))
-        return tuple(form for form in forms if not form.name.endswith("acm") or form in exact)
+        return tuple(form for form in self.FORMS if not form.name.endswith(_ACM) or form in exact)
 
     def recognises(self, path: Path, head: str) -> bool:
         """XML with the root of the database."""

@@ -1,6 +1,6 @@
 """Nerfstudio's own parsers read a COLMAP folder or transforms.json, run by .venv-peers: its cameras and rays as JSON.
 
-They are made for a trainer and import no CUDA: `pip install --no-deps nerfstudio==1.1.5`, and with their dependencies torch, rich,
+They need no CUDA: `pip install --no-deps nerfstudio==1.1.5`, and with their dependencies torch, rich,
 tyro, viser==0.2.7, jaxtyping, tensorboard, opencv-python-headless, appdirs, requests, rawpy and matplotlib.
 """
 
