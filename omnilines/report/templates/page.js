@@ -59,6 +59,8 @@
       const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
       layout.margin = { ...layout.margin, b: Math.min(130, 16 + 22 * Math.ceil(names.size / 3)) };
     }
+    // Beside an image's scale bar and legend a narrow page leaves no width to it: it takes height.
+    if (layout.yaxis?.scaleanchor && plot.clientWidth < 600) plot.style.aspectRatio = Math.min(0.8, plot.clientWidth / plot.clientHeight);
     await Plotly.newPlot(plot, data, { ...layout, template: template() }, config);
     if (layout.meta?.lines) pickable(plot, layout.meta);
     await new Promise((resume) => setTimeout(resume)); // let the page answer between figures
