@@ -17,6 +17,8 @@ from omnilines.report.numbers import figure
 
 STANDS_OUT = 3.0
 """Standard deviation of a camera's place, in those of the median one, from which on its photo is named."""
+MANY_WEAK = 0.05
+"""Share of the lines from which on those that are weak are spoken of."""
 SAMPLE = 2000
 """Lines and photos that are looked at, at most."""
 FEW_SHARE = 0.25
@@ -44,7 +46,8 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
         a, b = _farthest_apart(scene)
         do = f"Measure how far apart {a} and {b} were taken, and give it: `scale_from` {a},{b}:METRES."
         found.append(Advice("Photos alone do not tell how large the scene is.", do))
-    return (*found, *_weak_lines(scene), *_least_sure_photo(scene), *(() if found else _of_number(scene)))
+    found += [*_weak_lines(scene), *_least_sure_photo(scene)]
+    return tuple(found) or _of_number(scene)
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:
@@ -58,7 +61,7 @@ def _weak_lines(scene: Scene) -> tuple[Advice, ...]:
     """Lines that cameras see under small angles only, and the photos that show most of them."""
     lines, weak = scene.lines, np.array([status == "weak" for status in scene.lines.status], dtype=bool)
     sure = lines.known & ~weak
-    if not weak.any() or not sure.any():
+    if weak.sum() <= MANY_WEAK * lines.known.sum() or not sure.any():
         return ()
     low, usual = (float(np.median(plane_angles_deg(scene, np.flatnonzero(rows)))) for rows in (weak, sure))
     if not low < usual:

@@ -50,6 +50,9 @@
   });
 
   await new Promise((resume) => requestAnimationFrame(() => setTimeout(resume))); // what can be read is shown before any figure
+  const library = document.createElement("script");
+  library.textContent = document.getElementById("plotly-js").textContent; // five megabytes, which are not compiled before that
+  document.head.append(library);
   for (const plot of plots) {
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
     if (layout.scene && plot.clientWidth < 600) {
