@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -17,6 +18,7 @@ from calib_patterns import pattern
 from calib_patterns.rendering import render_target
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines import cli
+from omnilines.cli._shared import LENS_MODELS
 
 LENS = camera_models.OpenCVFisheye([170.0, 170.5, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], (640, 480))
 SPEC = "checkerboard:7x5:30mm"
@@ -275,6 +277,11 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert done.returncode == 0, done.stderr
     for name in ("detect", "calibrate", "reconstruct", "adjust", "render", "validate", "experiment"):
         assert name in done.stdout
+
+
+def test_the_models_that_the_help_names_are_those_with_parameters():
+    calibrated = [name for name, _ in camera_models.MODELS if camera_models.model_class(name).CALIBRATED]
+    assert re.split(", | or ", LENS_MODELS) == calibrated
 
 
 def test_version(capsys):

@@ -41,12 +41,12 @@ Photos = Annotated[
     list[Path], typer.Argument(help="Photos, folders of them, a video, a bag (BAG:/topic), or corners.csv.", show_default=False)
 ]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
+LENS_MODELS = "pinhole, opencv-fisheye, scaramuzza, unified, extended-unified or double-sphere"
+"""Those with parameters."""
 PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
 Model = Annotated[
     str,
-    typer.Option(
-        "--model", help="Camera model: pinhole, opencv-fisheye, scaramuzza, unified, extended-unified or double-sphere."
-    ),
+    typer.Option("--model", help=f"Camera model: {LENS_MODELS}."),
 ]
 Size = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
@@ -310,7 +310,11 @@ def _print_tables(result: "CommandResult") -> None:
             typer.echo(printable(summary.verdict))
         for one in summary.advice:
             typer.echo(printable(with_flags(f"- {one.limit} {one.do}")))
+    said = any(name.startswith("written") for summary in result.summaries for name, _ in summary.rows)
     if result.report:
         typer.echo(printable(f"Report: {result.report}"))
+    elif result.files and not said:
+        more = f", and {len(result.files) - 1} more" if len(result.files) > 1 else ""
+        typer.echo(printable(f"Written: {result.files[0]}{more}"))
     if result.then and result.holds:
         typer.echo(printable(f"Next: {shlex.join(['omnilines', *result.then])}"))

@@ -11,6 +11,7 @@ from camera_models.errors import InputError
 from camera_models.formats import FORMATS
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.cli._shared import (
+    LENS_MODELS,
     BlurPx,
     Cluster,
     Json,
@@ -79,7 +80,7 @@ def calibrate(
         str | None,
         typer.Option(
             "--model",
-            help=f"A camera model, or auto: fit all, take the best{EACH}.",
+            help=f"{LENS_MODELS}; or auto: fit all, take the best{EACH}.",
             show_default=DEFAULT.model,
             autocompletion=model_names,
         ),
@@ -141,7 +142,7 @@ def guide(
     until: Annotated[
         str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
     ] = None,
-    model: Annotated[str, typer.Option("--model", help="A camera model.", autocompletion=model_names)] = DEFAULT.model,
+    model: Annotated[str, typer.Option("--model", help=f"{LENS_MODELS}.", autocompletion=model_names)] = DEFAULT.model,
     mirror: Mirror = DEFAULT.mirror,
     port: Annotated[int, typer.Option("--port", help="Of the page on this machine; 0: one that is free.")] = 0,
     settings: Settings = None,
@@ -186,7 +187,7 @@ def convert(
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option("--model", help="Camera model, else that of IN or the nearest that OUT holds.", autocompletion=model_names),
+        typer.Option("--model", help=f"{LENS_MODELS}; else that of IN or the nearest OUT holds.", autocompletion=model_names),
     ] = None,
     fov_deg: Annotated[
         float | None, typer.Option("--fov", help="Field of view of a fit, degrees, else all that is known.")

@@ -17,8 +17,10 @@ from omnilines.report.numbers import figure
 
 STANDS_OUT = 3.0
 """Standard deviation of a camera's place, in those of the median one, from which on its photo is named."""
+MANY_WEAK = 0.05
+"""Share of the lines from which on those that are weak are spoken of."""
 SAMPLE = 2000
-"""Lines of which angles are looked at, at most twice as many."""
+"""Lines and photos that are looked at, at most."""
 FEW_SHARE = 0.25
 """Of the arcs of the median photo: one with fewer is named."""
 TO_REFINE = "`refine` lines,poses"
@@ -44,26 +46,30 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
         a, b = _farthest_apart(scene)
         do = f"Measure how far apart {a} and {b} were taken, and give it: `scale_from` {a},{b}:METRES."
         found.append(Advice("Photos alone do not tell how large the scene is.", do))
-    return (*found, *_weak_lines(scene), *_least_sure_photo(scene), *(() if found else _of_number(scene)))
+    found += [*_weak_lines(scene), *_least_sure_photo(scene)]
+    return tuple(found) or _of_number(scene)
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:
-    centres = scene.poses.cam_from_world.centre
-    row, column = np.unravel_index(int(torch.cdist(centres, centres).argmax()), (len(centres), len(centres)))
-    return scene.poses.images[row], scene.poses.images[column]
+    step = 1 + len(scene.poses) // SAMPLE
+    centres, images = scene.poses.cam_from_world.centre[::step], scene.poses.images[::step]
+    row, column = divmod(int(torch.cdist(centres, centres).argmax()), len(centres))
+    return images[row], images[column]
 
 
 def _weak_lines(scene: Scene) -> tuple[Advice, ...]:
     """Lines that cameras see under small angles only, and the photos that show most of them."""
     lines, weak = scene.lines, np.array([status == "weak" for status in scene.lines.status], dtype=bool)
     sure = lines.known & ~weak
-    if not weak.any() or not sure.any():
+    if weak.sum() <= MANY_WEAK * lines.known.sum() or not sure.any():
         return ()
     low, usual = (float(np.median(plane_angles_deg(scene, np.flatnonzero(rows)))) for rows in (weak, sure))
     if not low < usual:
         return ()
-    track = scene.segments.track
-    image = scene.segments.image[(track >= 0) & weak[track.clip(min=0)]]
+    line = line_of_segments(scene)
+    image = scene.segments.image[(line >= 0) & weak[line]]
+    if not len(image):
+        return ()
     most = scene.segments.images[int(np.bincount(image).argmax())]
     said = (
         f"{int(weak.sum())} of {int(lines.known.sum())} lines are weak: their photos see them from within "
@@ -72,19 +78,24 @@ def _weak_lines(scene: Scene) -> tuple[Advice, ...]:
     return (Advice(said, f"Take a photo far to the side of {most}, or above or below it, which shows most of them."),)
 
 
+def line_of_segments(scene: Scene) -> Int[np.ndarray, " s"]:
+    """The row of the line that each segment shows; -1 where it shows none."""
+    place = {track: k for k, track in enumerate(scene.lines.tracks)}
+    of_track = np.array([place.get(track, -1) for track in scene.segments.tracks] + [-1])
+    return of_track[scene.segments.track]
+
+
 def plane_angles_deg(scene: Scene, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
     """The largest angle between the planes in which two photos see a line: of some lines, a sample where they are many."""
     lines, segments, poses = scene.lines, scene.segments, scene.poses
     rows = rows[:: 1 + len(rows) // SAMPLE]
     row = {image: k for k, image in enumerate(poses.images)}
     of_photo = np.array([row.get(image, -1) for image in segments.images])
-    place = {track: k for k, track in enumerate(lines.tracks)}
-    of_track = np.array([place.get(track, -1) for track in segments.tracks])
     centres = poses.cam_from_world.centre.numpy()
     angle = np.zeros(len(rows))
-    photo, track = of_photo[segments.image], np.where(segments.track >= 0, of_track[segments.track], -1)
-    order = np.argsort(track, kind="stable")
-    begins, ends = (np.searchsorted(track[order], rows, side=side) for side in ("left", "right"))
+    photo, shown = of_photo[segments.image], line_of_segments(scene)
+    order = np.argsort(shown, kind="stable")
+    begins, ends = (np.searchsorted(shown[order], rows, side=side) for side in ("left", "right"))
     for k, (line, begin, end) in enumerate(zip(rows, begins, ends, strict=True)):
         seen = np.unique(photo[order[begin:end]])
         to_ends = lines.ends_m[line] - centres[seen[seen >= 0], None]
@@ -97,7 +108,7 @@ def plane_angles_deg(scene: Scene, rows: Int[np.ndarray, " n"]) -> Float[np.ndar
 def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
     """The photo whose place is much less sure than that of the others."""
     covariance = scene.poses.covariance
-    if covariance is None or len(scene.poses) < 3:
+    if covariance is None or len(scene.poses) < 3 or not np.isfinite(covariance).all():
         return ()
     back = scene.poses.cam_from_world.rotation.mT.numpy()
     sigma = np.sqrt(np.linalg.eigvalsh(back @ covariance[:, 3:, 3:] @ back.swapaxes(-1, -2))[:, -1].clip(min=0))
@@ -180,7 +191,7 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
     """Of a check: where the drift is largest, or what the photos could not tell."""
     found = result.found
     if not result.holds:
-        worst = max((one for one in found.regions if math.isfinite(one.drift_px)), key=lambda one: one.drift_px)
+        worst = max(found.regions, key=lambda one: one.drift_px if math.isfinite(one.drift_px) else -1.0)
         ratio = np.abs(found.change) / np.where(found.change_sigma > 0, found.change_sigma, np.inf)
         name = found.model.PARAMETER_NAMES[int(ratio.argmax())]
         said = (

@@ -12,7 +12,7 @@ from omnilines import report
 from omnilines.adjustment.suspects import Suspect
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.least_squares import Outcome
-from omnilines.pages.limits_of_lines import length, scene_advice
+from omnilines.pages.limits_of_lines import SAMPLE, length, scene_advice
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
 from omnilines.pipelines.scene import FromPhotos, Scene
 from omnilines.records import LengthUnit, Summary
@@ -54,8 +54,9 @@ def _known_to(scene: Scene, sigma: float) -> str:
     """A standard deviation in millimetres; where the scale is open, as a share of the distance from which lines are seen."""
     if scene.lines.unit is LengthUnit.METRES:
         return length(sigma, scene.lines.unit)
-    middles = scene.lines.ends_m[scene.lines.known].mean(1)
-    away = np.linalg.norm(middles[:, None] - scene.poses.cam_from_world.centre.numpy(), axis=-1)
+    middles, centres = scene.lines.ends_m[scene.lines.known].mean(1), scene.poses.cam_from_world.centre.numpy()
+    middles, centres = (points[:: 1 + len(points) // SAMPLE] for points in (middles, centres))
+    away = np.linalg.norm(middles[:, None] - centres, axis=-1)
     return f"{100 * sigma / float(np.median(away)):.2g} percent of their distance"
 
 

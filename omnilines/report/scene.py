@@ -130,7 +130,7 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
     rows = np.flatnonzero(lines.known)
     rows = rows[sample(len(rows), SHOWN_LINES)]
     traces = []
-    for k, label in enumerate(sorted({labels[i] for i in rows})):
+    for k, label in enumerate(sorted(dict.fromkeys(labels[i] for i in rows), key=_number)):
         own = [int(i) for i in rows if labels[i] == label]
         # The middle is there to be hovered over: only vertices answer the mouse.
         ends = lines.ends_m[own]
@@ -138,6 +138,12 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
         traces.append(_strokes(path, text, label, OF_LINES[k % len(OF_LINES)], width=4))
     return traces
+
+
+def _number(label: str) -> float:
+    """That a label ends in; those without one keep their order, behind."""
+    last = label.rpartition(" ")[2]
+    return float(last) if last.isdecimal() else np.inf
 
 
 def _picks(lines: Lines, segments: Segments) -> dict[str, Any]:

@@ -50,6 +50,9 @@
   });
 
   await new Promise((resume) => requestAnimationFrame(() => setTimeout(resume))); // what can be read is shown before any figure
+  const library = document.createElement("script");
+  library.textContent = document.getElementById("plotly-js").textContent; // five megabytes, which are not compiled before that
+  document.head.append(library);
   for (const plot of plots) {
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
     if (layout.scene && plot.clientWidth < 600) {
@@ -59,6 +62,8 @@
       const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
       layout.margin = { ...layout.margin, b: Math.min(130, 16 + 22 * Math.ceil(names.size / 3)) };
     }
+    // Beside an image's scale bar and legend a narrow page leaves no width to it: it takes height.
+    if (layout.yaxis?.scaleanchor && plot.clientWidth < 600) plot.style.aspectRatio = Math.min(0.8, plot.clientWidth / plot.clientHeight);
     await Plotly.newPlot(plot, data, { ...layout, template: template() }, config);
     if (layout.meta?.lines) pickable(plot, layout.meta);
     await new Promise((resume) => setTimeout(resume)); // let the page answer between figures
