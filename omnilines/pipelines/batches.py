@@ -24,6 +24,8 @@ BATCH = 25
 """Photos of a task: enough that sending it costs nothing beside the work, few enough that little is lost with a worker."""
 TRIES = 3
 """Times that a batch is worked on where its worker has no disk or memory left."""
+NOT_READ = "during deserialization"
+"""Says Dask where its scheduler, or a worker, does not know what it is sent."""
 SOURCES = ("camera_models", "calib_patterns", "omnilines")
 
 
@@ -127,6 +129,10 @@ def _by_workers(
                 continue
             except _worker_died() as error:
                 raise _lost(noun, names[first : first + batch], error, turn) from None
+            except (ImportError, RuntimeError) as error:
+                if isinstance(error, ImportError) or NOT_READ in str(error):
+                    raise _not_installed(error) from None
+                raise
             for place, result in enumerate(results, first):
                 found[place] = result
                 keep(place, result)
@@ -162,6 +168,14 @@ def _worker_died() -> tuple[type[BaseException], ...]:
     """What executors raise where a worker is gone for good. Dask has tried again by itself by then."""
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))
+
+
+def _not_installed(error: BaseException) -> InputError:
+    why = " ".join(str(error.__cause__ or error).split())[:200]
+    return InputError(
+        f"Scheduler and workers were expected to have omnilines installed, the same as this process, found one without ({why}); "
+        "install it there."
+    )
 
 
 def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int) -> InputError:
