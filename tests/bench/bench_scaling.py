@@ -4,8 +4,8 @@
 
 A flat has PER_FLAT photos, so that their density does not change with their number. Photos are rendered once into the folder.
 Every run is a process of its own; seconds are those of the processor, of all its processes. With workers, a Dask cluster of so
-many processes extracts the arcs, and the process that was called has as many threads. The longest path is the time that this takes
-where every one of them has a core: the main thread, and the pool and the workers by their number.
+many processes extracts the arcs, and the process called has as many threads. The longest path is what that takes where each has a
+core: the main thread, and the pool and the workers by their number.
 """
 
 import argparse
