@@ -175,9 +175,9 @@ def test_constraints_are_complete() -> None:
 
 
 PERMISSIVE = (
-    "mit", "mit-cmu", "bsd", "0bsd", "bsd license", "bsd-2-clause", "bsd-3-clause", "apache-2.0", "apache software license",
-    "apache-2.0 with llvm-exception", "isc license (iscl)", "mit license", "bsl-1.0", "zlib", "cc0-1.0", "psf-2.0",
-    "python software foundation license",
+    "mit", "mit-cmu", "bsd", "0bsd", "bsd license", "bsd-2-clause", "bsd-3-clause", "bsd 3-clause", "apache-2.0",
+    "apache software license", "apache-2.0 with llvm-exception", "isc license (iscl)", "mit license", "bsl-1.0", "zlib",
+    "cc0-1.0", "psf-2.0", "python software foundation license",
 )  # fmt: skip
 """Licences as packages state them: an expression, a classifier, or a word."""
 

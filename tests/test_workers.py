@@ -197,6 +197,9 @@ def test_workers_that_cannot_see_a_photo_or_run_another_version_are_named(
     older = Pickled(lambda count: monkeypatch.setattr(batches, "revision", lambda *packages: "older"))
     with pytest.raises(InputError, match="found another version; install the same on both"):
         ol.extract(scene.room, scene.cameras, executor=older)
+    for error in (ModuleNotFoundError("No module named 'omnilines'"), RuntimeError("Error during deserialization of the graph")):
+        with pytest.raises(InputError, match=r"expected to have omnilines installed.*found one without"):
+            ol.extract(scene.room, scene.cameras, executor=Pickled(fails(2, error=error)))
 
 
 def refused(capsys: pytest.CaptureFixture[str], scene: Scene, *arguments: str) -> str:
@@ -363,8 +366,10 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, Callable[..., subprocess.Po
         free.bind(("127.0.0.1", 0))
         where = f"127.0.0.1:{free.getsockname()[1]}"
     environment = {
-        **os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(str(Path(__file__).parents[k]) for k in (1, 0)),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+    }
 
     def start(program: str, *arguments: str, **more: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *arguments]
@@ -406,8 +411,7 @@ def test_a_killed_worker_of_four_costs_one_batch_and_one_with_a_full_disk_nothin
     """Workers are killed at random while they work: the same arcs, and no more than one batch is begun again for each."""
     where, worker = scheduler
     scene = Scene(tmp_path, 24)
-    tests = {"PYTHONPATH": os.pathsep.join(str(Path(__file__).parents[k]) for k in (1, 0))}
-    running = [worker(**tests) for _ in range(4)]
+    running = [worker() for _ in range(4)]
     rng = np.random.default_rng(3)
     killed: list[int] = []
 
@@ -416,7 +420,7 @@ def test_a_killed_worker_of_four_costs_one_batch_and_one_with_a_full_disk_nothin
             victim = running.pop(int(rng.integers(len(running))))
             victim.kill()
             killed.append(victim.pid)
-            running.append(worker(**tests))
+            running.append(worker())
 
     with workers(where, wait_s=120.0) as executor:
         assert executor is not None
@@ -431,7 +435,7 @@ def test_a_killed_worker_of_four_costs_one_batch_and_one_with_a_full_disk_nothin
         assert killed and 24 <= len(begun) <= 24 + len(killed) * batches.BATCH
     monkeypatch.undo()
     monkeypatch.setattr(batches, "BATCH", 2)
-    full = worker(**tests, **{DISK_IS_FULL: "1"})
+    full = worker(**{DISK_IS_FULL: "1"})
     with workers(where, wait_s=120.0) as executor:
         assert executor is not None
         until = time.monotonic() + 120.0

@@ -1,18 +1,18 @@
 """Which neighbours of a photo see what it sees: those behind a wall stand near and share nothing.
 
 Such photos add no line, and take some away: their arcs meet those of this side by chance, in lines that are not there, and where
-they look through the wall without showing a line they count against it. So the sharpest arcs are put into tracks first, and
-photos are neighbours that share more lines than chance gives.
+they look through the wall without showing a line they count against it. So the best hypotheses of the sharpest arcs take
+those that support them, and photos are neighbours that share more lines so than chance gives.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from scipy import sparse
 
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypotheses import find_hypotheses
+from omnilines.matching.hypotheses import AT_ONCE, Hypotheses, find_hypotheses
+from omnilines.matching.kernels.track import claim
 from omnilines.matching.options import MatchingOptions
-from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.progress import ProgressCallback, silent
 
 
@@ -34,16 +34,20 @@ def neighbours_in_view(
         return near
     progress("looking who sees the same", 0, 0)
     few = _sharpest(arcs, options.hypotheses.sharpest_arcs)
-    shared = _shared(few, build_tracks(few, find_hypotheses(few, near, options=options), min_views, options))
-    lines = shared.diagonal()
-    fewer = np.minimum(lines[:, None], lines)
+    shows = _shows(few, find_hypotheses(few, near, options=options), min_views)
+    lines = np.diff(shows.indptr).astype(np.float64)
     by_chance = (min_views - 1) / near.sum(1).clip(1) * lines
-    share = np.where(np.eye(len(near), dtype=bool), 0.0, shared / fewer.clip(1))
-    most = np.argsort(-share, axis=1, kind="stable")[:, : options.hypotheses.max_neighbours]
     chosen = np.zeros_like(near)
-    np.put_along_axis(chosen, most, True, 1)
-    beyond = (share > 0) & (shared >= np.minimum(by_chance[:, None], by_chance))
-    return ((chosen | chosen.T) & beyond) | (near & (fewer == 0))
+    for low in range(0, len(near), AT_ONCE):
+        own = slice(low, low + AT_ONCE)
+        shared = (shows[own] @ shows.T).toarray()
+        beyond = (shared > 0) & (shared >= np.minimum(by_chance[own, None], by_chance))
+        np.fill_diagonal(beyond[:, low:], False)
+        share = np.where(beyond, shared / np.minimum(lines[own, None], lines).clip(1), 0.0)
+        most = np.argsort(-share, axis=1, kind="stable")[:, : options.hypotheses.max_neighbours]
+        np.put_along_axis(chosen[own], most, np.take_along_axis(beyond, most, 1), 1)
+    blind = lines == 0
+    return chosen | chosen.T | (near & (blind[:, None] | blind))
 
 
 def _sharpest(arcs: ViewedArcs, most: int) -> ViewedArcs:
@@ -53,12 +57,13 @@ def _sharpest(arcs: ViewedArcs, most: int) -> ViewedArcs:
     return arcs.rows(np.sort(order[rank < most]))
 
 
-def _shared(arcs: ViewedArcs, found: Tracks) -> Float[np.ndarray, "m m"]:
-    """Number of lines that each two of m photos show (m, m); on the diagonal those of each."""
-    member = found.track >= 0
+def _shows(arcs: ViewedArcs, found: Hypotheses, min_views: int) -> sparse.csr_array:
+    """1 where a photo shows a line (photos, lines), of the lines that at least `min_views` photos show."""
+    order = np.argsort(-found.score, kind="stable")
+    track, count = claim(order, found.support, arcs.image, arcs.images, min_views)
+    member = track >= 0
     ones = np.ones(int(member.sum()))
-    shows = sparse.csr_array((ones, (arcs.image[member], found.track[member])), shape=(arcs.images, len(found)))
+    shows = sparse.csr_array((ones, (arcs.image[member], track[member])), shape=(arcs.images, count))
     shows.sum_duplicates()
     shows.data[:] = 1.0
-    shared: Float[np.ndarray, "m m"] = (shows @ shows.T).toarray()
-    return shared
+    return shows

@@ -23,7 +23,9 @@ R = TypeVar("R")
 BATCH = 25
 """Photos of a task: enough that sending it costs nothing beside the work, few enough that little is lost with a worker."""
 TRIES = 3
-"""Times that a batch is worked on where its worker has no disk or memory left."""
+"""Times that all batches whose workers had no disk or memory left fail again, one and all, before they are given up."""
+NOT_READ = "during deserialization"
+"""Says Dask where its scheduler, or a worker, does not know what it is sent."""
 SOURCES = ("camera_models", "calib_patterns", "omnilines")
 
 
@@ -98,39 +100,52 @@ def _by_workers(
     """The results of the workers, `batch` items a task; `noun` and `names` are what the items are called, `paths` those of files
     that workers have to see, by item."""
     found: dict[int, R] = {}
-    waiting: dict[Future[list[R]], tuple[int, int]] = {}
+    waiting: dict[Future[list[R]], int] = {}
     done: SimpleQueue[Future[list[R]]] = SimpleQueue()
+    round_of = 1
 
-    def begin(first: int, turn: int) -> None:
+    def begin(first: int) -> None:
         """Hand a batch to a worker."""
         part = slice(first, first + batch)
         files = [path for path in paths[part] if path is not None]
         try:
-            task = executor.submit(_of_batch, work, items[part], files, revision(*SOURCES), turn)
+            task = executor.submit(_of_batch, work, items[part], files, revision(*SOURCES), round_of)
         except BrokenExecutor as error:
-            raise _lost(noun, names[part], error, turn) from None
-        waiting[task] = (first, turn)
+            raise _lost(noun, names[part], error) from None
+        waiting[task] = first
         task.add_done_callback(done.put)
 
+    begun, fruitless = list(range(0, len(items), batch)), 0
     try:
-        for first in range(0, len(items), batch):
-            begin(first, 1)
-        while waiting:
-            task = done.get()
-            first, turn = waiting.pop(task)
-            try:
-                results = task.result()
-            except (OSError, MemoryError) as error:
-                if turn == TRIES:
-                    raise _lost(noun, names[first : first + batch], error, turn) from None
-                begin(first, turn + 1)
-                continue
-            except _worker_died() as error:
-                raise _lost(noun, names[first : first + batch], error, turn) from None
-            for place, result in enumerate(results, first):
-                found[place] = result
-                keep(place, result)
-            progress(stage, len(found), len(items))
+        while begun:
+            # A worker without disk fails at once and is free at once: what failed waits until all others are through.
+            failed: dict[int, BaseException] = {}
+            before = len(found)
+            for first in begun:
+                begin(first)
+            while waiting:
+                task = done.get()
+                first = waiting.pop(task)
+                try:
+                    results = task.result()
+                except (OSError, MemoryError) as error:
+                    failed[first] = error
+                    continue
+                except _worker_died() as error:
+                    raise _lost(noun, names[first : first + batch], error) from None
+                except (ImportError, RuntimeError) as error:
+                    if isinstance(error, ImportError) or NOT_READ in str(error):
+                        raise _not_installed(error) from None
+                    raise
+                for place, result in enumerate(results, first):
+                    found[place] = result
+                    keep(place, result)
+                progress(stage, len(found), len(items))
+            fruitless = fruitless + 1 if len(found) == before else 0
+            round_of, begun = round_of + 1, list(failed)
+            if begun and fruitless == TRIES:
+                first = begun[0]
+                raise _lost(noun, names[first : first + batch], failed[first], TRIES)
     finally:
         # After an error, or where the user stops it, what has not begun does not begin.
         for task in waiting:
@@ -164,7 +179,15 @@ def _worker_died() -> tuple[type[BaseException], ...]:
     return (BrokenExecutor, CancelledError, *(() if distributed is None else (distributed.KilledWorker,)))
 
 
-def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int) -> InputError:
+def _not_installed(error: BaseException) -> InputError:
+    why = " ".join(str(error.__cause__ or error).split())[:200]
+    return InputError(
+        f"Scheduler and workers were expected to have omnilines installed, the same as this process, found one without ({why}); "
+        "install it there."
+    )
+
+
+def _lost(noun: str, names: Sequence[str], error: BaseException, turn: int = 1) -> InputError:
     times = "" if turn == 1 else f", tried {turn} times"
     why = " ".join(str(error).split()) or "no reason given"
     smaller = ", or make `partition` smaller" if noun == "parts" else ""

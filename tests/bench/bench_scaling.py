@@ -4,7 +4,8 @@
 
 A flat has PER_FLAT photos, so that their density does not change with their number. Photos are rendered once into the folder.
 Every run is a process of its own; seconds are those of the processor, of all its processes. With workers, a Dask cluster of so
-many processes extracts the arcs.
+many processes extracts the arcs, and the process called has as many threads. The longest path is what that takes where each has a
+core: the main thread, and the pool and the workers by their number.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from timing import print_table
+from timing import SMALL, print_table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -100,15 +101,15 @@ def exponent(few: float, many: float, factor: float) -> str:
     return f"{math.log(many / few) / math.log(factor):.2f}" if few > 0 and many > 0 else ""
 
 
-def main(folder: Path, counts: list[int], workers: list[int]) -> None:
-    """The tables."""
+def measured(folder: Path, counts: list[int], workers: list[int]) -> dict[tuple[int, int], dict]:
+    """What each run took, by photos and workers, printed as tables."""
     building(folder, max(counts))
     found = {(photos, count): run(folder, photos, count) for count in workers for photos in counts}
     rows = []
     for (photos, count), one in found.items():
-        path = one["main"] + (one["pool"] + one["workers"]) / max(count, 1)
-        figures = (one["cpu"], 1e3 * one["cpu"] / photos, one["main"], one["pool"], one["workers"], path, one["wall"], one["mb"])
-        rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in (*figures, one["worker_mb"]))])
+        one["path"] = one["main"] + (one["pool"] + one["workers"]) / max(count, 1)
+        figures = (one["cpu"], 1e3 * one["cpu"] / photos, *(one[name] for name in ("main", "pool", "workers", "path", "wall")))
+        rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in (*figures, one["mb"], one["worker_mb"]))])
     columns = ("CPU s", "ms a photo", "main thread", "its pool", "workers", "longest path s", "wall s", "MB", "MB a worker")
     print_table("reconstruct, given poses", ("photos", "workers", *columns), rows)
     of_photos = [found[photos, workers[0]]["stages"] for photos in counts]
@@ -118,6 +119,19 @@ def main(folder: Path, counts: list[int], workers: list[int]) -> None:
         grows = exponent(of_photos[-2].get(name, 0.0), last, counts[-1] / counts[-2]) if len(counts) > 1 else ""
         stages.append([name, *each, grows])
     print_table("CPU ms a photo by stage", ("stage", *map(str, counts), "exponent of the last two"), stages)
+    return found
+
+
+def bench_many_photos_and_workers(tmp_path: Path) -> None:
+    """Time and memory grow with the photos, not faster; the gain of workers is printed."""
+    counts, workers = ([6, 12], [0, 2]) if SMALL else ([10, 100, 1000], [0, 1, 2, 4])
+    found = measured(tmp_path, counts, workers)
+    gains = [(found[counts[-1], workers[1]]["path"] / found[counts[-1], count]["path"], count) for count in workers[1:]]
+    print("  ".join(f"{count} workers: {gain:.2f} times as fast as {workers[1]}" for gain, count in gains))
+    few, many = (found[photos, 0] for photos in counts[-2:])
+    factor = counts[-1] / counts[-2]
+    assert many["mb"] < 4096
+    assert SMALL or max(many[name] / few[name] for name in ("cpu", "mb")) <= factor**1.1
 
 
 if __name__ == "__main__":
@@ -125,9 +139,8 @@ if __name__ == "__main__":
     parser.add_argument("--work", type=Path)
     parser.add_argument("--photos", type=int, nargs="+", default=[10, 100, 1000])
     parser.add_argument("--workers", type=int, nargs="+", default=[0], help="0: the cores of one process")
-    parser.add_argument("--small", action="store_true", help="few photos")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         place = Path(options.work or made)
         place.mkdir(parents=True, exist_ok=True)
-        main(place, [6, 12] if options.small else options.photos, options.workers)
+        measured(place, options.photos, options.workers)
