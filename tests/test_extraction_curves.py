@@ -311,3 +311,24 @@ def test_profiles_read_the_photo(channels: int) -> None:
     truth = (2.0 * reach + places[..., 1]).reshape(100, 5, 13).mean(1)
     assert whole.sum() > 20
     np.testing.assert_allclose(mean[whole], np.repeat(truth[whole, None], channels, 1), atol=1e-4)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 5])
+def test_mean_profiles_are_cubic_convolution_up_to_the_seam_and_the_last_pixel(channels: int) -> None:
+    """Keys's kernel, written out: most pixels are read a row at once, those at seam and end one by one."""
+    rng = np.random.default_rng(7)
+    image = rng.integers(0, 256, (20, 30, channels), dtype=np.uint8)
+    pixel, across = rng.uniform([-0.5, 1.0], [29.5, 17.9], (200, 2)), np.tile([1.0, 0.0], (200, 1))
+    at = Samples(
+        np.zeros(200, dtype=np.int64), np.arange(201), across[:, 0], pixel, across, np.ones(200), np.ones(200, dtype=bool)
+    )
+    mean, whole = mean_profiles(Picture(image, 1.0, True), at, np.arange(201), np.ones(200, dtype=bool), np.zeros(1))
+    first = np.floor(pixel).astype(np.int64) - 1
+    distance = np.abs(pixel[:, None] - first[:, None] - np.arange(4.0)[:, None])
+    near, far = 1.0 - 2.5 * distance**2 + 1.5 * distance**3, 2.0 - 4.0 * distance + 2.5 * distance**2 - 0.5 * distance**3
+    weight = np.where(distance < 1.0, near, far)
+    rows, columns = first[:, 1, None] + np.arange(4), (first[:, 0, None] + np.arange(4)) % 30
+    values = image[rows[:, :, None], columns[:, None]].astype(np.float64)
+    expected = np.einsum("np,nq,npqc->nc", weight[..., 1], weight[..., 0], values)
+    assert whole.all()
+    np.testing.assert_allclose(mean[..., 0], expected, atol=1e-3)

@@ -35,7 +35,7 @@ class Arcs:
     @cached_property
     def second(self) -> Float[np.ndarray, "n 3"]:
         """normal x first."""
-        return np.cross(self.normal, self.first)
+        return cross(self.normal, self.first)
 
     @cached_property
     def frame(self) -> Float[np.ndarray, "n 3 3"]:
@@ -67,11 +67,17 @@ def arcs_of_ends(
     first = ends.sum(1)
     first -= (first * normal).sum(-1, keepdims=True) * normal
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    second = np.cross(normal, first)
+    second = cross(normal, first)
     angles = np.arctan2((ends * second[:, None]).sum(-1), (ends * first[:, None]).sum(-1))
     basis = np.stack([first, second], -1)
     covariance = inverse_2x2(basis.mT @ information @ basis)
     return Arcs(normal, first, angles.min(-1), angles.max(-1), covariance)
+
+
+def cross(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """As `np.cross`, which takes several times as long for a few hundred rows."""
+    following, last = [1, 2, 0], [2, 0, 1]
+    return a[:, following] * b[:, last] - a[:, last] * b[:, following]
 
 
 def inverse_2x2(matrix: Float[np.ndarray, "*n 2 2"]) -> Float[np.ndarray, "*n 2 2"]:

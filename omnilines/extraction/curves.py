@@ -14,7 +14,7 @@ from omnilines.extraction.bearings import MOST_ERROR_PX, STEP_RAD, axis_of, chan
 from omnilines.extraction.kernels.curve import leave_out_far, lengths_along, read_curves, slopes, smooth_intervals, unwrapped
 from omnilines.extraction.kernels.tables import Curves, Samples
 
-NODE_PX = 10.0
+NODE_PX = 20.0
 LEAST_INTERVALS, MOST_INTERVALS = 4, 128
 """Between the nodes of an arc: powers of 2."""
 MOST_ERROR_SHARE = 3e-5

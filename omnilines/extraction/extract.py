@@ -131,7 +131,8 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
     known = _with_hidden(photo, known, blur_px, noise, options)
     arcs = fit_together(photo.model, known, blur_px, options.neighbours, options.refit)
     length_px = lengths_px(photo.model, arcs)
-    single = ~_twice(photo, arcs, length_px, np.arange(len(arcs)), options) & (length_px >= options.min_length_px)
+    rate = spans(photo.model, arcs)[1]
+    single = ~_twice(photo, arcs, length_px, rate, np.arange(len(arcs)), options=options) & (length_px >= options.min_length_px)
     order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
     arcs = arcs.keep(order)
     ends, covariance = _end_points(photo.model, arcs, options.along_sigma_px)
@@ -139,10 +140,17 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
 
 
 def _twice(
-    photo: Photo, arcs: Arcs, rank: Float[np.ndarray, " n"], kin: Int[np.ndarray, " n"], options: ExtractionOptions
+    photo: Photo,
+    arcs: Arcs,
+    rank: Float[np.ndarray, " n"],
+    rate: Float[np.ndarray, " n"],
+    kin: Int[np.ndarray, " n"],
+    *,
+    options: ExtractionOptions,
 ) -> Bool[np.ndarray, " n"]:
     """The `duplicates` among arcs that are fitted for good."""
-    return duplicates(photo, arcs, rank, kin, options.neighbours.same_px, max_normal_rad=options.merging.max_normal_rad)
+    same_px, max_normal_rad = options.neighbours.same_px, options.merging.max_normal_rad
+    return duplicates(photo, arcs, rank, rate, kin, same_px=same_px, max_normal_rad=max_normal_rad)
 
 
 def _with_hidden(photo: Photo, known: Profiled, blur_px: float, noise: float, options: ExtractionOptions) -> Profiled:
@@ -155,14 +163,18 @@ def _with_hidden(photo: Photo, known: Profiled, blur_px: float, noise: float, op
         if not len(hidden.arcs):
             break
         before = len(known.arcs)
-        known = known.with_more(profiled(photo, hidden.arcs, noise, options.neighbours))
-        number = np.arange(len(known.arcs))
+        every = joined([known.arcs, hidden.arcs])
+        number = np.arange(len(every))
         # What is known already stays: it counts as the longer one.
-        rank = spans(photo.model, known.arcs)[0] + np.where(number < before, 1e6, 0.0)
-        single = np.flatnonzero(~_twice(photo, known.arcs, rank, np.maximum(number - before, -1), options))
-        again = np.zeros(len(known.arcs), dtype=bool)
+        length_px, rate = spans(photo.model, every)
+        rank = length_px + np.where(number < before, 1e6, 0.0)
+        single = np.flatnonzero(~_twice(photo, every, rank, rate, np.maximum(number - before, -1), options=options))
+        again = np.zeros(len(every), dtype=bool)
         again[before:], again[hidden.beside] = True, True
-        known, rows = known.keep(single), np.flatnonzero(again[single])
+        known, rows, new = known.keep(single[single < before]), np.flatnonzero(again[single]), single[single >= before]
+        if not len(new):
+            break
+        known = known.with_more(profiled(photo, every.keep(new), noise, options.neighbours))
     return known
 
 

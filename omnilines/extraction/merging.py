@@ -68,16 +68,20 @@ def duplicates(
     photo: Photo,
     arcs: Arcs,
     rank: Float[np.ndarray, " n"],
+    rate: Float[np.ndarray, " n"],
     kin: Int[np.ndarray, " n"],
-    same_px: float,
     *,
+    same_px: float,
     max_normal_rad: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Arcs that lie beside one of higher rank over most of their length; those of the same number in `kin` are not compared."""
+    """Arcs that lie beside one of higher rank over most of their length; those of the same number in `kin` are not compared.
+
+    `rate` are the fewest pixels across an arc for a radian (`spans`).
+    """
     dropped = np.zeros(len(arcs), dtype=bool)
     if len(arcs) < 2:
         return dropped
-    pairs = _pairs(arcs, rank, spans(photo.model, arcs)[1], same_px, 0.0, max_normal_rad=max_normal_rad)
+    pairs = _pairs(arcs, rank, rate, same_px, 0.0, max_normal_rad=max_normal_rad)
     pairs = pairs.keep(kin[pairs.a] != kin[pairs.b])
     if len(pairs.a):
         dropped[pairs.b[_offsets(photo, arcs, pairs).max(-1) < same_px]] = True

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.kernels.profile import REORDERED
 from omnilines.extraction.kernels.tables import Curves
 
 
@@ -121,6 +122,16 @@ def _hermite(s: float, k: int, c: int, table: np.ndarray, slope: np.ndarray) -> 
     return low + s * s * (3.0 - 2.0 * s) * (high - low) + s * t * t * slope[k, c] - s * s * t * slope[k + 1, c]
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED, **BORROWED)
+@no_type_check
+def _all_columns(s: float, k: int, table: np.ndarray, slope: np.ndarray, value: np.ndarray) -> None:
+    """As `_hermite`, of all columns."""
+    t = 1.0 - s
+    high, out, back = s * s * (3.0 - 2.0 * s), s * t * t, -s * s * t
+    for c in range(6):
+        value[c] = (1.0 - high) * table[k, c] + high * table[k + 1, c] + out * slope[k, c] + back * slope[k + 1, c]
+
+
 @njit(cache=True, nogil=True)
 @no_type_check
 def lengths_along(curves: Curves, parts: int) -> np.ndarray:
@@ -139,7 +150,7 @@ def lengths_along(curves: Curves, parts: int) -> np.ndarray:
     return run
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED)
 @no_type_check
 def read_curves(
     curves: Curves, run: np.ndarray, starts: np.ndarray
@@ -150,23 +161,26 @@ def read_curves(
     count, parts = starts[-1], run.shape[1] - 1
     owner, place = np.empty(count, dtype=np.int64), np.empty(count)
     pixel, across = np.empty((count, 2)), np.empty((count, 2))
-    rate, smooth = np.empty(count), np.empty(count, dtype=np.bool_)
+    rate, smooth, value = np.empty(count), np.empty(count, dtype=np.bool_), np.empty(6)
     for arc in range(len(starts) - 1):
         begin, nodes = node_starts[arc], node_starts[arc + 1] - node_starts[arc] - 1
         low, span = angle[begin], angle[begin + nodes] - angle[begin]
         spacing, part = run[arc, -1] / (starts[arc + 1] - starts[arc]), 0
+        over = 1.0 / (run[arc, 1] - run[arc, 0])
         for n in range(starts[arc], starts[arc + 1]):
             at = (n - starts[arc] + 0.5) * spacing
             while part < parts - 1 and run[arc, part + 1] < at:
                 part += 1
-            share = (part + (at - run[arc, part]) / (run[arc, part + 1] - run[arc, part])) / parts
+                over = 1.0 / (run[arc, part + 1] - run[arc, part])
+            share = (part + (at - run[arc, part]) * over) / parts
             step = min(int(share * nodes), nodes - 1)
             s, k = share * nodes - step, begin + step
             owner[n], place[n], smooth[n] = arc, low + share * span, good[k]
-            x, y = -_hermite(s, k, 3, table, slope), _hermite(s, k, 2, table, slope)
+            _all_columns(s, k, table, slope, value)
+            x, y = -value[3], value[2]
             length = max(math.sqrt(x * x + y * y), 1e-12)
-            by = (x * _hermite(s, k, 4, table, slope) + y * _hermite(s, k, 5, table, slope)) / length
+            by = (x * value[4] + y * value[5]) / length
             sign = -1.0 if by < 0.0 else 1.0
-            pixel[n, 0], pixel[n, 1] = _hermite(s, k, 0, table, slope), _hermite(s, k, 1, table, slope)
+            pixel[n, 0], pixel[n, 1] = value[0], value[1]
             across[n, 0], across[n, 1], rate[n] = sign * x / length, sign * y / length, sign * by
     return owner, place, pixel, across, rate, smooth

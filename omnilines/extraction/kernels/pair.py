@@ -89,7 +89,10 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
     (of the first) off the first one's circle; together they span less than `longest_rad`. The gap is below both limits and half
     of both lengths; or the second lies beside the first over more than half of its length.
     """
-    frame, low, high, length_px, beside = table
+    # The one of highest rank first: of each cell's arcs those before an arc are all that it is compared with.
+    order = np.argsort(-table.rank, kind="mergesort")
+    frame, low, high = table.frame[order], table.low[order], table.high[order]
+    length_px, beside = table.rank[order], table.beside[order]
     near, most_gap_px, most_gap, longest = limits
     arcs, count, room, looked = len(low), 0, 1024, 0
     pairs, values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
@@ -116,7 +119,9 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
             key = _bucket(i + neighbour // 9 - 1, j + neighbour // 3 % 3 - 1, k + neighbour % 3 - 1, most)
             for row in range(starts[key], starts[key + 1]):
                 a = rows[row]
-                if seen[a] == b or length_px[a] < length_px[b] or (length_px[a] == length_px[b] and a >= b):
+                if a >= b:
+                    break
+                if seen[a] == b:
                     continue
                 seen[a] = b
                 looked += 1
@@ -145,7 +150,7 @@ def near_pairs(table: Ranked, limits: PairLimits) -> tuple[np.ndarray, np.ndarra
                     more_pairs, more_values = np.empty((room, 2), dtype=np.int64), np.empty((room, 4))
                     more_pairs[:count], more_values[:count] = pairs, values
                     pairs, values = more_pairs, more_values
-                pairs[count, 0], pairs[count, 1] = a, b
+                pairs[count, 0], pairs[count, 1] = order[a], order[b]
                 values[count, 0], values[count, 1], values[count, 2] = first, last, gap
                 values[count, 3] = 1.0 if ahead >= behind else 0.0
                 count += 1

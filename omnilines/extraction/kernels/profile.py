@@ -22,6 +22,12 @@ BLURS_PX = np.array([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 1.9, 2.4])
 """Standard deviations of the blurred steps that a profile is compared with."""
 
 
+_KEYS = np.array([[0.0, 1.0, 0.0, 0.0], [-0.5, 0.0, 0.5, 0.0], [1.0, -2.5, 2.0, -0.5], [-0.5, 1.5, -1.5, 0.5]], dtype=np.float32)
+"""Powers of the share t of the way from the second of four pixels to the third: what each pixel is weighted with."""
+_LANES = 16
+"""Values of a row of pixels that are read at once: four pixels of up to four channels."""
+
+
 def step_filters(taper_px: float) -> np.ndarray:
     """For each blur (b, 4, k), weights of a profile having a standard deviation of `taper_px`: the row that turns a profile of a
     unit step into its shift (px), and three rows whose inner products with a profile, squared, add up to what a level, a step and
@@ -224,7 +230,7 @@ def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarra
     return shift
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED)
 @no_type_check
 def mean_profiles(
     picture: Picture, at: Samples, starts: np.ndarray, wanted: np.ndarray, offsets: np.ndarray
@@ -238,14 +244,17 @@ def mean_profiles(
     image, unit, closed = picture
     pixel, across, valid = at.pixel, at.across, at.valid
     height, width, channels = image.shape
-    pieces, size = len(starts) - 1, len(offsets)
+    pieces, size, flat, row = len(starts) - 1, len(offsets), image.reshape(-1), width * channels
     grey, inside = np.zeros((pieces, channels, size), dtype=np.float32), np.ones(pieces, dtype=np.bool_)
-    wu, wv, columns = np.empty(4), np.empty(4), np.empty(4, dtype=np.int64)
+    # Of each lane, value q * channels + c of a row, the weight is a cubic of the share of the way to the next pixel.
+    cubic = _keys(channels)
+    sums = np.empty((size, cubic.shape[1]), dtype=np.float32)
+    last, down = len(flat) - 3 * row - _LANES if 4 * channels <= _LANES else -1, np.uintp(row)
     for piece in range(pieces):
         inside[piece] = wanted[piece]
         if not wanted[piece]:
             continue
-        share = 1.0 / (unit * (starts[piece + 1] - starts[piece]))
+        sums[:] = 0.0
         for n in range(starts[piece], starts[piece + 1]):
             inside[piece] = inside[piece] and valid[n]
             for k in range(size):
@@ -254,30 +263,47 @@ def mean_profiles(
                     inside[piece] = False
                     continue
                 j, i = math.floor(u), math.floor(v)
-                _keys(u - j, wu)
-                _keys(v - i, wv)
-                for q in range(4):
-                    columns[q] = (j - 1 + q) % width if closed else j - 1 + q
-                for c in range(channels):
-                    total = 0.0
-                    for p in range(4):
-                        row = 0.0
-                        for q in range(4):
-                            row += wu[q] * image[i - 1 + p, columns[q], c]
-                        total += wv[p] * row
-                    grey[piece, c, k] += total * share
+                s, t = np.float32(u - j), v - i
+                w0, w1 = np.float32(t * (0.5 * t * (2.0 - t) - 0.5)), np.float32(t * t * (1.5 * t - 2.5) + 1.0)
+                w2, w3 = np.float32(t * (t * (2.0 - 1.5 * t) + 0.5)), np.float32(0.5 * t * t * (t - 1.0))
+                first = (i - 1) * row + (j - 1) * channels
+                if j < 1 or j >= width - 2 or first > last:
+                    _add_apart(image, i, j, s, (w0, w1, w2, w3), cubic, sums[k])
+                    continue
+                # Indices without a sign: no wrapping round has to be looked for.
+                a = np.uintp(first)
+                b, c, d = a + down, a + down + down, a + down + down + down
+                for m in range(_LANES):
+                    e = np.uintp(m)
+                    value = w0 * flat[a + e] + w1 * flat[b + e] + w2 * flat[c + e] + w3 * flat[d + e]
+                    sums[k, m] += value * (cubic[0, m] + s * (cubic[1, m] + s * (cubic[2, m] + s * cubic[3, m])))
+        share = np.float32(1.0 / (unit * (starts[piece + 1] - starts[piece])))
+        for k in range(size):
+            for m in range(4 * channels):
+                grey[piece, m % channels, k] += share * sums[k, m]
     return grey, inside
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _keys(channels: int) -> np.ndarray:
+    """Coefficients (4, lanes) of the cubics that weight four pixels in a row, value by value."""
+    cubic = np.zeros((4, max(_LANES, 4 * channels)), dtype=np.float32)
+    for m in range(4 * channels):
+        cubic[:, m] = _KEYS[:, m // channels]
+    return cubic
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
 @no_type_check
-def _keys(t: float, weight: np.ndarray) -> None:
-    """Weights of four neighbours at -1, 0, 1, 2 for a place t in [0, 1)."""
-    s = 1.0 - t
-    weight[0] = -0.5 * t * s * s
-    weight[3] = -0.5 * s * t * t
-    weight[1] = s * (1.0 + t - 1.5 * t * t)
-    weight[2] = t * (1.0 + s - 1.5 * s * s)
+def _add_apart(image: np.ndarray, i: int, j: int, s: float, w: tuple, cubic: np.ndarray, total: np.ndarray) -> None:
+    """Add the weighted pixels around a place to the lanes of `total` one by one: at a seam, and at the end of the image."""
+    width, channels = image.shape[1:]
+    for m in range(4 * channels):
+        column, c = (j - 1 + m // channels) % width, m % channels
+        value = w[0] * image[i - 1, column, c] + w[1] * image[i, column, c]
+        value += w[2] * image[i + 1, column, c] + w[3] * image[i + 2, column, c]
+        total[m] += value * (cubic[0, m] + s * (cubic[1, m] + s * (cubic[2, m] + s * cubic[3, m])))
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)

@@ -24,6 +24,8 @@ _RIDGE = 1e-6
 """Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
 _FARTHEST_PX, _WIDEST_PX = 12.0, 12.0
 """Places of steps and offsets that the table of a blurred step reaches."""
+_FLAT = 9.0
+"""Blurs from a step where it is flat to the last digit."""
 _PARTS = 32
 """Rows of the table between two offsets."""
 
@@ -88,6 +90,9 @@ def blurred_steps(blur: float, between: float) -> Table:
     for j in range(_PARTS + 1):
         for i in range(columns):
             x = ((j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX) / blur
+            if abs(x) > _FLAT:
+                half[j, i], bell[j, i] = math.copysign(0.5, x), 0.0
+                continue
             half[j, i] = 0.5 * math.erf(x * 0.7071067811865476)
             bell[j, i] = math.exp(-0.5 * x * x) / (blur * 2.5066282746310002)
     return Table(half.ravel(), bell.ravel(), columns, blur)
