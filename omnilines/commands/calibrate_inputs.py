@@ -46,8 +46,8 @@ class CalibrationInputs:
             )
         if self.lines and self.rig:
             raise InputError(
-                "Photos of one camera were expected with `pattern` lines, found a rig: lines do not tell how its cameras stand to "
-                "one another; calibrate each camera alone with its own photos, or the rig with a board."
+                "Photos of one camera were expected with `pattern` lines, found a rig: lines do not tell how its cameras stand "
+                "to one another; calibrate each camera alone with its own photos, or the rig with a board."
             )
         if not self.table and self.pattern is None:
             raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")

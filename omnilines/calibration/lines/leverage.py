@@ -47,7 +47,8 @@ def correction(
 
     gain = torch.linalg.lstsq(eliminated, by_chain(e[:, :, None] * local[:, None])).solution
     left = local - (e[:, None] @ gain[chain])[:, 0]
-    root = torch.linalg.cholesky(of_camera)
+    values, vectors = torch.linalg.eigh(of_camera)
+    root = vectors * values.clamp_min(0.0).sqrt()
     padded = torch.cat([following @ root, root.new_zeros(1, q)])
     score = (left[:, None] @ padded[columns][chain])[:, 0]
     whole = by_chain(score.square().sum(-1))
