@@ -109,7 +109,7 @@ OF_TARGET = tuple(
     f"calibration.{part}"
     for part in (
         *("views.", "screening.", "start.", "robust.", "degeneracy.", "doubt.", "noise.", "duplicates.", "shooting."),
-        *("rig.", "clocks.", "loss", "mirror", "refine_board", "searches"),
+        *("rig.", "clocks.", "loss", "refine_board", "searches"),
     )
 )
 
@@ -125,11 +125,15 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "calibrate": (
         Rule(("lines.",), _of_lines, "with `pattern` lines"),
         Rule(
-            ("loss", "mirror", "refine_board", "rolling_shutter", "cluster", "detection.", *OF_TARGET),
+            ("loss", "refine_board", "rolling_shutter", "cluster", "detection.", *OF_TARGET),
             _of_target,
             "with a target, found `pattern` lines",
         ),
-        Rule(("mirror", "rolling_shutter"), lambda call: not _of_lines(call), "with a target alone, found lines beside it"),
+        Rule(
+            ("mirror", "calibration.mirror", "rolling_shutter"),
+            lambda call: not (_of_lines(call) and _of_target(call)),
+            "with a target alone, found lines beside it",
+        ),
         Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
         Rule(("split", "cluster"), lambda call: not _of_table(call), "with photos, found a table"),

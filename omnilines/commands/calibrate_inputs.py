@@ -45,7 +45,10 @@ class CalibrationInputs:
                 f"{wanted} was expected, found {' '.join(map(str, self.photos))}; a table does not hold the size of the photos."
             )
         if self.lines and self.rig:
-            raise InputError("Photos of one camera were expected with `pattern` lines, found a rig; calibrate each alone.")
+            raise InputError(
+                "Photos of one camera were expected with `pattern` lines, found a rig: lines do not tell how its cameras stand "
+                "to one another; calibrate each camera alone with its own photos, or the rig with a board."
+            )
         if not self.table and self.pattern is None:
             raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
 

@@ -4,9 +4,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt
 
 from camera_models import CameraModel
+from omnilines.extraction.blocks import fit_places, pieces, profiled
 from omnilines.extraction.curves import samples
-from omnilines.extraction.extract import extracted
+from omnilines.extraction.extract import Extracted, extracted
 from omnilines.extraction.kernels.tables import Edgels, Samples
+from omnilines.extraction.neighbours import step_fit
 from omnilines.extraction.options import ExtractionOptions, SupportOptions
 from omnilines.geometry.chains import Chains
 
@@ -25,22 +27,47 @@ def arc_chains(
     """The edge points of each arc of a photo, in their order along it. Arguments and errors are those of `extract_arcs`.
 
     The standard deviation of a point is that of its chain: by how much points differ from the line through their neighbours.
+    Where other edges lie beside, which draw edge points away or to themselves, points are moved to where all edges are that
+    together make the profile across; by how much that is uncertain is in their standard deviation.
     """
-    photo, found = extracted(image, model, mask, least_angle_rad, options)
-    at = samples(model, found.arcs, 0.0)
-    chain, point = _points_beside(photo.edgels, at, options.support)
-    pixels, normals = (photo.edgels.points[point, k : k + 2].astype(np.float64) for k in (0, 2))
-    count = np.bincount(chain, minlength=len(found))
-    long = count >= options.chains.min_points
-    rows = long[chain]
-    chain = (np.cumsum(long) - 1)[chain[rows]]
-    pixels, normals = pixels[rows], normals[rows]
+    done = extracted(image, model, mask, least_angle_rad, options)
+    at = samples(model, done.found.arcs, 0.0)
+    sample, point = _points_beside(done.photo.edgels, at, options.support)
+    long = np.bincount(at.owner[sample], minlength=len(done.found)) >= options.chains.min_points
+    sample, point = (one[long[at.owner[sample]]] for one in (sample, point))
+    chain = (np.cumsum(long) - 1)[at.owner[sample]]
+    pixels, normals = (done.photo.edgels.points[point, k : k + 2].astype(np.float64) for k in (0, 2))
     sigma = scatter_px(chain, pixels, normals)[chain]
+    shift, variance = _off_neighbours(done, at, sample, pixels, options)
+    pixels = pixels + shift[:, None] * at.across[sample]
+    sigma = np.sqrt(sigma**2 + variance)
     return Chains((name,), model.image_size, np.zeros(int(long.sum()), dtype=np.int64), chain, pixels, normals, sigma)
 
 
+def _off_neighbours(
+    done: Extracted,
+    at: Samples,
+    sample: Int[np.ndarray, " n"],
+    pixels: Float[np.ndarray, "n 2"],
+    options: ExtractionOptions,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """How far edge points are to be moved across their arcs, and the variance of that: the points of a piece of an arc with other
+    arcs beside it, from their mean to where its own step is in the profile across, where all steps are fitted together."""
+    beside, model = options.neighbours, done.photo.model
+    known = profiled(done.photo, done.found.arcs, done.noise, beside)
+    blocks = known.crossed(model, np.arange(len(done.found)), beside.min_cosine)
+    place, variance, _, _ = fit_places(blocks, blocks.place, step_fit(beside, options.refit.taper_px, done.blur_px))
+    block = np.searchsorted(pieces(at, np.diff(at.starts) // beside.block_px), sample, side="right") - 1
+    off = ((pixels - at.pixel[sample]) * at.across[sample]).sum(-1)
+    count = np.maximum(np.bincount(block, minlength=len(place)), 1)
+    shift = place[:, 0] - np.bincount(block, off, minlength=len(place)) / count
+    moved = blocks.whole & (blocks.count > 1) & (np.abs(shift) < beside.max_shift_px)
+    # Points of a piece move together.
+    return np.where(moved, shift, 0.0)[block], np.where(moved, variance * count, 0.0)[block]
+
+
 def _points_beside(edgels: Edgels, at: Samples, options: SupportOptions) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """(arc, edge point) of every edge point on an arc, in their order along it."""
+    """(sample, edge point) of every edge point on an arc, in their order along it."""
     height, width = edgels.number.shape
     best = np.full(len(at.owner), -1)
     least = np.full(len(at.owner), options.within_px)
@@ -59,7 +86,7 @@ def _points_beside(edgels: Edgels, at: Samples, options: SupportOptions) -> tupl
     rows = np.flatnonzero(best >= 0)
     key = at.owner[rows] * (len(edgels.points) + 1) + best[rows]
     first = np.sort(np.unique(key, return_index=True)[1])
-    return at.owner[rows][first].astype(np.int64), best[rows][first]
+    return rows[first], best[rows][first]
 
 
 def scatter_px(

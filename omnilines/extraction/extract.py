@@ -61,7 +61,19 @@ def extract_arcs(
 
     Raises InputError where photo or mask have not the size of the camera's images.
     """
-    return extracted(image, model, mask, least_angle_rad, options)[1]
+    return extracted(image, model, mask, least_angle_rad, options).found
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """The arcs of a photo, and what they were found with."""
+
+    photo: Photo
+    """With its edge points."""
+    found: ExtractedArcs
+    noise: float
+    """Grey levels of 255."""
+    blur_px: float
 
 
 def extracted(
@@ -70,8 +82,8 @@ def extracted(
     mask: Bool[np.ndarray, "h w"] | None,
     least_angle_rad: float,
     options: ExtractionOptions,
-) -> tuple[Photo, ExtractedArcs]:
-    """`extract_arcs`, with the photo and its edge points."""
+) -> Extracted:
+    """`extract_arcs`, with all that they come from."""
     height, width = image.shape[:2]
     for name, size in (("photo", (width, height)), ("mask", (width, height) if mask is None else mask.shape[::-1])):
         if size != model.image_size:
@@ -92,7 +104,9 @@ def extracted(
     # Arcs that bend, what was cut off others, and what still moves.
     done = fitted.settled & np.isnan(fitted.bend)
     fitted = fitted.keep(done).with_more(refit(photo, fitted.keep(~done).straight(), 0.0, least, options))
-    return photo, _finished(photo, fitted, max(noise, LEAST_NOISE), options)
+    noise = max(noise, LEAST_NOISE)
+    found, blur_px = _finished(photo, fitted, noise, options)
+    return Extracted(photo, found, noise, blur_px)
 
 
 def _begun(
@@ -122,7 +136,8 @@ def _begun(
     return photo, arcs_of_ends(*pieces), noise
 
 
-def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionOptions) -> ExtractedArcs:
+def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionOptions) -> tuple[ExtractedArcs, float]:
+    """The arcs, and the blur of the photo."""
     kept = (fitted.length_px >= options.min_length_px) & (fitted.support >= options.min_support)
     kept &= stands_out(photo, fitted, options.clutter)
     arcs = fitted.arcs.keep(kept)
@@ -136,7 +151,7 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
     order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
     arcs = arcs.keep(order)
     ends, covariance = _end_points(photo.model, arcs, options.along_sigma_px)
-    return ExtractedArcs(arcs, ends, covariance, length_px[order])
+    return ExtractedArcs(arcs, ends, covariance, length_px[order]), blur_px
 
 
 def _twice(

@@ -8,9 +8,9 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from jaxtyping import Float
 
-from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError, save
+from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
-from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, line_camera
+from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_trial, trial_of
 from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
@@ -42,6 +42,7 @@ class LineFields(TypedDict, total=False):
     model: str
     degree: int | None
     coefficients: int | None
+    mirror: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +121,9 @@ def calibrate_lines(
 
     Edges are followed without a camera; the curve of the lens under which they are straight, and the scale at which directions of
     lines are at right angles, start it. Then camera, lines and directions are adjusted together, and again with the arcs that the
-    camera finds. Of `options`, `model`, `degree` and `coefficients` count: where variants of the model are open, and with `model`
-    "auto", they are compared by photos that a fit has not seen.
+    camera finds. Of `options`, `model`, `degree`, `coefficients` and `mirror` count: where variants of the model are open, and
+    with `model` "auto", they are compared by photos that a fit has not seen. Lines do not tell a mirror from a lens: `mirror`
+    says it.
 
     `boards` is a calibration of the same camera from a target (`calibrate`), of some of the photos or of others: its model is
     kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
@@ -134,8 +136,7 @@ def calibrate_lines(
     """
     options = replace(options, **fields)
     options.require_of_models([options.model])
-    if options.mirror:
-        raise InputError("A lens was expected with lines, found `mirror`; calibrate mirrors with a board.")
+    _require_mirror(options, boards)
     refs = photos_of(photos)
     if boards is not None:
         if options.model != boards.camera.NAME and "model" in fields:
@@ -146,7 +147,7 @@ def calibrate_lines(
         return _with_boards(refs, boards, lines, options, progress)
     followed = chains_of(refs, options=lines.chains, progress=progress)
     chains, skipped = followed.chains, followed.skipped
-    candidates = candidates_of(options.model, options.of_model)
+    candidates = candidates_of(options.model, options.of_model, mirror=options.mirror)
     guide = Candidate(GUIDE, {}) if options.model == AUTO else candidates[len(candidates) // 2]
     start, done = _started(followed, guide, lines, progress)
     images = chains.images
@@ -160,8 +161,20 @@ def calibrate_lines(
         assert selection.chosen.model is not None
         done = adjusted_camera(selection.chosen.model, arcs, lines.adjustment, lines.directions, progress=progress)
     fit = line_camera(done, images, lines.adjustment)
+    if options.mirror:
+        fit = in_mirror(fit)
     inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}
-    return LineResult(fit, line_record(fit, inputs), selection, skipped, _folder(refs))
+    return LineResult(fit, line_record(fit, inputs, options.mirror), selection, skipped, _folder(refs))
+
+
+def _require_mirror(options: CalibrationOptions, boards: CalibrationResult | None) -> None:
+    """Raises InputError for a mirror of a model that has none, and beside boards."""
+    if not options.mirror:
+        return
+    if boards is not None:
+        raise InputError("A lens was expected with boards beside lines, found `mirror`; calibrate mirrors with either alone.")
+    if options.model != AUTO and not model_class(options.model).AXIS_SIGN_OPEN:
+        raise InputError(f"A camera model that may be a mirror was expected, found {options.model}; use `model` scaramuzza.")
 
 
 def _with_boards(
@@ -246,7 +259,7 @@ def _trial(
         return LineTrial(candidate, str(error))
 
 
-def line_record(fit: LineCamera, inputs: Mapping[str, Any]) -> Calibration:
+def line_record(fit: LineCamera, inputs: Mapping[str, Any], mirror: bool = False) -> Calibration:
     """What `calibration.yaml` holds of a camera calibrated from lines."""
     estimate = CameraEstimate(
         sigma=fit.sigma,
@@ -254,7 +267,7 @@ def line_record(fit: LineCamera, inputs: Mapping[str, Any]) -> Calibration:
         max_angle_deg=fit.max_angle_deg,
         min_angle_deg=fit.min_angle_deg,
         rms_px_per_axis=fit.rms_px,
-        sign_source="assumed" if fit.model.AXIS_SIGN_OPEN else None,
+        sign_source=("mirror" if mirror else "assumed") if fit.model.AXIS_SIGN_OPEN else None,
     )
     views = tuple(
         ViewRecord(photo.image, "cam0", photo.straight > 0, None if photo.straight else "no edge in it is a straight line")

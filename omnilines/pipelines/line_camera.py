@@ -103,7 +103,7 @@ def held_camera(
     for _ in range(ANGLE_ROUNDS):
         held, free = (LineProblem(weighted, families, columns, angles) for columns in (basis[:, :0], basis))
         state = solve(held, state, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
-        scores = LineScores.of(free, state)
+        scores = LineScores.of(free, state, held=True)
         # With the camera free: what a wrong one makes of right angles is not put down to the building.
         angles = angle_sigmas(free, state, scores)
     moved = replace(weighted, normal=state.normal, at=offsets(model, weighted.blocks, state.normal))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -116,6 +116,14 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
         open_terms=open_terms,
         notes=(*_notes(done, open_terms), *_on_right_angles(done)),
     )
+
+
+def in_mirror(fit: LineCamera) -> LineCamera:
+    """The same camera looking along -z: a reflection of all bearings keeps great circles, and the angles between directions, so
+    that lines do not tell a mirror from a lens."""
+    model = fit.model.reversed()
+    sign = torch.where(model.parameters * fit.model.parameters < 0, -1.0, 1.0).numpy()
+    return replace(fit, model=model, covariance=sign[:, None] * fit.covariance * sign)
 
 
 def counted(chains: WeightedChains) -> Bool[Tensor, " n"]:

@@ -9,7 +9,8 @@ chain have in common, the covariance of the kept blocks is
     S^-1 (sum_c g_c g_c' + P) S^-1
 
 with the information P of what is known of the camera, and of right angles, before
-(the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986). Chains of a photo may err together too: blur,
+(the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986), each square raised by what the fit hides of
+its error (`leverage.py`). Chains of a photo may err together too: blur,
 a building that is not quite at right angles. Few photos do not tell a matrix; but they tell by how much, over all camera
 parameters, the scores of photos are larger than independent chains explain, and that factor raises the covariance.
 """
@@ -21,6 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from omnilines.calibration.lines.leverage import correction as leverage_correction
 from omnilines.calibration.lines.problem import CameraAndCircles, LineProblem
 from omnilines.least_squares.schur import normal_equations, reduce
 
@@ -43,10 +45,12 @@ class LineScores:
     prior: Float[Tensor, "k k"]
     """What of the information is of no chain: of what is known of the camera, and of right angles."""
     prior_score: Float[Tensor, " k"]
+    correction: Float[Tensor, " c"]
+    """Of the square of each chain's score by the camera, for what the fit hides of its errors (`leverage.py`)."""
 
     @staticmethod
-    def of(problem: LineProblem, state: CameraAndCircles) -> "LineScores":
-        """Of a state in which the normals are fitted."""
+    def of(problem: LineProblem, state: CameraAndCircles, *, held: bool = False) -> "LineScores":
+        """Of a state in which the normals are fitted, with the camera `held` there or fitted too."""
         at, structure = problem.linearise(state), problem.structure
         equations = normal_equations(structure, at, torch.ones(len(at.residual), dtype=torch.float64))
         information = reduce(normal_equations(structure, at, problem.curvature), 0.0).matrix
@@ -68,14 +72,22 @@ class LineScores:
             prior, pull = torch.zeros(size, size, dtype=e.dtype), torch.zeros(size, dtype=e.dtype)
         else:
             prior, pull = at.prior.by_kept.mT @ at.prior.by_kept, at.prior.by_kept.mT @ at.prior.residual
-        return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull)
+        following = _following(information, q)
+        correction = leverage_correction(
+            structure,
+            at,
+            equations.eliminated,
+            information=reduce(equations, 0.0).matrix,
+            following=following,
+            of_camera=pseudo_inverse(following.mT @ information @ following),
+            directions=bool(problem.families.frames) + bool(problem.families.lone),
+            held=held,
+        )
+        return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull, correction)
 
     @cached_property
     def _following(self) -> Float[Tensor, "k q"]:
-        """How all kept blocks move with the camera where the others are fitted to it."""
-        q = self.camera
-        gain = pseudo_inverse(self.information[q:, q:]) @ self.information[q:, :q]
-        return torch.cat([torch.eye(q, dtype=gain.dtype), -gain])
+        return _following(self.information, self.camera)
 
     @cached_property
     def of_camera(self) -> Float[Tensor, "c q"]:
@@ -123,7 +135,7 @@ class LineScores:
     @cached_property
     def _of_chains(self) -> Float[Tensor, "q q"]:
         """Covariance of the total by chains that err as they like; those that are the same one err together."""
-        return self.of_camera.mT @ (self.of_camera * self.times[:, None])
+        return self.of_camera.mT @ (self.of_camera * (self.times * self.correction)[:, None])
 
     @cached_property
     def score_covariance(self) -> Float[Tensor, "q q"]:
@@ -146,6 +158,12 @@ class LineScores:
         """Of the camera along the basis."""
         inverse = pseudo_inverse(self.camera_information)
         return inverse @ self.score_covariance @ inverse
+
+
+def _following(information: Float[Tensor, "k k"], camera: int) -> Float[Tensor, "k q"]:
+    """How all kept blocks move with the camera where the others are fitted to it."""
+    gain = pseudo_inverse(information[camera:, camera:]) @ information[camera:, :camera]
+    return torch.cat([torch.eye(camera, dtype=gain.dtype), -gain])
 
 
 def pseudo_inverse(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:

@@ -56,10 +56,10 @@ class LineSelection:
     reason: str
 
 
-def candidates_of(model: str, given: dict[str, int]) -> tuple[Candidate, ...]:
-    """What is compared: all models, the variants of one, or the one that is given."""
+def candidates_of(model: str, given: dict[str, int], *, mirror: bool = False) -> tuple[Candidate, ...]:
+    """What is compared: all models (that may be a mirror), the variants of one, or the one that is given."""
     if model == AUTO:
-        return tuple(all_candidates())
+        return tuple(one for one in all_candidates() if not mirror or model_class(one.model).AXIS_SIGN_OPEN)
     if given:
         return (Candidate(model, given),)
     return tuple(Candidate(model, dict(options)) for options in model_class(model).VARIANTS)
