@@ -13,8 +13,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.tables import Places
 
 X, Y, OFF, SHARE, WEIGHT, LEFT = range(6)
@@ -27,7 +26,7 @@ _HALVINGS = 14
 """Of the interval that holds a median."""
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _median(room: np.ndarray, row: int, count: int) -> float:
     """Of the sizes of `count` values, to 1e-4 of the largest one. Halving an interval takes no copy, and no branch for each."""
@@ -78,7 +77,7 @@ def own_places(
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _normal_matrix(room: np.ndarray, count: int, a: float, b: float, scale: float) -> tuple[float, float, float, float, float]:
     """Matrix (m00, m01, m11) and right side of the least squares for (a, b). Their weights are the shares times Tukey's of the
@@ -99,7 +98,7 @@ def _normal_matrix(room: np.ndarray, count: int, a: float, b: float, scale: floa
     return m00, m01, m11, r0, r1
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def fit_circle(
     room: np.ndarray, count: int, a: float, b: float, scale: float, rounds: int
@@ -122,7 +121,7 @@ def fit_circle(
     return a, b, scale, m00, m01, m11
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def scatter_of(room: np.ndarray, count: int) -> tuple[float, int]:
     """Sum of w^2 r^2 over sum of w: the variance that the inverse of sum w x x' is to be multiplied by, for residuals whose

@@ -9,12 +9,12 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.kernels.profile import REORDERED
 from omnilines.extraction.kernels.step_algebra import MOST_STEPS
+from omnilines.extraction.compiled import REORDERED
 from omnilines.extraction.kernels.tables import Crossed
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def crossings(
     profiles: Crossed, others: Crossed, size: tuple[int, int], closed: bool, reach_px: float, min_cosine: float

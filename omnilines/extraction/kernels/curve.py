@@ -11,8 +11,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.tables import Curves
 
 
@@ -122,7 +121,7 @@ def _hermite(s: float, k: int, c: int, table: np.ndarray, slope: np.ndarray) -> 
     return low + s * s * (3.0 - 2.0 * s) * (high - low) + s * t * t * slope[k, c] - s * s * t * slope[k + 1, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED, **BORROWED)
 @no_type_check
 def _all_columns(s: float, k: int, table: np.ndarray, slope: np.ndarray, value: np.ndarray) -> None:
     """As `_hermite`, of all columns."""
@@ -150,7 +149,7 @@ def lengths_along(curves: Curves, parts: int) -> np.ndarray:
     return run
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED)
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED)
 @no_type_check
 def read_curves(
     curves: Curves, run: np.ndarray, starts: np.ndarray

@@ -8,8 +8,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 
 
 @njit(cache=True, nogil=True, **BORROWED)
@@ -20,14 +19,14 @@ def _mirrored(n: int, size: int) -> int:
     return n if n < size else 2 * size - 2 - n
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _add(values: np.ndarray, share: float, total: np.ndarray) -> None:
     for j in range(len(total)):
         total[j] += share * values[j]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _add_products(above: np.ndarray, here: np.ndarray, below: np.ndarray, uu: np.ndarray, uv: np.ndarray, vv: np.ndarray) -> None:
     """Of the derivatives in a row, by Scharr's masks on it and the rows above and below it, which have one pixel more at each
@@ -73,7 +72,7 @@ def gradient_products(image: np.ndarray, closed: bool, low: int, high: int, weig
     return tensor
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def strengths(tensor: np.ndarray, strength: np.ndarray) -> None:
     """The steepest change of colour: the square root of the largest eigenvalue of J (S. Di Zenzo 1986, A note on the gradient of
@@ -86,7 +85,7 @@ def strengths(tensor: np.ndarray, strength: np.ndarray) -> None:
             strength[i, j] = np.sqrt(np.float32(0.5) * (tensor[0, i, j] + tensor[2, i, j]) + root)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED, **BORROWED)
 @no_type_check
 def _ridge_row(
     strengths: tuple[np.ndarray, np.ndarray, np.ndarray],

@@ -9,13 +9,12 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.step_algebra import MOST_STEPS, Table, blurred_steps, row_of, step_at
 from omnilines.extraction.kernels.tables import Stepped, Window
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
     """Gram and Schmidt on the rows of `basis` in place; rows that the others explain are dropped. Returns how many are left."""
@@ -41,7 +40,7 @@ def _orthonormal(basis: np.ndarray, columns: int, size: int) -> int:
     return kept
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _explained(window: Window, place: np.ndarray, table: Table, basis: np.ndarray) -> int:
     """Fill the first rows of `basis`, orthonormal, with what a level, steps at places and their shifts explain; how many."""
@@ -58,7 +57,7 @@ def _explained(window: Window, place: np.ndarray, table: Table, basis: np.ndarra
     return _orthonormal(basis, 1 + 2 * steps, size)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _rest(profile: np.ndarray, weight: np.ndarray, basis: np.ndarray, kept: int, rest: np.ndarray) -> float:
     """Fill `rest` with what the basis leaves of a weighted profile (c, k); its sum of squares."""
@@ -78,7 +77,7 @@ def _rest(profile: np.ndarray, weight: np.ndarray, basis: np.ndarray, kept: int,
     return left
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def one_more_step(
     stepped: Stepped,

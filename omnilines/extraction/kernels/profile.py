@@ -9,12 +9,10 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.tables import Edgels, Picture, Samples
 from omnilines.extraction.options import SupportOptions
 
-REORDERED = {"reassoc", "contract", "arcp", "nsz"}
-"""What the compiler may do to sums, so that it can use vector instructions; NaN and infinity keep their meaning."""
 OFFSETS_PX = np.arange(-6, 7) * 0.5
 """Of a profile, across the arc."""
 SIZE = len(OFFSETS_PX)
@@ -42,7 +40,7 @@ def step_filters(taper_px: float) -> np.ndarray:
     return np.stack(filters).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def profiles(picture: Picture, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of 255 (m, c, k) at offsets across samples, bilinear, and whether all of them lie in the image (m)."""
@@ -53,7 +51,7 @@ def profiles(picture: Picture, pixel: np.ndarray, across: np.ndarray, offsets: n
     return grey, inside
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def read_profiles(
     picture: Picture, pixel: np.ndarray, across: np.ndarray, offsets: np.ndarray, grey: np.ndarray, inside: np.ndarray
@@ -93,7 +91,7 @@ def read_profiles(
                 grey[n, c, k] += share[2, k] * flat[a + down] + share[3, k] * flat[b + down]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def supported(edgels: Edgels, pixel: np.ndarray, across: np.ndarray, options: SupportOptions) -> np.ndarray:
     """Whether an edge point with nearly the arc's direction lies beside each sample."""
@@ -121,7 +119,7 @@ def supported(edgels: Edgels, pixel: np.ndarray, across: np.ndarray, options: Su
     return result
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def side_differences(grey: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Colour of the side of positive offsets minus that of the other (m, c), of profiles (m, c, k), with `side_weights` (k)."""
@@ -148,7 +146,7 @@ def along_weights(along_px: float) -> np.ndarray:
     return np.exp(-0.5 * (np.arange(-reach, reach + 1) / along_px) ** 2).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def smoothed(difference: np.ndarray, usable: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """The differences (m, c) averaged along an arc over usable samples, with `along_weights`."""
@@ -177,7 +175,7 @@ def smoothed(difference: np.ndarray, usable: np.ndarray, weight: np.ndarray) -> 
     return result
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Profiles (m, c, k) times the difference (m, c) between their sides, summed over channels (m, k), and the squares of the
@@ -195,7 +193,7 @@ def projected(grey: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.
     return step, strength
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def best_blur(step: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> int:
     """Which of the `step_filters` explains the mean of what `projected` says of an arc best."""
@@ -217,7 +215,7 @@ def best_blur(step: np.ndarray, usable: np.ndarray, filters: np.ndarray) -> int:
     return best
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Where the edge lies on each profile of an arc (m, px along `across`), of what `projected` says and a filter's row (k)."""
@@ -230,7 +228,7 @@ def shifts(step: np.ndarray, strength: np.ndarray, row: np.ndarray) -> np.ndarra
     return shift
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDERED)
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED)
 @no_type_check
 def mean_profiles(
     picture: Picture, at: Samples, starts: np.ndarray, wanted: np.ndarray, offsets: np.ndarray
@@ -294,7 +292,7 @@ def _keys(channels: int) -> np.ndarray:
     return cubic
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _add_apart(image: np.ndarray, i: int, j: int, s: float, w: tuple, cubic: np.ndarray, total: np.ndarray) -> None:
     """Add the weighted pixels around a place to the lanes of `total` one by one: at a seam, and at the end of the image."""
@@ -306,7 +304,7 @@ def _add_apart(image: np.ndarray, i: int, j: int, s: float, w: tuple, cubic: np.
         total[m] += value * (cubic[0, m] + s * (cubic[1, m] + s * (cubic[2, m] + s * cubic[3, m])))
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED)
+@njit(cache=True, nogil=True, **REORDERED)
 @no_type_check
 def piece_means(grey: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Profiles (m, c, k) averaged over those from starts[n] to starts[n + 1]."""

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.tables import Window
 
 _UNROLLED = 5
@@ -98,7 +97,7 @@ def blurred_steps(blur: float, between: float) -> Table:
     return Table(half.ravel(), bell.ravel(), columns, blur)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def row_of(first_px: float, between: float, place: float, table: Table) -> tuple[int, float, float]:
     """Where a step at a place is read from the table at offsets from `first_px` on: the first value, how far from there it is
@@ -113,7 +112,7 @@ def row_of(first_px: float, between: float, place: float, table: Table) -> tuple
     return j * table.columns + i, (y - j) * between / _PARTS * over, there_px * over
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def step_at(table: Table, at: int, shift: float, there: float) -> tuple[float, float]:
     """A step of 1 about 0 and its derivative by the offset, `shift` blurs from a value of the table that lies `there` from the
@@ -124,7 +123,7 @@ def step_at(table: Table, at: int, shift: float, there: float) -> tuple[float, f
     return step, bell * (1.0 - turn + 0.5 * curved)
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _blurred_step(window: Window, place: np.ndarray, steps: Table, j: int, fit: Fit) -> None:
     """Weighted steps of 1 about 0 and their derivatives by their places."""
@@ -141,7 +140,7 @@ def _blurred_step(window: Window, place: np.ndarray, steps: Table, j: int, fit: 
             design[1 + j, k, n], slope[j, k, n] = weight[k] * half, -weight[k] * bell
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int, total: np.ndarray) -> None:
     """Of row i of a and row j of b, lane by lane."""
@@ -163,7 +162,7 @@ def _inner(a: np.ndarray, i: int, b: np.ndarray, j: int, total: np.ndarray) -> N
             total[n] += a[i, k, n] * b[j, k, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def factorise(matrix: np.ndarray, size: int) -> None:
     """Cholesky factor in the lower triangle, in place; its diagonal is inverse."""
@@ -180,7 +179,7 @@ def factorise(matrix: np.ndarray, size: int) -> None:
                     matrix[i, j, n] *= matrix[j, j, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor x = right, in place."""
@@ -193,7 +192,7 @@ def forward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
             right[row, i, n] *= factor[i, i, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None:
     """Solution of factor' x = right, in place."""
@@ -206,7 +205,7 @@ def backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None
             right[row, i, n] *= factor[i, i, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fit) -> None:
     """Fill the design D for steps at these places, its slope, the factor of N = D'D + R, the ridge R and the heights
@@ -245,7 +244,7 @@ def heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fi
                 squares[n] -= height[c, p, n] * ridge[p, n] * height[c, p, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def newton(steps: int, fit: Fit, move: Move) -> None:
     """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and

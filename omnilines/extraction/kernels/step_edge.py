@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
-from omnilines.extraction.compiled import BORROWED
-from omnilines.extraction.kernels.profile import REORDERED
+from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.step_algebra import (
     MOST_STEPS,
     Fit,
@@ -80,7 +79,7 @@ class Given(NamedTuple):
     table: Table
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _judge(steps: int, rounds: int, room: Room) -> None:
     """Keep the places tried where they are better than those kept; else go half the way back, after the last round all of it: the
@@ -108,7 +107,7 @@ def _judge(steps: int, rounds: int, room: Room) -> None:
                 kept[j, n] = here[j, n]
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _take_step(steps: int, single: bool, room: Room) -> None:
     """The step of Gauss and Newton where the places tried are kept. A lane is done after a small step, or a `single` one: its
@@ -142,7 +141,7 @@ def _take_step(steps: int, single: bool, room: Room) -> None:
                 here[j, n] = place
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _begin(given: Given, m: int, n: int, room: Room) -> None:
     """Put a profile in a lane."""
@@ -159,7 +158,7 @@ def _begin(given: Given, m: int, n: int, room: Room) -> None:
     state.least[n], state.left[n], state.refused[n], state.done[n] = np.inf, 0.0, False, False
 
 
-@njit(cache=True, nogil=True, fastmath=REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _fit_rows(given: Given, rows: np.ndarray, room: Room, found: Found) -> None:
     """Fill in what is found of profiles of equally many steps."""
