@@ -45,6 +45,7 @@ _PROJECTIONS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], float]] = {
 """Radius over focal length of an angle off axis (rad), and where it ends."""
 TERMS = {"none": (), "poly3": ("k1",), "poly5": ("k1", "k2"), "ptlens": ("a", "b", "c"), "acm": ("k1", "k2", "k3", "k4", "k5")}
 _FOCAL_MM = (0.001, 1e6)
+_LARGEST_PX = 10**9
 _LEAST_SLOPE = 1e-3
 """Of a curve in the middle of the image."""
 _SAMPLES = 500
@@ -72,7 +73,7 @@ class Sensor:
 
     @property
     def centre_px(self) -> tuple[float, float]:
-        (x, half_w), (y, half_h) = zip(self.centre, ((side - 1) / 2 for side in self.size), strict=True)
+        (x, half_w), (y, half_h) = zip(self.centre, ((min(side, _LARGEST_PX) - 1) / 2 for side in self.size), strict=True)
         cx = written_as(x, lambda px: self.off_centre(px, half_w), half_w + x * self.unit_px)
         return cx, written_as(y, lambda px: self.off_centre(px, half_h), half_h + y * self.unit_px)
 
@@ -82,7 +83,8 @@ class Sensor:
 
     @property
     def _diagonal_px(self) -> float:
-        return max(math.hypot(self.size[0] - 1, self.size[1] - 1), 1.0)
+        # A comment may hold an integer of any length; what no image has is refused with the cameras.
+        return max(math.hypot(*(min(side, _LARGEST_PX) - 1 for side in self.size)), 1.0)
 
 
 def cameras_of_lens(lens: Element, size: tuple[int, int]) -> dict[float, tuple[CameraModel, Fit | None]]:
