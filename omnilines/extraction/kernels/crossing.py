@@ -9,8 +9,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.compiled import REORDERED
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
 from omnilines.extraction.kernels.tables import Crossed
 
 
