@@ -208,12 +208,15 @@ def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
 def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], refused: bool) -> None:
     chains, model = true_chains(FISHEYE, 1, photos=8), disturbed(FISHEYE, **changes)
     weighted, families, scores, basis = held_camera(model, chains, OPTIONS, DirectionsOptions())
-    found = line_check(model, weighted, scores, basis, None, members=0, frames=families.frames)
+    counts = {"significance": 0.001, "members": 0, "frames": families.frames}
+    found = line_check(model, weighted, scores, basis, None, **counts)
     assert found.refused(0.001, 0.1) is refused
+    assert (found.least_drift_px > 0.0) is (found.probability < 0.001)
+    assert found.least_drift_px <= math.hypot(found.drift_px, found.sigma_px) * (1 + 1e-9)
     assert found.freedom == 8
     # A camera that is known no better than that is not contradicted.
     wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
-    assert not line_check(model, weighted, scores, basis, wide, members=0, frames=families.frames).refused(0.001, 0.1)
+    assert not line_check(model, weighted, scores, basis, wide, **counts).refused(0.001, 0.1)
 
 
 def status_of(*arguments: str) -> int:

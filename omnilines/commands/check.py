@@ -42,7 +42,7 @@ def check(
             files = result.save(folder)
     found = result.found
     # Of what chance explains no drift is held against the camera.
-    drift = found.drift_px if found.probability < options.significance else 0.0
+    drift = max(found.drift_px, found.least_drift_px) if found.probability < options.significance else 0.0
     return CommandResult(
         check_summaries(result),
         check_data(result),

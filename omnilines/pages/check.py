@@ -19,6 +19,7 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         ("statistic", f"{found.statistic:.1f}, chi-square of {found.freedom} degrees of freedom"),
         ("probability of it by chance", f"{found.probability:.2g}"),
         ("drift", f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})"),
+        ("least drift that chance leaves open", figure(found.least_drift_px, unit="px")),
     )
     names = found.model.PARAMETER_NAMES
     changes = tuple(
@@ -52,6 +53,7 @@ def check_data(result: CheckResult) -> dict[str, Any]:
         "freedom": found.freedom,
         "probability": found.probability,
         "drift_px": found.drift_px,
+        "least_drift_px": found.least_drift_px,
         "sigma_px": found.sigma_px,
         "change": dict(zip(names, found.change.tolist(), strict=True)),
         "change_sigma": dict(zip(names, found.change_sigma.tolist(), strict=True)),

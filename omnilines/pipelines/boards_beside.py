@@ -72,11 +72,13 @@ def contradiction(boards: CalibrationResult, chains: Chains, lines: LinesOptions
     """One sentence where lines refuse the camera of the boards, beyond what its covariance allows."""
     weighted, families, scores, basis = held_camera(boards.camera, chains, lines.adjustment, lines.directions, progress)
     known, limits = torch.as_tensor(boards.covariance), CheckOptions()
-    found: LineCheck = line_check(boards.camera, weighted, scores, basis, known, members=0, frames=families.frames)
+    found: LineCheck = line_check(
+        boards.camera, weighted, scores, basis, known, significance=limits.significance, members=0, frames=families.frames
+    )
     if not found.refused(limits.significance, limits.tolerance_px):
         return ()
     return (
-        f"Lines and boards contradict one another: lines ask for a drift of {found.drift_px:.2g} px (root mean square) from the "
-        f"camera of the boards, which chance makes in {found.probability:.1g} of cases; check that the board is flat, and as "
-        "large as stated both ways, and leave out photos of bent things; standard deviations do not hold.",
+        f"Lines and boards contradict one another: lines ask for a drift of at least {found.least_drift_px:.2g} px (root mean "
+        f"square) from the camera of the boards, which chance makes in {found.probability:.1g} of cases; check that the board is "
+        "flat, and as large as stated both ways, and leave out photos of bent things; standard deviations do not hold.",
     )

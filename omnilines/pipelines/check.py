@@ -46,12 +46,17 @@ class CheckResult:
         """One sentence."""
         found = self.found
         chance = f"chi-square {found.statistic:.0f} with {found.freedom} degrees of freedom, probability {found.probability:.1g}"
-        drift = f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px"
+        drift = (
+            f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px, at least "
+            f"{found.least_drift_px:.2g} px"
+        )
         if not self.holds:
             return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
         if found.probability < self.options.significance:
             within = f"{self.options.tolerance_px:g} px"
-            return f"The calibration is right to within {within}: lines ask for a drift of {drift} ({chance})."
+            return (
+                f"These photos bear out a calibration within {within} of this one: lines ask for a drift of {drift} ({chance})."
+            )
         return f"The calibration is right as far as these photos tell, to {found.sigma_px:.1g} px over the image ({chance})."
 
     @property
@@ -107,7 +112,9 @@ def check(
     weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     members = int((families.of_chain[weighted.weight > 0] >= 0).sum())
-    found = line_check(model, weighted, scores, basis, known, members=members, frames=families.frames)
+    found = line_check(
+        model, weighted, scores, basis, known, significance=options.significance, members=members, frames=families.frames
+    )
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
     return CheckResult(found, holds, options, chains.images, skipped, inputs)

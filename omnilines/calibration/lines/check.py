@@ -7,7 +7,8 @@ common (`scores.py`), plus S C S where the camera has a covariance C of its own.
     s' V^-1 s
 
 is chi-square with q degrees of freedom. What the lines would change of the camera is d = -S^-1 s, which moves the image by a
-field of drift. A camera is refused where chance makes such a score too seldom, and the drift is more than nobody minds.
+field of drift. A camera is refused where chance makes such a score too seldom, and the drift is more than nobody
+minds; or even the least drift that chance leaves open (`least_drift.py`) is.
 """
 
 import math
@@ -22,6 +23,7 @@ from torch import Tensor
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.lines.camera import counted
+from omnilines.calibration.lines.least_drift import least_drift
 from omnilines.calibration.lines.scores import LineScores, pseudo_inverse
 from omnilines.calibration.lines.weighting import WeightedChains
 from omnilines.calibration.uncertainty import projection_jacobian, supported_grid
@@ -55,6 +57,8 @@ class LineCheck:
     """Of so large a statistic where the camera is right."""
     drift_px: float
     """Root mean square motion over the image that lines ask for, less what noise makes, after a common rotation."""
+    least_drift_px: float
+    """The least such motion of a camera that lines do not contradict; 0 where they bear this one out."""
     sigma_px: float
     """Root mean square noise of that motion."""
     change: Float[np.ndarray, " p"]
@@ -69,7 +73,7 @@ class LineCheck:
 
     def refused(self, significance: float, tolerance_px: float) -> bool:
         """Whether lines contradict the camera."""
-        return self.probability < significance and self.drift_px > tolerance_px
+        return self.probability < significance and max(self.drift_px, self.least_drift_px) > tolerance_px
 
 
 def line_check(
@@ -79,17 +83,20 @@ def line_check(
     basis: Float[Tensor, "p q"],
     known: Float[Tensor, "p p"] | None,
     *,
+    significance: float,
     members: int,
     frames: int,
 ) -> LineCheck:
-    """From scores with the camera held at `model`; `known` is its covariance, where it has one."""
+    """From scores with the camera held at `model`; `known` is its covariance, where it has one. Chance leaves open what it makes
+    more often than `significance`."""
     information, inverse = scores.camera_information, pseudo_inverse(scores.camera_information)
     total = scores.total
     variance = scores.score_covariance
     if known is not None:
         pulled = information @ torch.linalg.pinv(basis)
         variance = variance + pulled @ known @ pulled.mT
-    statistic = float(total @ pseudo_inverse(variance) @ total)
+    precision = pseudo_inverse(variance)
+    statistic = float(total @ precision @ total)
     freedom = int(torch.linalg.matrix_rank(_scaled(variance), hermitian=True))
     change, covariance = -basis @ inverse @ total, basis @ inverse @ variance @ inverse @ basis.mT
     own = counted(chains)
@@ -99,12 +106,16 @@ def line_check(
     motion, spread = jacobian @ change, torch.einsum("nip,pq,niq->n", jacobian, covariance, jacobian)
     squares = torch.where(valid, motion.square().sum(-1), 0.0)
     noise = float(spread[valid].mean())
+    moving = jacobian[valid] @ basis
+    moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving)
+    limit = float(stats.chi2.isf(significance, freedom))
     return LineCheck(
         model=model,
         statistic=statistic,
         freedom=freedom,
         probability=float(stats.chi2.sf(statistic, freedom)),
         drift_px=math.sqrt(max(float(squares[valid].mean()) - noise, 0.0)),
+        least_drift_px=least_drift(total, precision, information, moved, limit),
         sigma_px=math.sqrt(max(noise, 0.0)),
         change=change.numpy(),
         change_sigma=covariance.diagonal().clamp_min(0).sqrt().numpy(),
