@@ -63,6 +63,7 @@ def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
     assert all(row.reason for row in chosen.rows)
 
 
+@pytest.mark.full
 def test_frames_of_several_targets_are_those_of_each(video: Path) -> None:
     alone = ol.frames(video, BOARD, options=OPTIONS)
     other = "charuco:5x4:30mm:22mm:DICT_4X4_50"

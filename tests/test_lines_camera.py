@@ -167,6 +167,7 @@ def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:
     assert fit.sigma["fx"] > 5.0
 
 
+@pytest.mark.full
 def test_a_mirror_is_the_lens_reflected() -> None:
     """Lines seen by a mirror: the lens that they are straight in, looking the other way, is within its covariance."""
     truth = model_class("scaramuzza")([320.0, 242.0, 1.002, 0.0, 0.0, -140.0, 0.003, -7e-6, 3.4e-8], (640, 480))

@@ -1,7 +1,13 @@
-"""Fits end alike in every process."""
+"""Every process finds the same, to the last bit."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+from omnilines.commands.render_scene import render_scene
 
 FITS = """
 import numpy as np, torch
@@ -16,3 +22,21 @@ for n, p in ((711, 4), (100, 8), (401, 6), (350, 6)):
 def test_least_squares_end_alike_in_every_process():
     said = {subprocess.run([sys.executable, "-c", FITS], capture_output=True, text=True, check=True).stdout for _ in range(4)}
     assert len(said) == 1 and len(said.pop().split()) == 4
+
+
+ARCS = """
+import sys
+import omnilines as ol
+arcs = ol.extract(sys.argv[1], ol.load(sys.argv[1] + "/calibration.yaml"))
+print(b"".join(photo.endpoints_px.tobytes() + photo.covariance_px2.tobytes() for photo in arcs.photos).hex())
+"""
+
+
+@pytest.mark.full
+def test_arcs_are_the_same_whether_functions_are_compiled_or_loaded(tmp_path: Path) -> None:
+    render_scene(tmp_path / "room", scene="plain-room", views=3, size=(320, 240))
+    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+    command = [sys.executable, "-c", ARCS, str(tmp_path / "room")]
+    first, second = (subprocess.run(command, env=kept, capture_output=True, text=True, check=True).stdout for _ in range(2))
+    assert len(first) > 10_000 and first == second
+    assert list((tmp_path / "compiled").rglob("*.nbc"))

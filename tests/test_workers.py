@@ -1,4 +1,4 @@
-"""Photos worked on by executors and by a Dask scheduler: the same results but for rounding, and what is said where these fail."""
+"""Photos worked on by executors and by a Dask scheduler: the same results, and what is said where these fail."""
 
 import os
 import pickle
@@ -53,15 +53,13 @@ class Scene:
         render_targets(self.folder / "board", PATTERN, MODEL, RenderOptions(190.0, VIEWS, (640, 480)))
         return self.folder / "board"
 
-    def require_same_arcs(self, other: PhotoArcs, *, here: bool = True) -> None:
-        """Equal to the last bit where the same process, or one alike, found them; elsewhere but for rounding: the process that
-        compiles functions rounds otherwise than those that load them."""
+    def require_same_arcs(self, other: PhotoArcs) -> None:
+        """Equal to the last bit, whichever process found them."""
         assert [arcs.photo.name for arcs in other.photos] == [arcs.photo.name for arcs in self.arcs.photos]
         assert len(self.arcs) > 10 * len(self.arcs.photos)
         for one, own in zip(other.photos, self.arcs.photos, strict=True):
             for name in ("endpoints_px", "covariance_px2", "length_px", "colours"):
-                tolerance = {"rtol": 0.0, "atol": 0.0} if here else {"rtol": 1e-5, "atol": 1e-6}
-                np.testing.assert_allclose(getattr(one, name), getattr(own, name), **tolerance)
+                np.testing.assert_array_equal(getattr(one, name), getattr(own, name))
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +255,7 @@ def test_a_scheduler_of_dask_finds_what_this_process_does_and_one_that_is_not_th
     assert done.returncode == 0, done.stderr
     assert f"A Dask scheduler was expected at {nobody}, found none that answers" in done.stdout
     alone, found = pickle.loads((tmp_path / "arcs").read_bytes())
-    scene.require_same_arcs(alone, here=False)
+    scene.require_same_arcs(alone)
     mine, scene.arcs = scene.arcs, alone
     scene.require_same_arcs(found)
     scene.arcs = mine
@@ -400,7 +398,7 @@ def begun_with_four(
     folder.mkdir()
     inner = arcs_module.look_at
     monkeypatch.setattr(arcs_module, "look_at", lambda work, *args, **named: inner(Logged(work, folder, slow_s), *args, **named))
-    scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor), here=False)
+    scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
     return [int(path.name.partition("-")[0]) for path in folder.iterdir()]
 
 
@@ -462,9 +460,9 @@ def test_a_worker_that_never_comes_is_told(scheduler: tuple[str, Callable[..., s
 @pytest.mark.full
 def test_a_local_cluster_and_a_pool_of_processes_find_what_this_process_does(scene: Scene, tmp_path: Path) -> None:
     with workers("local") as executor:
-        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor), here=False)
+        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=pool), here=False)
+        scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=pool))
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         with pytest.raises(InputError, match="could not be worked on: BrokenProcessPool"):
             threading.Timer(0.0, lambda: pool.submit(os._exit, 1)).start()

@@ -2,7 +2,7 @@
 
 One seam: an `executor` is any of `concurrent.futures`: threads, processes, Dask's `client.get_executor()`. What travels to it are
 batches of names and options, and numbers back: each worker reads the photos of its batches itself. Workers run the same functions
-as this process does, photo by photo, so that results are equal but for rounding whoever worked on them.
+as this process does, photo by photo, so that results are equal to the last bit whoever worked on them.
 """
 
 import socket
