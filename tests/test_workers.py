@@ -269,7 +269,8 @@ if [ "$1" = --test-only ]; then
     echo "allocation failure: Invalid account" >&2
     exit 1
 fi
-number=$(($(cat SLURM/submitted | wc -l) + 1))
+number=1
+until mkdir "SLURM/$number" 2>/dev/null; do number=$((number + 1)); done
 echo "$number" >> SLURM/submitted
 cp "$1" "SLURM/$number.sh"
 setsid sh "SLURM/$number.sh" > "SLURM/$number.out" 2>&1 &
