@@ -11,8 +11,9 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.pose import Pose
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, Observed
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import Rig
 from omnilines.adjustment.weighting import weighting

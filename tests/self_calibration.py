@@ -7,8 +7,9 @@ from torch import Tensor
 
 from camera_models import CameraModel, OpenCVFisheye, Pinhole
 from camera_models.pose import Pose
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, Observed
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.geometry.line import PlueckerLines
 
 SIZE = (1280, 960)

@@ -9,8 +9,9 @@ from torch import Tensor
 from camera_models import GeometryError, InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.adjustment.accuracy import align_lines, predict_error
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, Observed
-from omnilines.adjustment.lines import Adjusted, adjust_lines, end_sigma_m
+from omnilines.adjustment.lines import adjust_lines, end_sigma_m
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.costs import COSTS

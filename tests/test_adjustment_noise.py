@@ -8,8 +8,9 @@ import torch
 from coverage_scenes import NOISE_PX, Truth, adjusted, rig_of, world_of
 
 from camera_models.pose import Pose
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem

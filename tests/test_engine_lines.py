@@ -9,12 +9,14 @@ import torch
 from engine_scenes import Row, row
 
 from omnilines.adjustment import lines as adjustment
+from omnilines.adjustment import minimum
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_solution import LineSolution
 from omnilines.adjustment.kernels.line import LOSS_KINDS, Views
 from omnilines.adjustment.kernels.line_step import take_loss_curvature
 from omnilines.adjustment.kernels.schur import line_block
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
@@ -30,7 +32,7 @@ def by_torch(monkeypatch: pytest.MonkeyPatch, *given: object, converged: bool = 
     with monkeypatch.context() as patch:
         patch.setattr(adjustment, "is_compiled", lambda problem, state: False)
         if not converged:
-            patch.setattr(adjustment, "line_convergence", lambda problem, loss: None)
+            patch.setattr(minimum, "line_convergence", lambda problem, loss: None)
         found = adjust_lines(*given, **options)
     assert isinstance(found.whitened, Solution)
     return found

@@ -13,8 +13,9 @@ from calib_patterns import pattern
 from calib_patterns.board_poses import random_board_poses
 from camera_models import MODELS, GeometryError, InputError, OpenCVFisheye, Pinhole, Scaramuzza, model_class
 from camera_models.pose import Pose, rotation_from_vector
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import arcs_from_segments
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
 from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors

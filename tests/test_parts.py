@@ -17,10 +17,11 @@ from engine_scenes import Row, row
 
 from camera_models import InputError
 from omnilines.adjustment import memory
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import layout
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
-from omnilines.adjustment.lines import Adjusted, adjust_lines
+from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.parts import Division, divided
 from omnilines.adjustment.parts_engine import PARTS, PartsEngine, PartsSolution, Workers, parts_solution
 from omnilines.adjustment.prior import PosePrior

@@ -15,8 +15,9 @@ from torch import Tensor
 from camera_models.errors import GeometryError
 from camera_models.pose import Pose, hat
 from camera_models.rotations import similarity_alignment
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.lines import Adjusted, adjust_lines, motion_across
+from omnilines.adjustment.lines import adjust_lines, motion_across
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
 

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.lines import Adjusted, end_sigma_m
+from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import segment_ends
 from omnilines.records import Lines

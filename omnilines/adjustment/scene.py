@@ -13,9 +13,10 @@ from torch import Tensor
 from camera_models import CameraModel, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import ArcTable, MatchedArcs, arcs_from_segments
 from omnilines.adjustment.line_table import line_table, too_uncertain
-from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
+from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.parts_engine import Workers

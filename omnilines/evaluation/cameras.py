@@ -17,7 +17,8 @@ from camera_models._arrays import as_tensor
 from camera_models.pose import hat
 from camera_models.rotations import common_rotation
 from omnilines.adjustment.accuracy import AlignedLines, align_lines
-from omnilines.adjustment.lines import Adjusted, motion_across
+from omnilines.adjustment.adjusted import Adjusted
+from omnilines.adjustment.lines import motion_across
 from omnilines.geometry.sphere import angle_between
 
 GRID_POINTS = 160

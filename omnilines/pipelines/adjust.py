@@ -13,7 +13,6 @@ from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
-from omnilines.least_squares import Progress
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.inside import require_inside
@@ -68,14 +67,33 @@ def adjust(
     cameras, table = calibration_of(camera), _table_of(poses, segments)
     check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=pose_sigma is not None)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
-    workers = part_workers(executor, None)
-
-    def tell(step: Progress) -> None:
-        progress("adjusting the scene", step.iteration, 0)
-
     progress("triangulating", 0, 0)
+    scene = _adjusted(segments, table, cameras, options, robust, pose_sigma, executor=executor, progress=progress)
+    misfit = _judged(scene, table.cam_from_world, cameras, options)
+    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
+    unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
+    scene = replace(scene, lines=replace(scene.lines, unit=unit))
+    told += size_notes(scene.lines, scene.poses, options.judge)
+    made_from = {"options": options} if inputs is None else inputs
+    return Scene(
+        scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
+    )
+
+
+def _adjusted(
+    segments: Segments,
+    table: ImagePoses,
+    cameras: Calibration,
+    options: SceneOptions,
+    robust: bool,
+    pose_sigma: tuple[float, float] | None,
+    *,
+    executor: Executor | None,
+    progress: ProgressCallback,
+) -> AdjustedScene:
+    """The scene of the tracks. Where none gives a line, the error is what the tracks tell of poses and cameras, if they do."""
     try:
-        scene = reconstruct_lines(
+        return reconstruct_lines(
             segments,
             table,
             cameras,
@@ -92,23 +110,13 @@ def adjust(
             options=options.adjustment,
             device=options.device,
             partition=options.partition,
-            workers=workers,
-            callback=tell,
+            workers=part_workers(executor, None),
+            callback=lambda step: progress("adjusting the scene", step.iteration, 0),
         )
     except GeometryError:
-        # The tracks may tell why.
         arcs = arcs_from_segments(segments, table, cameras).arcs
         judge_tracks(arcs, table.cam_from_world, list(cameras.values()), options=options.judge, seed=options.seed)
         raise
-    misfit = _judged(scene, table.cam_from_world, cameras, options)
-    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
-    unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
-    scene = replace(scene, lines=replace(scene.lines, unit=unit))
-    told += size_notes(scene.lines, scene.poses, options.judge)
-    made_from = {"options": options} if inputs is None else inputs
-    return Scene(
-        scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
-    )
 
 
 def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:

@@ -44,20 +44,7 @@ def poses_from_rectangles(
     variance that all sheets together show where it is more. Photos without a sheet, and those whose half turn their features do
     not tell, are left out. Raises InputError where no photo shows the sheet.
     """
-    found: dict[str, FoundRectangle] = {}
-    lost = {}
-    for done, photo in enumerate(photos):
-        progress("finding the sheet", done, len(photos))
-        outcome = find_rectangle(arcs_of(photo), rectangle, options.rectangle)
-        if isinstance(outcome, str):
-            lost[photo] = f"{photo} has no pose: {outcome}"
-        else:
-            found[photo] = outcome
-    if not found:
-        raise InputError(
-            f"A sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm, brighter than what it lies on, was "
-            f"expected in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
-        )
+    found, lost = _sheets(photos, arcs_of, rectangle, options.rectangle, progress)
     names = list(found)
     turned = np.zeros(len(names), dtype=bool)
     if len(names) > 1:
@@ -83,6 +70,36 @@ def poses_from_rectangles(
         tuple(camera_of[name] for name in names),
         max(1.0, shown) * np.stack([found[name].covariance for name in names]),
     )
+    return PhotoPoses(table, lost, _notes(names, found))
+
+
+def _sheets(
+    photos: Sequence[str],
+    arcs_of: Callable[[str], BearingArcs],
+    rectangle: Rectangle,
+    options: RectangleOptions,
+    progress: ProgressCallback,
+) -> tuple[dict[str, FoundRectangle], dict[str, str]]:
+    """The sheet of each photo that shows it, and why the others have none. Raises InputError where none shows it."""
+    found: dict[str, FoundRectangle] = {}
+    lost: dict[str, str] = {}
+    for done, photo in enumerate(photos):
+        progress("finding the sheet", done, len(photos))
+        outcome = find_rectangle(arcs_of(photo), rectangle, options)
+        if isinstance(outcome, str):
+            lost[photo] = f"{photo} has no pose: {outcome}"
+        else:
+            found[photo] = outcome
+    if not found:
+        raise InputError(
+            f"A sheet of {1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm, brighter than what it lies on, was "
+            f"expected in some photo, found none; {next(iter(lost.values()), 'give photos.')}"
+        )
+    return found, lost
+
+
+def _notes(names: Sequence[str], found: Mapping[str, FoundRectangle]) -> tuple[str, ...]:
+    """What the user should know of the world and of the sheets that were taken."""
     notes = [
         "The world is the sheet: its origin is a corner, x runs along its first side, to the right in "
         f"{names[0]}, z into it. Half a turn more would fit as well."
@@ -93,7 +110,7 @@ def poses_from_rectangles(
             f"In {outshone} of {len(names)} photos something brighter and larger than the sheet that was taken has four corners "
             "but another shape; check that the size is right."
         )
-    return PhotoPoses(table, lost, tuple(notes))
+    return tuple(notes)
 
 
 def half_turns(

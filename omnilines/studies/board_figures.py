@@ -12,8 +12,8 @@ from torch import Tensor
 from camera_models._arrays import Array, as_tensor
 from camera_models.pose import Pose
 from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_lines, jackknife_error, predict_error
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, poses_of
-from omnilines.adjustment.lines import Adjusted
 from omnilines.calibration.board_lines import BoardLines
 from omnilines.calibration.single import CameraCalibration
 from omnilines.costs import sector

@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
-from omnilines.adjustment.lines import Adjusted, adjust_lines, drop_unknown
+from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.adjustment.start import no_chart, poses_by_lines
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.costs import COSTS

@@ -1,7 +1,7 @@
 """Several cameras that are mounted together, in one joint adjustment: each alone, then where they stand, then all at once."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,73 @@ def calibrate_rig(
     views = RigViews.of(corners, tuple(cameras), relation)
     if refine_board and len(views.boards) > 1:
         raise InputError(f"One board was expected with `refine_board`, found {len(views.boards)}; calibrate with one of them.")
+    begun = _begun(views, cameras, loss, numberings, seen_from_front, thresholds=thresholds, callback=callback)
+    start, alone, failures = begun.start, begun.alone, begun.failures
+    data = _data(views, start, alone)
+    data = replace(data, shape=BoardShape.to_refine(refine_board, torch.as_tensor(data.board_m)))
+    state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target, data.shape)
+
+    def joint(step: Progress) -> None:
+        if callback is not None:
+            callback("refining the rig", step)
+
+    data, fit, reasons = _robust(data, start, state, begun.options, loss, thresholds=thresholds, callback=joint)
+    data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
+    singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
+    outcome = RigOutcome(
+        data=data,
+        fit=fit,
+        solution=solution,
+        setups=cameras,
+        alone=alone,
+        failures=failures,
+        reasons=reasons,
+        sign_sources=begun.sign_sources,
+        singles=singles,
+        rejects=loss != "none",
+        notes=notes,
+        thresholds=thresholds,
+    )
+    seen = _seen_alone(outcome, start, begun.posed, begun.numbers)
+    outcome = with_clocks(outcome, state, seen, asked=time_offsets)
+    if len(outcome.data.cameras) < len(start.cameras):
+        # Cameras whose clocks are not told are of the rig no more.
+        failures |= outcome.failures
+        singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
+        outcome = replace(outcome, failures=failures, singles=singles)
+        members = zip(start.cameras, start.models, strict=True)
+        state = replace(state, models=tuple(model for c, model in members if c in outcome.data.cameras))
+    outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
+    outcome = loosened(outcome, state, seen)
+    return rig_result(without_unsupported_terms(outcome))
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Each camera alone, and where its views say that the cameras stand."""
+
+    alone: dict[int, AloneCamera]
+    failures: dict[int, str]
+    """Why cameras are not of the rig."""
+    options: ViewNumberings
+    posed: PosedViews
+    numbers: Int[np.ndarray, " p"]
+    """The view of each row of `posed`."""
+    start: RigStart
+    sign_sources: dict[int, str]
+
+
+def _begun(
+    views: RigViews,
+    cameras: Mapping[str, CameraSetup],
+    loss: str,
+    numberings: Mapping[str, Numbering] | None,
+    seen_from_front: bool,
+    *,
+    thresholds: CalibrationThresholds,
+    callback: Callable[[str, Progress], None] | None,
+) -> _Begun:
+    """From what a joint adjustment can start. Raises GeometryError where no two cameras hang together."""
     alone, failures = _alone(views, cameras, loss, thresholds, callback)
     sides = frozenset(c for c, own in alone.items() if cameras[views.cameras[c]].start is None and own.model.AXIS_SIGN_OPEN)
     options = ViewNumberings(views, numberings or numberings_of(views), sides)
@@ -95,44 +162,8 @@ def calibrate_rig(
             failures[c] = _why_left_out(views, graph, c)
     start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, tied=views.tied is not None)
     _require_rig(views, start, failures)
-    data = _data(views, start, alone)
-    data = replace(data, shape=BoardShape.to_refine(refine_board, torch.as_tensor(data.board_m)))
-    state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target, data.shape)
-
-    def joint(step: Progress) -> None:
-        if callback is not None:
-            callback("refining the rig", step)
-
-    data, fit, reasons = _robust(data, start, state, options, loss, thresholds=thresholds, callback=joint)
-    data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
-    singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
     signs = _sign_sources(alone, sides, by_tags, graph, cameras)
-    outcome = RigOutcome(
-        data=data,
-        fit=fit,
-        solution=solution,
-        setups=cameras,
-        alone=alone,
-        failures=failures,
-        reasons=reasons,
-        sign_sources=signs,
-        singles=singles,
-        rejects=loss != "none",
-        notes=notes,
-        thresholds=thresholds,
-    )
-    seen = _seen_alone(outcome, start, posed, numbers)
-    outcome = with_clocks(outcome, state, seen, asked=time_offsets)
-    if len(outcome.data.cameras) < len(start.cameras):
-        # Cameras whose clocks are not told are of the rig no more.
-        failures |= outcome.failures
-        singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
-        outcome = replace(outcome, failures=failures, singles=singles)
-        members = zip(start.cameras, start.models, strict=True)
-        state = replace(state, models=tuple(model for c, model in members if c in outcome.data.cameras))
-    outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
-    outcome = loosened(outcome, state, seen)
-    return rig_result(without_unsupported_terms(outcome))
+    return _Begun(alone, failures, options, posed, numbers, start, signs)
 
 
 def _seen_alone(outcome: RigOutcome, start: RigStart, posed: PosedViews, numbers: Int[np.ndarray, " p"]) -> SeenAlone:
