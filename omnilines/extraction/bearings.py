@@ -6,6 +6,7 @@ is asked for every place or ray.
 """
 
 import functools
+import math
 
 import cv2
 import numpy as np
@@ -29,6 +30,8 @@ STEP_RAD = 1e-4
 """Of the differences that give directions in the photo where the model is asked."""
 _MOST_NODES = 4
 """Of a chart, for each node of the image: a model may stretch a few of them over any range."""
+_MOST_FINER = 150_000
+"""Nodes of a chart at half the step: some 0.1 s of CPU, once for a camera."""
 _BEYOND = 6
 """Nodes around the image, and around what of a chart it shows."""
 _INSIDE = (slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
@@ -124,7 +127,7 @@ def _projected(model: CameraModel, rays: Float[np.ndarray, "n 3"]) -> tuple[Floa
 @functools.lru_cache(_CAMERAS)
 def _charts(model: CameraModel) -> Charts:
     """Pixels of nodes on both half spheres, where they show the image: at the median step of the image's nodes, halved while
-    more than MOST_ASKED of what a half sphere shows lies between nodes that are not good, as far as _MOST_NODES allows."""
+    more than MOST_ASKED of what a half sphere shows lies between nodes that are not good, as far as _MOST_FINER allows."""
     node, seen, _ = _grid(model)
     begin, shape, origin, step = np.zeros(2, dtype=np.int64), np.zeros((2, 2), dtype=np.int64), np.zeros((2, 2)), np.ones(2)
     nodes, good = [np.zeros((0, 8))], [np.zeros(0, dtype=bool)]
@@ -134,12 +137,13 @@ def _charts(model: CameraModel) -> Charts:
         if not both.any():
             continue
         place = node[..., :2] / (1.0 + np.abs(node[..., 2:]))
-        shown, inside, most = place[own], place[_INSIDE][own[_INSIDE]], _MOST_NODES * own.size
+        shown, inside = place[own], place[_INSIDE][own[_INSIDE]]
         # Where a polynomial runs out of the image's scene, nearly all steps may be next to nothing.
-        least = np.sqrt((np.ptp(shown, axis=0) + 1e-9).prod() / most)
-        between = max(float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1))), float(least))
+        area = float((np.ptp(shown, axis=0) + 1e-9).prod())
+        median = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
+        between = max(median, math.sqrt(area / (_MOST_NODES * own.size)))
         table, cells, low = _chart(model, side, shown, between)
-        while 0.5 * between >= least and _left(cells, (inside - low) / between) > MOST_ASKED:
+        while 4.0 * area / between**2 <= _MOST_FINER and _left(cells, (inside - low) / between) > MOST_ASKED:
             between *= 0.5
             table, cells, low = _chart(model, side, shown, between)
         shape[side], origin[side], step[side], begin[side] = cells.shape, low, between, sum(map(len, good))
