@@ -10,9 +10,10 @@ from scipy.special import ndtr
 
 from camera_models import MODELS, CameraModel, Cylindrical, Equirectangular, OpenCVFisheye, Scaramuzza, model_class
 from omnilines.extraction.arcs import LONGEST_RAD, Arcs, across_px, arcs_of_ends
-from omnilines.extraction.bearings import FARTHEST_PX, bearings_at, changes_at, pixels_at
+from omnilines.extraction.bearings import FARTHEST_PX, MOST_CHART_ERROR_PX, _charts, bearings_at, changes_at, pixels_at
 from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import noise_level
+from omnilines.extraction.kernels.bearing import read_pixels
 from omnilines.extraction.kernels.pair import near_pairs
 from omnilines.extraction.kernels.profile import mean_profiles, piece_means, profiles
 from omnilines.extraction.kernels.step_algebra import MOST_STEPS
@@ -43,6 +44,20 @@ def agrees(model: CameraModel, arcs: Arcs, beyond_px: float) -> int:
     assert np.abs(at.across - across)[valid].max() < 1e-4
     assert (np.diff(at.angle)[np.diff(at.owner) == 0] > 0).all()
     return int((~valid).sum())
+
+
+def test_few_rays_of_a_mirror_are_asked_of_the_model() -> None:
+    """A polynomial of degree 8 as calibrated from a real mirror: its bearings hardly change in the corners of the image, which
+    show nothing, and fast where it shows the scene, 54 to 120 degrees off its axis."""
+    radial = [-192.7, 0.29404, -0.010135898, 1.594857149e-4, -1.384587017e-6, 6.8718701986e-9, -1.831616701e-11, 2.03910864e-14]
+    model = Scaramuzza([324.5, 247.5, 1.0, 0.0, 0.0, *radial], (640, 480))
+    angle, around = np.radians(np.random.default_rng(0).uniform([54.0, 0.0], [120.0, 360.0], (5000, 2))).T
+    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), -np.cos(angle)], -1)
+    found, read = read_pixels(_charts(model), rays)
+    asked, seen = model.project(rays)
+    assert seen.all()
+    assert read.mean() > 0.99
+    assert np.abs(found - asked)[read].max() < 3.0 * MOST_CHART_ERROR_PX
 
 
 @pytest.mark.parametrize("model", EXAMPLES)

@@ -6,6 +6,7 @@ is asked for every place or ray.
 """
 
 import functools
+import math
 
 import cv2
 import numpy as np
@@ -23,12 +24,18 @@ MOST_ERROR_PX = 3e-4
 MOST_CHART_ERROR_PX = 2e-4
 """Of rays that are interpolated, three times over: derivatives are differences of nodes. Those of a pixel are then good to a
 share of 3e-5."""
+MOST_ASKED = 0.01
+"""Of the nodes of an image that a chart shows: so few may lie where it is not good."""
 STEP_RAD = 1e-4
 """Of the differences that give directions in the photo where the model is asked."""
 _MOST_NODES = 4
 """Of a chart, for each node of the image: a model may stretch a few of them over any range."""
+_MOST_FINER = 150_000
+"""Nodes of a chart at half the step: some 0.1 s of CPU, once for a camera."""
 _BEYOND = 6
 """Nodes around the image, and around what of a chart it shows."""
+_INSIDE = (slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
+"""The nodes of an image that lie in it."""
 _CAMERAS = 8
 """Whose nodes are kept."""
 _AHEAD = (0.0, 0.0, 1.0)
@@ -119,9 +126,9 @@ def _projected(model: CameraModel, rays: Float[np.ndarray, "n 3"]) -> tuple[Floa
 
 @functools.lru_cache(_CAMERAS)
 def _charts(model: CameraModel) -> Charts:
-    """Pixels of nodes on both half spheres, where they show the image."""
+    """Pixels of nodes on both half spheres, where they show the image: at the median step of the image's nodes, halved while
+    more than MOST_ASKED of what a half sphere shows lies between nodes that are not good, as far as _MOST_FINER allows."""
     node, seen, _ = _grid(model)
-    middle = 0.5 * np.array(model.image_size)
     begin, shape, origin, step = np.zeros(2, dtype=np.int64), np.zeros((2, 2), dtype=np.int64), np.zeros((2, 2)), np.ones(2)
     nodes, good = [np.zeros((0, 8))], [np.zeros(0, dtype=bool)]
     for side in range(2):
@@ -130,21 +137,40 @@ def _charts(model: CameraModel) -> Charts:
         if not both.any():
             continue
         place = node[..., :2] / (1.0 + np.abs(node[..., 2:]))
-        between = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
-        low, high = place[own].min(0) - _BEYOND * between, place[own].max(0) + _BEYOND * between
-        count = (high - low) / max(between, 1e-9) + 1.0
-        if count.prod() > _MOST_NODES * own.size:
-            continue
-        shape[side], origin[side], step[side], begin[side] = count, low, between, sum(map(len, good))
-        beside = np.stack(np.meshgrid(*(low[k] + between * np.arange(shape[side, k]) for k in (0, 1)), indexing="ij"), -1)
-        ahead = (1.0 - 2.0 * side) * (1.0 - (beside**2).sum(-1, keepdims=True))
-        pixel, valid = _projected(model, np.concatenate([2.0 * beside, ahead], -1).reshape(-1, 3))
-        valid &= (np.abs(pixel - middle) <= middle + _BEYOND * STEP_PX).all(-1)
-        # Hermite's cubic is nine times as good as Lagrange's.
-        most_share = 3.0 * MOST_CHART_ERROR_PX / STEP_PX
-        cells = smooth_cells(pixel.reshape(beside.shape), valid.reshape(ahead.shape[:2]), most_share)
-        # Fourth differences vanish here and there: the cells around have to be good as well.
-        cells = cv2.erode(cells.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-        nodes.append(chart_table(pixel.reshape(beside.shape)).reshape(-1, 8))
+        shown, inside = place[own], place[_INSIDE][own[_INSIDE]]
+        # Where a polynomial runs out of the image's scene, nearly all steps may be next to nothing.
+        area = float((np.ptp(shown, axis=0) + 1e-9).prod())
+        median = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
+        between = max(median, math.sqrt(area / (_MOST_NODES * own.size)))
+        table, cells, low = _chart(model, side, shown, between)
+        while 4.0 * area / between**2 <= _MOST_FINER and _left(cells, (inside - low) / between) > MOST_ASKED:
+            between *= 0.5
+            table, cells, low = _chart(model, side, shown, between)
+        shape[side], origin[side], step[side], begin[side] = cells.shape, low, between, sum(map(len, good))
+        nodes.append(table.reshape(-1, 8))
         good.append(cells.ravel())
     return Charts(begin, shape, origin, step, np.concatenate(nodes), np.concatenate(good))
+
+
+def _left(cells: Bool[np.ndarray, "h w"], place: Float[np.ndarray, "n 2"]) -> float:
+    """The share of places, in steps of a chart, whose cells are not good."""
+    return float((~cells[tuple(place.astype(np.int64).T)]).sum()) / max(len(place), 1)
+
+
+def _chart(
+    model: CameraModel, side: int, shown: Float[np.ndarray, "n 2"], between: float
+) -> tuple[Float[np.ndarray, "h w 8"], Bool[np.ndarray, "h w"], Float[np.ndarray, "2"]]:
+    """The `chart_table` of one half sphere around what it shows, the good cells, and the place of the first node."""
+    low, high = shown.min(0) - _BEYOND * between, shown.max(0) + _BEYOND * between
+    count = ((high - low) / between + 1.0).astype(np.int64)
+    beside = np.stack(np.meshgrid(*(low[k] + between * np.arange(count[k]) for k in (0, 1)), indexing="ij"), -1)
+    ahead = (1.0 - 2.0 * side) * (1.0 - (beside**2).sum(-1, keepdims=True))
+    pixel, valid = _projected(model, np.concatenate([2.0 * beside, ahead], -1).reshape(-1, 3))
+    middle = 0.5 * np.array(model.image_size)
+    valid &= (np.abs(pixel - middle) <= middle + _BEYOND * STEP_PX).all(-1)
+    pixel = pixel.reshape(beside.shape)
+    # Hermite's cubic is nine times as good as Lagrange's.
+    cells = smooth_cells(pixel, valid.reshape(ahead.shape[:2]), 3.0 * MOST_CHART_ERROR_PX / STEP_PX)
+    # Fourth differences vanish here and there: the cells around have to be good as well.
+    cells = cv2.erode(cells.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return chart_table(pixel), cells, low

@@ -6,9 +6,10 @@
 former by the poses of the photos of both, and drawn into the photo left out with the pose that it has there. Compared are the
 arcs found in it (SEEN_PX / 2 and more), as `held_out.py` does it.
 
-A panorama has all directions, so that every line of another room is drawn, through the walls. Hence two rows: every line; and
-those in view, which at least one of the NEIGHBOURS photos shows that share most lines with the photo left out in the run of all.
-Their rooms are its own or open to it, yet furniture and door frames may still hide some.
+A panorama has all directions, so that every line of another room is drawn, through the walls. Hence three rows: every line;
+those in view, which at least one of the NEIGHBOURS photos shows that share most lines with the photo left out in the run of all;
+and those that both photos show which were taken nearest to it. Their rooms are its own or open to it, yet furniture, door frames
+and what the photographer holds may still hide some, fewest of the last row. None of this asks the photo left out.
 
 `--arcs` holds arcs kept by an earlier run of the same version (OUT/work/arcs); the CPU seconds then lack the extraction.
 """
@@ -95,9 +96,20 @@ def in_frame_of(ends_m: np.ndarray, found: ImagePoses, other: ImagePoses) -> np.
     return scale * (ends_m - a.centre.numpy().mean(0)) @ turn.T + b.centre.numpy().mean(0)
 
 
-def in_photo(table: Segments, name: str) -> np.ndarray:
-    """(n 2 2) arcs of a photo that are long enough, matched or not."""
+def beside(poses: ImagePoses, name: str) -> set[str]:
+    """The two photos taken nearest to one."""
+    centre = poses.cam_from_world.centre.numpy()
+    away = np.linalg.norm(centre - centre[poses.images.index(name)], axis=-1)
+    return {poses.images[k] for k in np.argsort(away, kind="stable")[1:3]}
+
+
+def in_photo(table: Segments, name: str, width_px: int) -> np.ndarray:
+    """(n 2 2) arcs of a photo that are long enough, matched or not; those across the seam on both of its sides."""
     ends = table.endpoints_px[table.image == table.images.index(name)]
+    across = np.abs(np.diff(ends[..., 0]))[:, 0] > 0.5 * width_px
+    around = np.array([width_px, 0.0])
+    left = ends[across] - around * (ends[across, :, :1] > 0.5 * width_px)
+    ends = np.concatenate([ends[~across], left, left + around])
     return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) >= SEEN_PX / 2]
 
 
@@ -154,10 +166,13 @@ def judge(work: Path, name: str, camera: CameraModel, photos: int) -> None:
     near = set(neighbours(seen, name))
     tracks = [lines.tracks[k] for k in np.flatnonzero(lines.known)]
     in_view = np.array([bool(near & own[number[track]]) for track in tracks])
-    arcs_px = in_photo(seen, name)
+    nearest = beside(poses, name)
+    by_both = np.array([nearest <= own[number[track]] for track in tracks])
+    arcs_px = in_photo(seen, name, camera.image_size[0])
     rows = [
         judged("every line", ends_m, pose, camera, arcs_px),
         judged(f"in view: shown by {' or '.join(sorted(near))}", ends_m[in_view], pose, camera, arcs_px),
+        judged(f"shown by both beside it: {' and '.join(sorted(nearest))}", ends_m[by_both], pose, camera, arcs_px),
     ]
     header = ["", "lines", f"{SEEN_PX:.0f} px long", f"within {NEAR_PX:.0f} px", "%", "% by chance", "median px"]
     print_table(f"lines of {photos} photos in {name}", header, rows)
