@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,11 +16,14 @@ from camera_models.pose import rotation_from_vector
 from omnilines.calibration.lines.camera import LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.check import line_check
 from omnilines.calibration.lines.options import LineOptions
+from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
 from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.weighting import WeightedChains
 from omnilines.cli import main
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.geometry.chains import Chains
+from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.line_camera import adjusted_camera, held_camera, prior_with_boards
 from omnilines.structure.options import DirectionsOptions
@@ -157,6 +161,20 @@ def test_what_boards_say_counts_as_if_it_were_adjusted_with_the_lines() -> None:
     for name, sigma in joint.sigma.items():
         assert sigma < 1.05 * min(boards.sigma[name], alone.sigma[name])
     assert mahalanobis(joint, FISHEYE) < 32.0
+
+
+def test_right_angles_that_only_a_later_round_shows_count_as_if_the_first_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Photos of discs and few lines: no frame stands out under the start, and one does once the camera is nearly right."""
+    chains, looks, found = true_chains(FISHEYE, 0), Mock(), line_camera_module.families_of
+
+    def nothing_at_first(model: CameraModel, weighted: WeightedChains, *arguments: Any) -> Families:
+        looks()
+        return Families.none(weighted.blocks.chains) if looks.call_count == 1 else found(model, weighted, *arguments)
+
+    monkeypatch.setattr(line_camera_module, "families_of", nothing_at_first)
+    done = adjusted_camera(disturbed(FISHEYE, fx=6.0, fy=6.0), chains)
+    assert looks.call_count > 1 and done.families.frames == 6
+    assert mahalanobis(line_camera(done, chains.images, OPTIONS), FISHEYE) < 32.0
 
 
 def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:

@@ -56,7 +56,8 @@ def adjusted_camera(
         begin = CameraAndCircles.right(model, weighted.normal, families)
         solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
         scores = LineScores.of(problem, solution.state)
-        angles = angle_sigmas(problem, solution.state, scores)
+        # Where no photo shows a frame, nothing is known of right angles; the next round may find one.
+        angles = angle_sigmas(problem, solution.state, scores) if families.frames else None
         step = basis.mT @ (solution.state.model.parameters - model.parameters)
         model = solution.state.model
         settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
