@@ -38,6 +38,13 @@ class KeptLines:
     """The tracks that the lines come from, with the poses that they were matched with."""
 
     @property
+    def track(self) -> Int[np.ndarray, " k"]:
+        """The track of each line, one for all stretches of a line; -1 where a stretch has no arc of its own."""
+        member, found = self.segments.track >= 0, np.full(len(self.scene.lines), -1)
+        found[self.segments.track[member]] = self.matched.tracks.track[member]
+        return found
+
+    @property
     def tolerance_px(self) -> float:
         """That arcs were matched with."""
         return self.matched.tolerance_px

@@ -47,6 +47,9 @@ class KeptLineOptions(NamedTuple):
     guided_by_families: bool = True
     """A line takes the direction of its family of parallel lines into account, as far as its own is less certain than
     `structure.families.tolerance_rad`."""
+    guided_by_corners: bool = True
+    """A line takes the lines into account that end where it does in several photos, as far as lines of this scene that end
+    together meet (`structure.corners`)."""
 
 
 class FrameOptions(NamedTuple):

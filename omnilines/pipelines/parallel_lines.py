@@ -34,19 +34,32 @@ def guided_lines(lines: Lines, families: Families) -> Lines:
     rows = np.flatnonzero(families.family >= 0)
     if not len(rows):
         return lines
-    assert lines.covariance is not None and lines.chart_centre_m is not None and lines.chart_scale_m is not None
-    centre, scale = torch.as_tensor(lines.chart_centre_m[rows])[:, None], torch.as_tensor(lines.chart_scale_m[rows])
-    # Relative to the charts' centres, so that nothing depends on where the world origin is.
+    step, covariance = _update(lines, families, rows, local_charts(lines, rows))
+    return stepped_lines(lines, rows, step, covariance)
+
+
+def local_charts(lines: Lines, rows: Int[np.ndarray, " m"]) -> LineChart:
+    """Charts of some lines relative to their charts' centres, so that nothing depends on where the world origin is."""
+    assert lines.chart_centre_m is not None and lines.chart_scale_m is not None
+    ends = torch.as_tensor(lines.ends_m[rows] - lines.chart_centre_m[rows][:, None])
+    scale = torch.as_tensor(lines.chart_scale_m[rows])
+    return LineChart.from_lines(PlueckerLines.from_points(ends[:, 0], ends[:, 1]), torch.zeros_like(ends[:, 0]), scale)
+
+
+def stepped_lines(
+    lines: Lines, rows: Int[np.ndarray, " m"], step: Float[Tensor, "m 4"], covariance: Float[Tensor, "m 4 4"]
+) -> Lines:
+    """The lines of which `rows` made a step in their charts, with the covariances after it. Ends move across their line only."""
+    assert lines.covariance is not None and lines.chart_centre_m is not None
+    centre = torch.as_tensor(lines.chart_centre_m[rows])[:, None]
     ends = torch.as_tensor(lines.ends_m[rows]) - centre
-    chart = LineChart.from_lines(PlueckerLines.from_points(ends[:, 0], ends[:, 1]), torch.zeros_like(ends[:, 0]), scale)
-    step, covariance = _update(lines, families, rows, chart)
     # Straight in space, not along the chart: which camera a chart is about is a matter of rounding.
-    ends = ends + (motion_across(chart, ends) @ step[:, None, :, None])[..., 0]
-    moved = LineChart.from_lines(PlueckerLines.from_points(ends[:, 0], ends[:, 1]), torch.zeros_like(ends[:, 0]), scale)
+    ends = ends + (motion_across(local_charts(lines, rows), ends) @ step[:, None, :, None])[..., 0]
+    moved = replace(lines, ends_m=_with_rows(lines.ends_m, rows, ends + centre))
+    sigma = end_sigma_m(local_charts(moved, rows), covariance, ends)
     return replace(
-        lines,
-        ends_m=_with_rows(lines.ends_m, rows, ends + centre),
-        sigma_m=_with_rows(lines.sigma_m, rows, end_sigma_m(moved, covariance, ends)),
+        moved,
+        sigma_m=_with_rows(lines.sigma_m, rows, sigma),
         covariance=_with_rows(lines.covariance, rows, covariance),
     )
 

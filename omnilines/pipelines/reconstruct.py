@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost
@@ -17,6 +19,7 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import PhotoArcs, calibration_of
 from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
 from omnilines.pipelines.judged_photos import refuse_reading
@@ -140,8 +143,13 @@ def _scene(
     lines, poses = found.scene.lines, found.scene.poses
     families = line_families(lines, options.structure.families)
     if options.kept_lines.guided_by_families:
-        refined = refined_calibration(found.scene, cameras).cameras
-        lines = with_rms(guided_lines(lines, families), found.segments, poses, refined)
+        lines = guided_lines(lines, families)
+    if options.kept_lines.guided_by_corners:
+        at, track = found.matched.arcs.with_poses(poses.cam_from_world), found.track
+        own = np.append(track, -1)[found.segments.track]
+        lines = cornered_lines(lines, track, corners_of(at, own, options.structure.corners), options.structure.corners)
+    if lines is not found.scene.lines:
+        lines = with_rms(lines, found.segments, poses, refined_calibration(found.scene, cameras).cameras)
     sought = DirectionsOptions(upright=options.structure.upright)
     frame = scene_frame(
         lines, poses, families, source=posed.source, unit=posed.unit, known=distance,

@@ -1,4 +1,4 @@
-"""Options of the structure of a scene: where lines end, which are parallel, and which way is up."""
+"""Options of the structure of a scene: where lines end, which are parallel, which end together, and which way is up."""
 
 import math
 from dataclasses import dataclass
@@ -42,6 +42,24 @@ class FamilyOptions(NamedTuple):
         return float(-2 * math.log1p(-min(self.member_share, math.nextafter(1.0, 0.0))))
 
 
+class CornerOptions(NamedTuple):
+    """Where lines end together, and how far such lines pass each other."""
+
+    reach_px: float = 2.0
+    """Two arcs of a photo end together where both end so near to the point that their circles share: twice what is known of an
+    end along its arc."""
+    min_sine: float = 0.1
+    """Of the angle between two circles, and between two lines: those nearly alike share no point that is known."""
+    min_photos: int = 2
+    """In which the arcs of two lines end together."""
+    most_photos: int = 4
+    """Two lines end together by chance the less often the more photos show it: the gaps of corners that as many photos show have
+    shares of their own, up to this number, those of more photos together."""
+    gaps: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
+    """Standard deviations of the gap between two lines that end together, over the median distance of lines from cameras, of
+    which the shares are found: the least of lines that meet, the others of those that do not."""
+
+
 class UprightOptions(NamedTuple):
     """Which family of parallel lines is vertical."""
 
@@ -65,6 +83,8 @@ class StructureOptions:
     """Where a line begins and ends."""
     families: FamilyOptions = FamilyOptions()
     """Which lines are parallel."""
+    corners: CornerOptions = CornerOptions()
+    """Where lines end together."""
     upright: UprightOptions = UprightOptions()
     """Which way is up."""
 

@@ -1,0 +1,120 @@
+"""Where lines end together in photos, and how far lines that do so pass each other.
+
+Two arcs of one photo end together where an end of each lies near the point that both circles share. Such lines meet, or
+something hides where they go on: then there is a gap between them. Which share of the corners has which gap is found from the
+lines themselves. With the gap g_k measured at corner k, of the variance v_k, and the standard deviations t_c of gaps,
+
+    p(g_k) = sum_c a_c N(g_k; 0, v_k + t_c^2),    sum_c a_c = 1,
+
+the shares a_c are found by expectation maximisation, for corners that two, three, and more photos show each; one further
+corner, that may have any gap, is counted along, so that few corners say little.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from omnilines.structure.options import CornerOptions
+
+ROUNDS = 200
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Corners:
+    """k pairs of lines that end together in several photos."""
+
+    line: Int[np.ndarray, "k 2"]
+    """Both lines, the lower number first."""
+    photos: Int[np.ndarray, " k"]
+    """In which they end together."""
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def rows(self, chosen: Bool[np.ndarray, " k"]) -> "Corners":
+        """Some of them."""
+        return Corners(self.line[chosen], self.photos[chosen])
+
+
+def corners_seen(
+    image: Int[np.ndarray, " n"],
+    line: Int[np.ndarray, " n"],
+    ends: Float[np.ndarray, "n 2 3"],
+    normal: Float[np.ndarray, "n 3"],
+    px_rad: Float[np.ndarray, " n"],
+    options: CornerOptions = CornerOptions(),
+) -> Corners:
+    """The corners of arcs of photos (`image`) and lines (`line`), of end bearings and normals (unit, world); `px_rad` a pixel."""
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    for photo in np.unique(image):
+        rows = np.flatnonzero(image == photo)
+        one, other = _together(line[rows], ends[rows], normal[rows], px_rad[rows], options)
+        pair = np.sort(np.stack([line[rows[one]], line[rows[other]]], -1), axis=-1)
+        found.append(np.unique(np.column_stack([pair, np.full(len(pair), photo)]), axis=0))
+    lines, photos = np.unique(np.concatenate(found)[:, :2], axis=0, return_counts=True)
+    enough = photos >= options.min_photos
+    return Corners(lines[enough], photos[enough])
+
+
+def _together(
+    line: Int[np.ndarray, " n"],
+    ends: Float[np.ndarray, "n 2 3"],
+    normal: Float[np.ndarray, "n 3"],
+    px_rad: Float[np.ndarray, " n"],
+    options: CornerOptions,
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Pairs of arcs of one photo and two lines that end together."""
+    end, reach = ends.reshape(-1, 3), options.reach_px * px_rad
+    one, other = cKDTree(end).query_pairs(2.0 * float(reach.max(initial=0.0)), output_type="ndarray").T
+    one, other = (pair[line[one // 2] != line[other // 2]] for pair in (one, other))
+    point = np.cross(normal[one // 2], normal[other // 2])
+    sine = np.linalg.norm(point, axis=-1)
+    point *= (np.sign((point * (end[one] + end[other])).sum(-1)) / np.maximum(sine, TINY))[:, None]
+    near: Bool[np.ndarray, " p"] = sine > options.min_sine
+    for k in (one, other):
+        near &= np.linalg.norm(end[k] - point, axis=-1) <= reach[k // 2]
+    return one[near] // 2, other[near] // 2
+
+
+@dataclass(frozen=True)
+class GapShares:
+    """How far lines that end together pass each other."""
+
+    gaps_m: Float[np.ndarray, " c"]
+    """Standard deviations of the gap."""
+    share: Float[np.ndarray, "g c"]
+    """Of the corners of each number of photos, those of each gap."""
+    group: Int[np.ndarray, " k"]
+    """The row of `share` of each corner."""
+
+
+def gap_shares(
+    gap_m: Float[np.ndarray, " k"],
+    variance_m2: Float[np.ndarray, " k"],
+    photos: Int[np.ndarray, " k"],
+    distance_m: float,
+    options: CornerOptions = CornerOptions(),
+) -> GapShares:
+    """The shares under which the gaps of corners are most likely; `distance_m` is what `options.gaps` are shares of."""
+    gaps = distance_m * np.array(options.gaps)
+    _, group = np.unique(np.minimum(photos, options.most_photos), return_inverse=True)
+    own = likelihood(gap_m, variance_m2, gaps)
+    share = np.full((int(group.max(initial=-1)) + 1, len(gaps)), 1.0 / len(gaps))
+    for _ in range(ROUNDS):
+        part = share[group] * own
+        total = np.full_like(share, 1.0 / len(gaps))
+        np.add.at(total, group, part / np.maximum(part.sum(-1, keepdims=True), TINY))
+        share = total / total.sum(-1, keepdims=True)
+    return GapShares(gaps, share, group)
+
+
+def likelihood(
+    gap_m: Float[np.ndarray, " k"], variance_m2: Float[np.ndarray, " k"], gaps_m: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, "k c"]:
+    """N(g; 0, v + t^2) of each gap and each standard deviation t, over the largest of the gap."""
+    spread = variance_m2[:, None] + gaps_m**2
+    log = -0.5 * (np.square(gap_m)[:, None] / spread + np.log(spread))
+    return np.exp(log - log.max(-1, keepdims=True))
