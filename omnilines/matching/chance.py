@@ -7,7 +7,8 @@ long line, of which every photo shows most by one arc, are no such chance. Photo
 count against it, the more the fewer arcs they have there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,9 +21,13 @@ from omnilines.matching.asked import AskedLines
 from omnilines.matching.kernels.chance import at_least, shown_and_beside
 from omnilines.matching.known_lines import mean_colours
 from omnilines.matching.options import MatchingOptions
+from omnilines.progress import on_all_cores, silent
 
 SAMPLES = 33
 """Places along a line that are looked for in a photo."""
+PHOTOS_AT_ONCE = 10
+"""That a core compares lines with."""
+T = TypeVar("T")
 
 
 def chance_of_lines(
@@ -50,24 +55,32 @@ def chance_of_lines(
     asked = AskedLines.every(arcs.images, len(lines))
     if neighbours is not None:
         asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
-    width_px, beside_px = shown_and_beside(
-        direction,
-        moment,
-        positions_m,
-        colours,
-        own,
-        options.chance.as_much * _least_share(arcs, lines, positions_m, rows, own[rows]),
-        arcs.packed,
-        arcs.px_rad,
-        arcs.colours,
-        arcs.starts,
-        asked.starts,
-        asked.lines,
-        options.chance.reach_px,
-        options.explained.max_chi_square,
-        options.hypotheses.min_overlap_share,
-        options.likeness,
-    )
+    least_share = options.chance.as_much * _least_share(arcs, lines, positions_m, rows, own[rows])
+
+    def compare(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
+        """The lines that the photos from `low` up to `high` are asked for."""
+        starts = asked.starts[low : high + 1]
+        return shown_and_beside(
+            direction,
+            moment,
+            positions_m,
+            colours,
+            own,
+            least_share,
+            arcs.packed,
+            arcs.px_rad,
+            arcs.colours,
+            arcs.starts[low : high + 1],
+            starts - starts[0],
+            asked.lines[starts[0] : starts[-1]],
+            options.chance.reach_px,
+            options.explained.max_chi_square,
+            options.hypotheses.min_overlap_share,
+            options.likeness,
+        )
+
+    compared = _by_photos(compare, arcs.images)
+    width_px, beside_px = (np.concatenate(column) for column in zip(*compared, strict=True))
     # Line by line from here on, those of each line photo by photo.
     by_line = np.argsort(asked.lines, kind="stable")
     line, photo = asked.lines[by_line], asked.photos[by_line]
@@ -115,15 +128,27 @@ def _lengths_px(
     share = torch.linspace(0.0, 1.0, SAMPLES, dtype=torch.float64)
     low, high = torch.as_tensor(positions_m).T[..., None]
     points = lines[:, None].point_at(low + share * (high - low))
-    lengths = np.zeros(len(asked.lines))
-    with torch.no_grad():
-        for photo, model in enumerate(cameras):
-            part = slice(asked.starts[photo], asked.starts[photo + 1])
-            own = points[torch.as_tensor(asked.lines[part])]
-            pixels, valid = (one.numpy() for one in model.project(arcs.poses[photo].transform(own)))
-            step = np.diff(pixels, axis=1)
-            if model.PERIODIC:
-                step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
-            inside: Bool[np.ndarray, "l k"] = valid & ((pixels >= -0.5) & (pixels <= np.array(model.image_size) - 0.5)).all(-1)
-            lengths[part] = np.where(inside[:, 1:] & inside[:, :-1], np.linalg.norm(step, axis=-1), 0.0).sum(1)
-    return lengths
+
+    def lengths(first: int, last: int) -> Float[np.ndarray, " k"]:
+        """Those of the photos from `first` up to `last`."""
+        return np.concatenate([length(photo) for photo in range(first, last)])
+
+    def length(photo: int) -> Float[np.ndarray, " k"]:
+        """Those of one photo."""
+        model, own = cameras[photo], torch.as_tensor(asked.lines[asked.starts[photo] : asked.starts[photo + 1]])
+        with torch.no_grad():
+            pixels, valid = (one.numpy() for one in model.project(arcs.poses[photo].transform(points[own])))
+        step = np.diff(pixels, axis=1)
+        if model.PERIODIC:
+            step[..., 0] -= model.image_size[0] * np.round(step[..., 0] / model.image_size[0])
+        inside: Bool[np.ndarray, "l k"] = valid & ((pixels >= -0.5) & (pixels <= np.array(model.image_size) - 0.5)).all(-1)
+        found: Float[np.ndarray, " l"] = np.where(inside[:, 1:] & inside[:, :-1], np.linalg.norm(step, axis=-1), 0.0).sum(1)
+        return found
+
+    return np.concatenate(_by_photos(lengths, arcs.images))
+
+
+def _by_photos(work: Callable[[int, int], T], photos: int) -> list[T]:
+    """work(low, high) of PHOTOS_AT_ONCE photos after another, on all cores."""
+    lows = range(0, max(photos, 1), PHOTOS_AT_ONCE)
+    return on_all_cores(lambda low: work(low, min(low + PHOTOS_AT_ONCE, photos)), lows, "", silent)

@@ -13,11 +13,12 @@ from omnilines.matching.asked import AskedLines
 from omnilines.matching.kernels.hypothesis import likenesses
 from omnilines.matching.kernels.track import near_lines
 from omnilines.matching.options import LikenessOptions, MatchingOptions
+from omnilines.progress import on_all_cores, silent
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
 
-PAIRS_AT_ONCE = 1 << 16
-"""Of an arc and a line, that are compared at a time: each takes a kilobyte or two."""
+PAIRS_AT_ONCE = 1 << 14
+"""Of an arc and a line, that a core compares at a time: each takes a kilobyte or two."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,17 @@ class KnownLines:
         """Arcs, lines that explain them to their noise and look like them, how much alike they are, and chi-square; `asked` as in
         `near`."""
         every, its = self.near(arcs, options.explained.reach_px * arcs.px_rad + 5.0 * arcs.packed[:, 12:].max(-1), asked)
-        found = []
-        for at in range(0, max(len(every), 1), PAIRS_AT_ONCE):
+
+        def fitting(at: int) -> tuple[np.ndarray, ...]:
+            """Of the pairs from there on."""
             arc, line = every[at : at + PAIRS_AT_ONCE], its[at : at + PAIRS_AT_ONCE]
             square, alike = self.chi_square(arcs, arc, line), self.looks_like(arcs, arc, line, options.likeness)
             fits = (square <= options.explained.max_chi_square) & (alike >= options.likeness.min_likeness)
-            found.append((arc[fits], line[fits], alike[fits], square[fits]))
+            return arc[fits], line[fits], alike[fits], square[fits]
+
+        # Few pairs are not worth a thread: photos are placed by some lines each.
+        parts = range(0, max(len(every), 1), PAIRS_AT_ONCE)
+        found = on_all_cores(fitting, parts, "", silent) if len(parts) > 1 else [fitting(0)]
         arc, line, alike, square = (np.concatenate(column) for column in zip(*found, strict=True))
         return arc, line, alike, square
 

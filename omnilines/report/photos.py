@@ -4,7 +4,7 @@ import base64
 import os
 import pathlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -30,9 +30,9 @@ class _Photo:
     """Of the original, which the curves refer to."""
     data_uri: str
     caption: str
-    model: tuple[tuple[str, str], ...]
+    model: tuple[tuple[str, Markup], ...]
     """(label, SVG path) of each curve."""
-    observed: tuple[tuple[str, str], ...]
+    observed: tuple[tuple[str, Markup], ...]
 
 
 def photos_section(
@@ -108,6 +108,9 @@ def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyl
     model = tuple((c.label, _line_path(c.pixels)) for c in curves if c.kind == "model")
     observed = tuple((c.label, _point_path(c.pixels)) for c in curves if c.kind != "model")
     points = sum(int(np.isfinite(c.pixels).all(1).sum()) for c in curves if c.kind != "model")
+    # What the paths take does not depend on the size of the photo.
+    photo = _Photo(name, (width, height), "", "", model, observed)
+    left = share_bytes - _size_bytes(photo)
     for step_width, quality in _STEPS:
         shown = min(width, step_width)
         scaled = pixels
@@ -116,9 +119,8 @@ def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyl
         uri = "data:image/jpeg;base64," + base64.b64encode(jpeg_of(scaled, quality)).decode("ascii")
         scale = "" if shown == width else f", shown {shown} px wide"
         caption = f"{width} × {height} px{scale}" + (f"; {points:,} observed points, {len(model):,} curves" if curves else "")
-        photo = _Photo(name, (width, height), uri, caption, model, observed)
-        if _size_bytes(photo) <= share_bytes:
-            return photo
+        if len(uri) <= left:
+            return replace(photo, data_uri=uri, caption=caption)
     return None
 
 
@@ -128,15 +130,15 @@ def _size_bytes(photo: _Photo) -> int:
     return len(photo.data_uri) + paths + 4 * len(photo.name.encode()) + 800
 
 
-def _line_path(pixels: Float[np.ndarray, "k 2"]) -> str:
+def _line_path(pixels: Float[np.ndarray, "k 2"]) -> Markup:
     """SVG path through the points, lifted over those that are not finite."""
     known = np.isfinite(pixels).all(1)
     starts = known & ~np.concatenate([[False], known[:-1]])
-    return "".join(
-        f"{'M' if start else 'L'}{u:.1f} {v:.1f}" for (u, v), start, ok in zip(pixels, starts, known, strict=True) if ok
-    )
+    pen = "".join("M%.1f %.1f" if start else "L%.1f %.1f" for start in starts[known].tolist())
+    return Markup(pen % tuple(pixels[known].ravel().tolist()))
 
 
-def _point_path(pixels: Float[np.ndarray, "k 2"]) -> str:
+def _point_path(pixels: Float[np.ndarray, "k 2"]) -> Markup:
     """SVG path of one dot per point: strokes of no length with round ends."""
-    return "".join(f"M{u:.2f} {v:.2f}h0" for u, v in pixels[np.isfinite(pixels).all(1)])
+    known = pixels[np.isfinite(pixels).all(1)]
+    return Markup("M%.2f %.2fh0" * len(known) % tuple(known.ravel().tolist()))
