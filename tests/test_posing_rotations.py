@@ -3,6 +3,7 @@
 import itertools
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from test_posing_sfm import described, places, world
 
+from camera_models.pose import Pose
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched
 from omnilines.posing.rotations import agreeing_pairs
@@ -50,13 +52,38 @@ def test_parts_without_a_pair_between_them_and_no_pairs_at_all():
     assert agreeing_pairs({}, 3) == []
 
 
-def test_a_mapping_tells_how_far_it_is_and_an_interrupt_ends_it(tmp_path):
+def six_panoramas() -> tuple[MapperInput, Pose]:
+    """Six panoramas of one room and their matches, and the true poses."""
     camera, _ = scene_camera("equirectangular", (800, 400), 0)
     points, words = world(500, 1)
     truth = places(6, 2)
     features = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
     matches = {(i, j): matched(features[i], features[j])[0] for i, j in itertools.combinations(range(6), 2)}
-    given = MapperInput(features, matches, [0] * 6, list(range(6)), {})
+    return MapperInput(features, matches, [0] * 6, list(range(6)), {}), truth
+
+
+def test_photos_that_are_settled_are_mapped_once(tmp_path):
+    """Each explains its matches, and has its true rotation to the first: no other way of adding photos is tried."""
+    given, truth = six_panoramas()
+    (part,) = map_photos(given, tmp_path, 0)
+    assert sorted(part) == list(range(6))
+    assert (tmp_path / "models0").is_dir() and not (tmp_path / "models1").exists()
+    for k in range(1, 6):
+        turn = part[k].rotation @ part[0].rotation.mT @ truth[0].rotation @ truth[k].rotation.mT
+        assert Rotation.from_matrix(turn.numpy()).magnitude() < 5e-3
+
+
+def test_a_photo_without_pairs_is_not_settled(tmp_path):
+    """The same matches, but of other features of the last photo: no pair with it is verified."""
+    given, _ = six_panoramas()
+    bearings = given.features[5].bearings.flip(0)
+    wrong = replace(given, features=[*given.features[:5], replace(given.features[5], bearings=bearings)])
+    map_photos(wrong, tmp_path, 0)
+    assert (tmp_path / "models2").is_dir()
+
+
+def test_a_mapping_tells_how_far_it_is_and_an_interrupt_ends_it(tmp_path):
+    given, _ = six_panoramas()
     told = []
     parts = map_photos(given, tmp_path / "whole", 0, lambda *step: told.append(step))
     assert len(parts[0]) == 6

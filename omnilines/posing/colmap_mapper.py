@@ -55,7 +55,8 @@ def map_photos(
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
     make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs and without those whose rotation
-    contradicts the others (rotations.py); that is taken whose largest part explains most matches.
+    contradicts the others (rotations.py), until one has settled all of them; else that is taken whose largest part explains most
+    matches.
     """
     limits, inliers = options.mapper.resection_px, options.mapper.resection_inliers
     if not limits or len(limits) != len(inliers):
@@ -84,9 +85,11 @@ def map_photos(
         models.mkdir()
         own = _options(module, seed, error_px, least, options.mapper.min_first_pair_inliers)
         parts = _mapped(module, path, models, own, len(given.features), progress)
-        agree = _agreeing(parts[0], rays) if parts else 0
-        if agree > most:
-            best, most = parts, agree
+        explained = _explained(parts[0], rays) if parts else {}
+        if sum(explained.values()) > most:
+            best, most = parts, sum(explained.values())
+        if _settled(len(given.features), explained, rays, options.mapper.settled_share):
+            break
     return best
 
 
@@ -115,16 +118,29 @@ def _mapped(
     return sorted(parts, key=len, reverse=True)
 
 
-def _agreeing(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]) -> int:
-    """How many verified matches lie near the epipolar circles of the poses."""
-    count = 0
+def _explained(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]) -> dict[tuple[int, int], int]:
+    """Of each pair of photos that are placed, how many verified matches lie near the epipolar circles of the poses."""
+    counts = {}
     for (i, j), pair in rays.items():
         if i in part and j in part:
             relative = part[j] @ part[i].inverse()
             normal = torch.linalg.cross(pair.a @ relative.rotation.mT, relative.translation.expand_as(pair.a))
             sine = (normal * pair.b).sum(-1).abs() / normal.norm(dim=-1).clamp_min(1e-300)
-            count += int((sine < pair.limit_rad).sum())
-    return count
+            counts[i, j] = int((sine < pair.limit_rad).sum())
+    return counts
+
+
+def _settled(
+    photos: int, explained: Mapping[tuple[int, int], int], rays: Mapping[tuple[int, int], "_Rays"], least_share: float
+) -> bool:
+    """Whether each photo is placed and explains so large a share of its matches, in pairs whose rotations agree, that no other
+    way of adding photos would place it elsewhere: at a wrong place only few lie near their circles."""
+    own, all_own = np.zeros(photos), np.zeros(photos)
+    for pair, one in rays.items():
+        if one.agrees:
+            own[list(pair)] += explained.get(pair, 0)
+            all_own[list(pair)] += len(one.a)
+    return bool((own >= np.maximum(least_share * all_own, 1.0)).all())
 
 
 def _options(module: Any, seed: int, error_px: float, least: int, first_pair: int) -> Any:

@@ -65,10 +65,13 @@ class MapperOptions(NamedTuple):
     epipolar_px: float = 4.0
     """Distance from the epipolar circle at which a match agrees with a pair's geometry: COLMAP's own limit."""
     resection_px: tuple[float, ...] = (4.0, 4.0, 8.0)
-    """Largest errors of a photo that is added. COLMAP's 12 px let photos that see few known points in on wrong ones; each of
-    these is tried, and the model is taken that most verified matches agree with."""
+    """Largest errors of a photo that is added. COLMAP's 12 px let photos that see few known points in on wrong ones; these are
+    tried in turn until all photos are settled, else the model is taken that most verified matches agree with."""
     resection_inliers: tuple[int, ...] = (15, 10, 15)
     """Least inliers of a photo that is added, for each of these errors."""
+    settled_share: float = 0.8
+    """Of the verified matches of each photo, in pairs whose rotations agree, that its pose has to explain: where it does for all
+    photos, no other way of adding them is tried."""
     rotation_loss_scale_rad: float = math.radians(2.0)
     """Where the loss of relative rotations bends: several times the error of that of a pair of few matches."""
     max_rotation_rad: float = math.radians(6.0)
