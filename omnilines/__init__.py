@@ -2,8 +2,7 @@
 
     import omnilines as ol
 
-    corners = ol.detect("board/", "checkerboard:8x6:32.5mm")
-    result = ol.calibrate(corners, model="auto")
+    result = ol.calibrate("board/", "checkerboard:8x6:32.5mm", model="auto")
     result.camera, result.sigma, result.report("report.html")
 
 Verbs take and return objects; files are read and written where that is asked for. Nothing is printed: `progress` is told how

@@ -1,6 +1,6 @@
 """Corners of a target, or photos with what they show -> one calibrated camera: `calibrate`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -107,15 +107,16 @@ def calibrate(
 ) -> CalibrationResult | LineResult:
     """Calibrate one camera without any guess of focal length or centre: from photos of a target, from straight lines, or both.
 
-    Photos stand before a `pattern`, which says what they show: a target ("checkerboard:8x6:30mm"), straight lines of buildings
+    Photos (a folder, files, or arrays by name) stand before a `pattern`, which says what they show: a target ("checkerboard:8x6:30mm"), straight lines of buildings
     or rooms ("lines"), or both in one adjustment ("checkerboard:8x6:30mm,lines"). Corners need none: what `detect` found, a table
     as `read_corners` returns it, or by view two arrays, points of the board (n, 3) in metres and pixels (n, 2); behind the latter
     two stands `image_size` (width, height).
 
     Fields of the options may be given by name: `model="auto"` fits all camera models and takes the one that predicts held-out
     views best. With `rolling_shutter` the line delay is estimated. With lines alone `model`, `degree`, `coefficients` and
-    `mirror` count; `boards` is a calibration of the same camera from a target, of other photos, whose corners count beside the
-    lines. `detection` is for targets, `lines` for lines. Photos are searched, and models fitted, by the workers of an `executor`.
+    `mirror` count; `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
+    kept, and its corners count beside the lines. `detection` has the options of targets, `lines` those of lines. Photos are
+    searched for a target, and models fitted to it, by the workers of an `executor`, where one is given.
 
     Returns a CalibrationResult of corners or a target, a LineResult where lines count. Raises InputError for what does not go
     together, options out of range, photos that show too little and corners outside the image, and GeometryError where the data
@@ -128,33 +129,24 @@ def calibrate(
         (True, (8, 8))
         >>> [path.name for path in result.save("result")]
         ['calibration.yaml', 'corners.csv']
-        >>> same = ol.calibrate(ol.detect("board/", "checkerboard:8x6:30mm"), model="opencv-fisheye")
-        >>> bool((same.camera.parameters == result.camera.parameters).all())
-        True
     """
     if pattern is not None and image_size is not None:
         raise InputError(
             "`image_size` was expected with a table of corners alone, found it beside another argument; leave it out."
         )
     known = {"boards": boards is not None, "lines": lines != LinesOptions(), "detection": detection != DetectionOptions()}
-    asked = {name for name, given_too in known.items() if given_too}
+    asked = {name for name, is_given in known.items() if is_given}
     if not isinstance(pattern, str | Pattern):
         _require_corners(given)
         _refuse(asked, "corners")
         return calibrate_corners(given, image_size or pattern, options, executor=executor, progress=progress, **fields)
     targets, has_lines = ((pattern,), False) if isinstance(pattern, Pattern) else shown_by(pattern)
     _require_photos(given, targets)
-    if has_lines and not targets:
-        of_boards = fields.keys() & (CalibrationFields.__annotations__.keys() - LineFields.__annotations__.keys())
-        _refuse(of_boards | (asked & {"detection"}), "lines alone")
+    _require_counting(bool(targets), has_lines, asked | fields.keys(), replace(options, **fields))
+    if not targets:
         return calibrate_lines(given, options, lines, boards=boards, progress=progress, **fields)
     options = replace(options, **fields)
     options.require_of_models([options.model])
-    if has_lines:
-        unknown = {name for name in ("mirror", "rolling_shutter") if getattr(options, name)}
-        _refuse(unknown | (asked & {"boards"}), "lines beside a target")
-    else:
-        _refuse(asked - {"detection"}, "a target alone")
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect(given, targets[0], mirrored=options.mirror, options=detection, executor=executor, progress=progress)
     result = calibrate_corners(found, options=options, executor=executor, progress=progress)
@@ -165,6 +157,18 @@ def shown_by(pattern: str) -> tuple[tuple[str, ...], bool]:
     """The targets that a pattern names, and whether lines stand in their place or beside them."""
     names = [name.strip() for name in pattern.split(",")]
     return tuple(name for name in names if name != LINES), LINES in names
+
+
+def _require_counting(has_target: bool, has_lines: bool, asked: Set[str], options: CalibrationOptions) -> None:
+    """Raises InputError where something is asked for that does not count with what photos show."""
+    if not has_lines:
+        _refuse(asked & {"boards", "lines"}, "a target alone")
+    elif has_target:
+        unknown = {name for name in ("mirror", "rolling_shutter") if getattr(options, name)}
+        _refuse(unknown | (asked & {"boards"}), "lines beside a target")
+    else:
+        of_boards = CalibrationFields.__annotations__.keys() - LineFields.__annotations__.keys()
+        _refuse(asked & (of_boards | {"detection"}), "lines alone")
 
 
 def _refuse(names: Iterable[str], what: str) -> None:
