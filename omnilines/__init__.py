@@ -2,8 +2,7 @@
 
     import omnilines as ol
 
-    corners = ol.detect("board/", "checkerboard:8x6:32.5mm")
-    result = ol.calibrate(corners, model="auto")
+    result = ol.calibrate("board/", "checkerboard:8x6:32.5mm", model="auto")
     result.camera, result.sigma, result.report("report.html")
 
 Verbs take and return objects; files are read and written where that is asked for. Nothing is printed: `progress` is told how
@@ -38,8 +37,9 @@ if TYPE_CHECKING:
     from omnilines.matching.options import MatchingOptions
     from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
     from omnilines.pipelines.arcs import PhotoArcs, extract
-    from omnilines.pipelines.calibrate import CalibrationResult, calibrate
-    from omnilines.pipelines.calibrate_lines import LineResult, calibrate_lines
+    from omnilines.pipelines.calibrate import CalibrationResult
+    from omnilines.pipelines.calibrate_lines import LineResult
+    from omnilines.pipelines.calibrate_one import calibrate
     from omnilines.pipelines.calibrate_rig import RigResult, calibrate_rig
     from omnilines.pipelines.check import CheckResult, check
     from omnilines.pipelines.check_options import CheckOptions
@@ -76,9 +76,10 @@ _HOMES = {
     "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
     "calib_patterns.options": ("DetectionOptions",),
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
-    "omnilines.pipelines.calibrate": ("calibrate", "CalibrationResult"),
+    "omnilines.pipelines.calibrate_one": ("calibrate",),
+    "omnilines.pipelines.calibrate": ("CalibrationResult",),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
-    "omnilines.pipelines.calibrate_lines": ("calibrate_lines", "LineResult"),
+    "omnilines.pipelines.calibrate_lines": ("LineResult",),
     "omnilines.pipelines.line_options": ("LinesOptions",),
     "omnilines.pipelines.check": ("check", "CheckResult"),
     "omnilines.pipelines.check_options": ("CheckOptions",),
@@ -163,7 +164,6 @@ __all__ = [
     "Validation",
     "adjust",
     "calibrate",
-    "calibrate_lines",
     "calibrate_rig",
     "check",
     "convert",

@@ -71,7 +71,7 @@ def test_the_site_is_whole_and_asks_nobody(site: pathlib.Path) -> None:
     for name in walks.NAMES:
         assert (site / "walks" / f"{name}.ipynb").is_file()
     names = re.findall(r'id="([\w.]+)"', (site / "api" / "index.html").read_text(encoding="utf-8"))
-    assert {"omnilines.pipelines.calibrate.calibrate", "omnilines.pipelines.scene.Scene"} <= set(names)
+    assert {"omnilines.pipelines.calibrate_one.calibrate", "omnilines.pipelines.scene.Scene"} <= set(names)
 
 
 @pytest.mark.parametrize("name", tables.TABLES)

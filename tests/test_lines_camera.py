@@ -203,7 +203,7 @@ def test_a_mirror_is_the_lens_reflected() -> None:
 def test_mirrors_that_are_not_calibrated_from_lines_are_refused(model: str, words: str) -> None:
     boards = None if model != "scaramuzza" else Mock(spec=CalibrationResult)
     with pytest.raises(ol.InputError, match=words):
-        ol.calibrate_lines("photos/", model=model, mirror=True, boards=boards)
+        ol.calibrate("photos/", "lines", model=model, mirror=True, boards=boards)
 
 
 def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:

@@ -12,8 +12,9 @@ from omnilines.files import find_photos, read_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration import calibration_data, calibration_summaries
-from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult, calibrate
-from omnilines.pipelines.detect import PhotoCorners, detect
+from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult
+from omnilines.pipelines.calibrate_one import calibrate
+from omnilines.pipelines.detect import PhotoCorners
 from omnilines.pipelines.detect_rig import shared_frames
 from omnilines.progress import ProgressCallback, silent
 
@@ -38,9 +39,9 @@ def calibrate_photos(
     """
     options.require_of_models([options.model])
     check_results(out, NAMES, photos)
-    # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
-    found = detect(photos, pattern_spec, mirrored=options.mirror, options=detection, executor=executor, progress=progress)
-    done = _written(calibrate(found, options=options, executor=executor, progress=progress), out, photos, progress)
+    result = calibrate(photos, pattern_spec, options, detection=detection, executor=executor, progress=progress)
+    assert isinstance(result, CalibrationResult)
+    done = _written(result, out, photos, progress)
     if cameras := shared_frames(find_photos(photos)):
         one = (
             f"Photos of the same names lie in {' and '.join(cameras[:2])}, and were taken to be of one camera; give the folders "

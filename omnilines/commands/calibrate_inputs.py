@@ -9,11 +9,12 @@ from calib_patterns import DetectionOptions
 from camera_models import InputError, load
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
-from omnilines.commands.calibrate_lines import LINES, calibrate_line_photos
+from omnilines.commands.calibrate_lines import calibrate_line_photos
 from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
 from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
 from omnilines.footage.options import FrameOptions
+from omnilines.pipelines.calibrate_one import shown_by
 from omnilines.pipelines.calibrate_rig import RigSetup
 from omnilines.pipelines.detect_rig import is_rig
 from omnilines.pipelines.line_delay import CAMERA
@@ -60,12 +61,12 @@ class CalibrationInputs:
     @property
     def targets(self) -> tuple[str, ...]:
         """The targets, without lines."""
-        return tuple(text for text in map(str.strip, (self.pattern or "").split(",")) if text != LINES)
+        return shown_by(self.pattern or "")[0]
 
     @property
     def lines(self) -> bool:
         """Whether straight lines of the world stand in the place of a target, or beside one."""
-        return self.table is None and LINES in map(str.strip, (self.pattern or "").split(","))
+        return self.table is None and shown_by(self.pattern or "")[1]
 
     @property
     def rig(self) -> bool:
@@ -129,10 +130,9 @@ def calibrate_inputs(
         )
     options = replace(options, model=given.models.get("", options.model))
     if given.lines:
-        target = next(iter(given.targets), None)
         return from_frames(
             lambda paths: calibrate_line_photos(
-                paths, out, options, lines, target=target, detection=detection, progress=progress
+                paths, given.pattern or "", out, options, lines, detection=detection, progress=progress
             ),
             None,
         )

@@ -9,40 +9,34 @@ from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration_lines import line_calibration_data, line_calibration_summaries
-from omnilines.pipelines.calibrate import calibrate
-from omnilines.pipelines.calibrate_lines import CALIBRATION, calibrate_lines
-from omnilines.pipelines.detect import detect
+from omnilines.pipelines.calibrate_lines import CALIBRATION, LineResult
+from omnilines.pipelines.calibrate_one import calibrate
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Check
 
-LINES = "lines"
-"""In the place of a target, or beside one."""
 PAGE = "report.html"
 
 
 def calibrate_line_photos(
     photos: Sequence[Path],
+    pattern: str,
     out: Path,
     options: CalibrationOptions = CalibrationOptions(),
     lines: LinesOptions = LinesOptions(),
     *,
-    target: str | None = None,
     detection: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Calibrate one camera from the straight lines of photos, and write calibration and report into `out`. Where some
-    of them show a target, its corners count too.
+    """Calibrate one camera from the straight lines of photos, and write calibration and report into `out`. Where the
+    pattern names a target beside lines, its corners count too.
 
     A camera of which the lines leave something open is written all the same, and the check fails. Raises InputError or
-    GeometryError as `pipelines.calibrate_lines.calibrate_lines` does.
+    GeometryError as `pipelines.calibrate_one.calibrate` does.
     """
     check_results(out, (CALIBRATION, PAGE), photos)
-    boards = None
-    if target is not None:
-        found = detect(photos, target, options=detection, progress=progress)
-        boards = calibrate(found, options=options, progress=progress)
-    result = calibrate_lines(photos, options, lines, boards=boards, progress=progress)
+    result = calibrate(photos, pattern, options, lines=lines, detection=detection, progress=progress)
+    assert isinstance(result, LineResult)
     with claimed(out, (CALIBRATION, PAGE), photos, by="calibrate"):
         files = result.save(out)
         progress("writing the report", 0, 0)

@@ -23,7 +23,8 @@ from omnilines.files.folders import check_results, written
 from omnilines.files.sets import claimed
 from omnilines.guide.frames import Frame, gain, information_of, refusal
 from omnilines.guide.options import GuideOptions
-from omnilines.pipelines.calibrate import GUIDE, CalibrationResult, calibrate
+from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
+from omnilines.pipelines.calibrate_one import calibrate
 from omnilines.pipelines.detect import PhotoCorners
 
 FRAMES = "frames"

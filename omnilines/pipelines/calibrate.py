@@ -124,7 +124,7 @@ class CalibrationResult:
             return write_calibration_page(self, path)
 
 
-def calibrate(
+def calibrate_corners(
     corners: PhotoCorners | Corners | Mapping[str, tuple[Any, Any]],
     image_size: tuple[int, int] | None = None,
     options: CalibrationOptions = CalibrationOptions(),
@@ -133,26 +133,14 @@ def calibrate(
     progress: ProgressCallback = silent,
     **fields: Unpack[CalibrationFields],
 ) -> CalibrationResult:
-    """Calibrate one camera without any guess of focal length or centre.
+    """`calibrate_one.calibrate` of corners.
 
-    `corners` are what `detect` found: then the camera leads to corners and photos that were missed, and is calibrated anew, until
-    nothing is gained. Or they are a table, as `read_corners` returns it, or by view two arrays, points of the board (n, 3) in
-    metres and pixels (n, 2); then `image_size` (width, height) is needed. Fields of the options may be given by name:
-    `model="auto"` fits all camera models and takes the one that predicts held-out views best. Where frames follow one another
-    closely (of a video, or a table with `times_s`) a rolling shutter is recognised, which a note says; with `rolling_shutter` its
-    line delay is estimated with all else, and the pose of a view is that at the instant of its middle row. Photos are searched
-    again, and models fitted, by the workers of an `executor`, where one is given.
+    Those that `detect` found have photos: then the camera leads to corners and photos that were missed, and is calibrated anew,
+    until nothing is gained. Where frames follow one another closely (of a video, or a table with `times_s`) a rolling shutter is
+    recognised, which a note says; where its line delay is estimated, the pose of a view is that at the instant of its middle row.
 
     Raises InputError for options out of range, corners outside the image and too few views, and GeometryError where the data
     cannot determine the camera.
-
-        >>> result = ol.calibrate(ol.detect("board/", "checkerboard:8x6:30mm"), model="opencv-fisheye")
-        >>> result.camera.NAME, result.rms_px_per_axis < 0.1, len(result.views)
-        ('opencv-fisheye', True, 8)
-        >>> result.sigma["fx"] < 0.1, result.covariance.shape
-        (True, (8, 8))
-        >>> [path.name for path in result.save("result")]
-        ['calibration.yaml', 'corners.csv']
     """
     options = replace(options, **fields)
     options.require_of_models([options.model])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from omnilines.files import Photos
 from omnilines.pipelines.arcs import extract
-from omnilines.pipelines.calibrate import calibrate
+from omnilines.pipelines.calibrate_one import calibrate
 from omnilines.pipelines.detect import detect
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.reconstruct import reconstruct

@@ -44,7 +44,7 @@ def calibrated(kind: str, seed: int, size: tuple[int, int], views: int) -> tuple
         made = ol.render("room", kind, fov_deg=190.0, views=views, size_px=size, seed=seed)
     photos = {name: made.photos[name] for name in made.photos}
     try:
-        found = ol.calibrate_lines(photos, model=kind)
+        found = ol.calibrate(photos, "lines", model=kind)
     except OmnilinesError as error:
         print(f"{kind}, room {seed}: {error}", flush=True)
         return None
