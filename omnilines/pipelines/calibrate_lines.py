@@ -23,6 +23,7 @@ from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.line_scale import with_scale_of_all
 from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
@@ -155,6 +156,7 @@ def calibrate_lines(
         arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
+        start, done = with_scale_of_all(start, done, arcs, guide, lines, progress)
     trials = [_trial(one, guide, start, done, lines, options, progress) for one in candidates]
     selection = chosen_trial(trials, options.held_out)
     if selection.chosen.candidate != guide:

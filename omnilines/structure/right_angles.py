@@ -54,6 +54,23 @@ def scale_peaks(
     return sorted((_refined(pairs, places[top], places[1] - places[0], options) for top in tops), key=lambda peak: -peak.gain)
 
 
+def better_scale(
+    photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
+) -> tuple[ScalePeak | None, bool]:
+    """The factor on z under which directions found with the factor 1 are at right angles, where it is more likely than 1 by more
+    than chance makes; and whether right angles tell the scale at all."""
+    peaks = scale_peaks(photos, weights, options)
+    if not peaks or not peaks[0].stands:
+        return None, False
+    now = _gain(_Pairs.of(photos, weights), 1.0, options)
+    return (peaks[0] if peaks[0].gain - now >= _beyond_chance(options) else None), True
+
+
+def _beyond_chance(options: RightAngleOptions) -> float:
+    """Gain that the best of all scales tried has by chance with a probability of `false_scales` at most."""
+    return math.log(options.factors / options.false_scales)
+
+
 @dataclass(frozen=True)
 class _Pairs:
     """Two directions of one photo each, and their covariances."""
@@ -100,5 +117,5 @@ def _refined(pairs: _Pairs, place: float, step: float, options: RightAngleOption
     top = int(np.argmax(gains[1:-1])) + 1
     bend = max(2.0 * gains[top] - gains[top - 1] - gains[top + 1], 1e-9)
     gain = float(gains[top])
-    stands = gain >= math.log(options.factors / options.false_scales)
-    return ScalePeak(math.exp(near[top]), float((near[1] - near[0]) / math.sqrt(bend)), gain, stands)
+    sigma = float((near[1] - near[0]) / math.sqrt(bend))
+    return ScalePeak(math.exp(near[top]), sigma, gain, gain >= _beyond_chance(options))

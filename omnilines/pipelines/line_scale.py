@@ -1,0 +1,103 @@
+"""The scale of a camera that lines made straight, from the right angles of all photos together.
+
+An adjustment ends at the scale next to the one it began with: frames that are not at right angles there are not found, and one
+that happens to be nearly so holds it. Any factor on z keeps lines straight, and the directions in which they meet
+(`structure/right_angles.py`), so that all scales are compared by the directions that are found with any one.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from camera_models import CameraModel
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.lines.camera import LineAdjustment
+from omnilines.calibration.select import Candidate
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.chain_starts import CameraStart
+from omnilines.pipelines.line_camera import adjusted_camera
+from omnilines.pipelines.line_families import chain_circles, families_of
+from omnilines.pipelines.line_options import LinesOptions
+from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.structure.meeting import Meeting, meeting_directions
+from omnilines.structure.right_angles import ScalePeak, better_scale
+
+AZIMUTHS = 16
+ANGLES = 100
+LARGEST_SLACK_RAD = 1e-3
+MIDDLE_RAD = 1e-3
+"""Off axis, where the focal length in the middle of the image is read."""
+
+
+def with_scale_of_all(
+    start: CameraStart,
+    done: LineAdjustment,
+    arcs: Chains,
+    guide: Candidate,
+    lines: LinesOptions,
+    progress: ProgressCallback = silent,
+) -> tuple[CameraStart, LineAdjustment]:
+    """The adjustment from the scale at which the directions of all photos are at right angles, where that is another one; and the
+    start with it.
+
+    Where neither the start nor these directions tell the scale, only frames at right angles do that single photos show. Chance
+    must not make them at any scale in any photo: where it could, the camera is adjusted without them, and its scale is open.
+    """
+    found, told = _scale_of_all(done, lines, progress)
+    if found is not None:
+        reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
+        other = scaled(done.model, found.factor, reach, **guide.options)
+        start = replace(start, focal_px=_middle_focal_px(other), focal_sigma=found.sigma)
+        return start, adjusted_camera(other, arcs, lines.adjustment, lines.directions, progress=progress)
+    if told or math.isfinite(start.focal_sigma) or not done.families.frames:
+        return start, done
+    tried = lines.right_angles.factors * len(arcs.images)
+    sure = replace(lines.directions, false_directions=lines.directions.false_directions / tried)
+    if families_of(done.model, done.chains, lines.adjustment, sure, progress).frames:
+        return start, done
+    return start, adjusted_camera(done.model, arcs, lines.adjustment, sure, prior=done.prior, progress=progress)
+
+
+def scaled(model: CameraModel, factor: float, reach_rad: float, **options: Any) -> CameraModel:
+    """The nearest camera of the same model (`options`: which variant of it) whose bearings have z times `factor`, as far as
+    `reach_rad` off the axis of the model given."""
+    theta = torch.linspace(0.0, min(reach_rad, 0.999 * model.max_angle), ANGLES + 1, dtype=torch.float64)[1:]
+    other = torch.atan2(torch.sin(theta), factor * torch.cos(theta))
+    seen = other < model.LARGEST_ANGLE - LARGEST_SLACK_RAD
+    rho = _radii_px(model, theta)
+    return model.from_radial_curve(rho[seen], other[seen], model.centre_px.detach(), model.image_size, **options)
+
+
+def _radii_px(model: CameraModel, theta: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """From the centre, the mean over all azimuths."""
+    azimuth = (2.0 * math.pi / AZIMUTHS) * (torch.arange(AZIMUTHS, dtype=torch.float64)[:, None] + 0.5)
+    side = torch.sin(theta)
+    rays = torch.stack([side * torch.cos(azimuth), side * torch.sin(azimuth), torch.cos(theta).expand(AZIMUTHS, -1)], -1)
+    with torch.no_grad():
+        return (model.project(rays)[0] - model.centre_px).norm(dim=-1).mean(0)
+
+
+def _middle_focal_px(model: CameraModel) -> float:
+    angle = torch.tensor([MIDDLE_RAD], dtype=torch.float64)
+    return float(_radii_px(model, angle)) / math.tan(MIDDLE_RAD)
+
+
+def _scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback) -> tuple[ScalePeak | None, bool]:
+    """See `better_scale`: of the lines of an adjustment."""
+    chains = done.chains
+    with torch.no_grad():
+        circles = chain_circles(done.model, chains)
+    photo, counted, times = chains.blocks.photo.numpy(), chains.weight.numpy() > 0, chains.blocks.times.numpy()
+    rows = [np.flatnonzero((photo == one) & counted) for one in np.unique(photo[counted])]
+
+    def look(own: Int[np.ndarray, " n"]) -> Meeting:
+        """The directions of one photo."""
+        return meeting_directions(circles.rows(own), lines.directions)
+
+    found = on_all_cores(look, rows, "finding directions", progress)
+    return better_scale(found, np.array([float((1.0 / times[own]).mean()) for own in rows]), lines.right_angles)
