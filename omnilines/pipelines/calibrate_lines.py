@@ -125,7 +125,7 @@ def calibrate_lines(
     with `model` "auto", they are compared by photos that a fit has not seen. Lines do not tell a mirror from a lens: `mirror`
     says it.
 
-    `boards` is a calibration of the same camera from a target (`calibrate_corners`), of some of the photos or of others: its model is
+    `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
     kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
 
     Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
