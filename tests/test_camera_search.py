@@ -21,12 +21,12 @@ from camera_models.scaramuzza import Scaramuzza
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.calibration.select import Candidate
 from omnilines.cli import main
-from omnilines.commands import calibrate as calibrate_module
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.commands.detect import detect as detect_command
 from omnilines.files import photos as photos_module
 from omnilines.files import read_corners
 from omnilines.pipelines import calibrate as calibrate_pipeline
+from omnilines.pipelines import calibrate_one
 from omnilines.pipelines.camera_search import completed, resected, searched
 from omnilines.pipelines.detect import PhotoCorners, detect, search_again
 from omnilines.records import ViewResult
@@ -203,7 +203,7 @@ def test_complete_photos_are_not_read_again(photo_set: Set, monkeypatch: pytest.
 @pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.full)])
 def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = detect(photo_set.folder, BOARD)
-    monkeypatch.setattr(calibrate_module, "detect", lambda *_, **__: reduced(whole, photo_set))
+    monkeypatch.setattr(calibrate_one, "detect", lambda *_, **__: reduced(whole, photo_set))
     if model == "auto":
         # The models are compared once, by the final corners.
         original = calibrate_pipeline.select_model

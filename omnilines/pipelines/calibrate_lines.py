@@ -118,7 +118,7 @@ def calibrate_lines(
     progress: ProgressCallback = silent,
     **fields: Unpack[LineFields],
 ) -> LineResult:
-    """Calibrate one camera from the straight lines of photos of buildings or rooms, without a board or a guess.
+    """`calibrate_one.calibrate` of the straight lines of photos of buildings or rooms, without a board or a guess.
 
     Edges are followed without a camera; the curve of the lens under which they are straight, and the scale at which directions of
     lines are at right angles, start it. Then camera, lines and directions are adjusted together, and again with the arcs that the
@@ -126,12 +126,12 @@ def calibrate_lines(
     with `model` "auto", they are compared by photos that a fit has not seen. Lines do not tell a mirror from a lens: `mirror`
     says it.
 
-    `boards` is a calibration of the same camera from a target (`calibrate`), of some of the photos or of others: its model is
+    `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
     kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
 
     Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
 
-        >>> result = ol.calibrate_lines("room/", model="opencv-fisheye")
+        >>> result = ol.calibrate("room/", "lines", model="opencv-fisheye")
         >>> result.camera.NAME, result.fit.rms_px < 0.2
         ('opencv-fisheye', True)
     """
