@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -36,13 +37,8 @@ class KeptLines:
     """What became of the arcs of each photo of `segments`."""
     matched: Matched
     """The tracks that the lines come from, with the poses that they were matched with."""
-
-    @property
-    def track(self) -> Int[np.ndarray, " k"]:
-        """The track of each line, one for all stretches of a line; -1 where a stretch has no arc of its own."""
-        member, found = self.segments.track >= 0, np.full(len(self.scene.lines), -1)
-        found[self.segments.track[member]] = self.matched.tracks.track[member]
-        return found
+    track: Int[np.ndarray, " k"]
+    """Of each line, one for all stretches of a line; those beyond the tracks of `matched` are of lines that a corner confirms."""
 
     @property
     def tolerance_px(self) -> float:
@@ -64,6 +60,61 @@ def kept_lines(
 
     Raises GeometryError where none does.
     """
+    own = passing_lines(found, matched, scene, cameras, options=options, progress=progress)
+    table, dropped, known = own.table, own.dropped, scene.lines.known
+    if not len(table):
+        none = f"{int((~known).sum())} have no line in space, {dropped.far} lie more than {own.limit_px:.1f} px from their arcs"
+        raise GeometryError(
+            f"No line was left: of {len(known)} triangulated, {none}, {dropped.weak} are too uncertain, {dropped.unsupported} "
+            f"are nowhere shown by {options.min_views} photos, and {dropped.by_chance} by chance alone; give photos from more "
+            "places."
+        )
+    filtered = (
+        *((f"status {status}", n) for status, n in Counter(scene.lines.status).items() if status not in ("ok", "weak")),
+        (f"more than {own.limit_px:.1f} px from their arcs", dropped.far),
+        ("weak: too uncertain for their distance", dropped.weak),
+        ("nowhere supported by enough photos", dropped.unsupported),
+        ("by chance as many photos would show them", dropped.by_chance),
+    )
+    stages = (*arc_stages(found, segments, matched, options.min_views), StageCount("lines", len(table), counted(filtered)))
+    segments = replace(segments, track=own.row, tracks=table.tracks)
+    photos = photo_counts(segments, matched, options.min_views)
+    return KeptLines(replace(scene, lines=table), segments, stages, photos, matched, own.track)
+
+
+class Dropped(NamedTuple):
+    """How many lines did not pass, by the reason."""
+
+    far: int
+    weak: int
+    unsupported: int
+    by_chance: int
+
+
+class PassingLines(NamedTuple):
+    """The lines of tracks that pass, clipped."""
+
+    table: Lines
+    """One row for each stretch."""
+    track: Int[np.ndarray, " k"]
+    """Of each row."""
+    row: Int[np.ndarray, " n"]
+    """Of the table that every arc supports, -1 for none."""
+    limit_px: float
+    """From their arcs, beyond which lines are far."""
+    dropped: Dropped
+
+
+def passing_lines(
+    found: Sequence[FoundArcs],
+    matched: Matched,
+    scene: AdjustedScene,
+    cameras: Mapping[str, CameraModel],
+    *,
+    options: SceneOptions,
+    progress: ProgressCallback,
+) -> PassingLines:
+    """The lines that pass, of the adjusted tracks of `matched`; there may be none."""
     limits = options.kept_lines
     progress("clipping lines", 0, 0)
     lines = scene.lines
@@ -79,24 +130,9 @@ def kept_lines(
     stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
     unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
     table, row = _table(lines, scene, kept, stretches, limits.min_length_sigmas)
-    if not len(table):
-        none = f"{int((~known).sum())} have no line in space, {int(far.sum())} lie more than {limit_px:.1f} px from their arcs"
-        raise GeometryError(
-            f"No line was left: of {len(lines)} triangulated, {none}, {int(weak.sum())} are too uncertain, {unsupported} are "
-            f"nowhere shown by {options.min_views} photos, and {by_chance} by chance alone; give photos from more places."
-        )
-    filtered = (
-        *((f"status {status}", count) for status, count in Counter(lines.status).items() if status not in ("ok", "weak")),
-        (f"more than {limit_px:.1f} px from their arcs", int(far.sum())),
-        ("weak: too uncertain for their distance", int(weak.sum())),
-        ("nowhere supported by enough photos", int(unsupported)),
-        ("by chance as many photos would show them", int(by_chance)),
-    )
-    stages = (*arc_stages(found, segments, matched, options.min_views), StageCount("lines", len(table), counted(filtered)))
+    dropped = Dropped(int(far.sum()), int(weak.sum()), int(unsupported), int(by_chance))
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
-    segments = replace(segments, track=supported, tracks=table.tracks)
-    photos = photo_counts(segments, matched, options.min_views)
-    return KeptLines(replace(scene, lines=table), segments, stages, photos, matched)
+    return PassingLines(table, kept[stretches.line[row]], supported, limit_px, dropped)
 
 
 def _lines_of(scene: AdjustedScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
@@ -242,7 +278,9 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
 
 def photo_counts(segments: Segments, matched: Matched, min_views: int) -> tuple[PhotoCount, ...]:
     """The same of each photo of `segments`, whose `track` is the line of every arc; later stages are parts of those before."""
-    in_line, in_track = segments.track >= 0, matched.tracks.track >= 0
+    in_line = segments.track >= 0
+    # Those of lines that a corner confirms are in no track of `matched`.
+    in_track = (matched.tracks.track >= 0) | in_line
     partner, several, enough = _agreement(matched, min_views)
     # A line may take an arc in that led to none by itself.
     stages = (np.ones_like(partner), partner | in_track, several | in_track, (several & enough) | in_track, in_track, in_line)
