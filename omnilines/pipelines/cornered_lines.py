@@ -24,7 +24,7 @@ from omnilines.adjustment.lines import motion_across
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.parallel_lines import local_charts, stepped_lines
 from omnilines.records import Lines
-from omnilines.structure.corners import Corners, GapShares, corners_seen, gap_shares, likelihood
+from omnilines.structure.corners import Corners, GapShares, corners_seen, gap_shares, likelihood, meeting_share
 from omnilines.structure.options import CornerOptions
 
 
@@ -73,9 +73,7 @@ def meeting(
         return np.zeros(len(lines))
     assert lines.chart_scale_m is not None
     gap, _, variance = _gaps(lines, corners.line)
-    shares = gap_shares(gap, variance.sum(1), corners.photos, float(np.median(lines.chart_scale_m)), options)
-    weight = shares.share[shares.group] * likelihood(gap, variance.sum(1), shares.gaps_m)
-    meets = weight[:, np.array(options.gaps) <= options.meeting_gap].sum(-1) / weight.sum(-1)
+    meets = meeting_share(gap, variance.sum(1), corners.photos, float(np.median(lines.chart_scale_m)), options)
     _, own = np.unique(track, return_inverse=True)
     found = np.zeros(len(lines))
     np.maximum.at(found, own[corners.line[~sure[corners.line]]], meets)
