@@ -52,13 +52,13 @@ def with_confirmed(
     number[rows] = first + np.arange(len(rows))
     own = np.where(kept.segments.track >= 0, kept.segments.track, number[more.row])
     segments = replace(kept.segments, track=own, tracks=table.tracks)
-    dropped = counted([("no corner confirms them", len(confirmed) - len(rows))])
-    stage = StageCount("further lines, of one photo fewer, that a corner confirms", len(rows), dropped)
+    dropped = counted([("of one photo fewer, confirmed by no corner", len(confirmed) - len(rows))])
+    stage = StageCount("lines, with those that a corner confirms", len(table), dropped)
     return replace(
         kept,
         scene=replace(kept.scene, lines=table),
         segments=segments,
-        stages=(*kept.stages[:-1], stage, replace(kept.stages[-1], kept=len(table))),
+        stages=(*kept.stages, stage),
         photos=photo_counts(segments, kept.matched, options.min_views),
         track=np.append(kept.track, more.track[rows] + len(kept.matched.tracks)),
     )
