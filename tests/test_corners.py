@@ -10,7 +10,7 @@ import torch
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.pipelines.cornered_lines import cornered_lines
+from omnilines.pipelines.cornered_lines import cornered_lines, meeting
 from omnilines.records import Lines
 from omnilines.structure.corners import Corners, corners_seen, gap_shares
 from omnilines.structure.options import CornerOptions
@@ -142,6 +142,23 @@ def test_cornered_lines_are_as_far_off_as_stated(meeting: float, gap_m: float) -
     assert np.mean(after[::2] < 9.49) == pytest.approx(0.95, abs=0.03)
     volume = np.linalg.slogdet(found.covariance[::2])[1] - np.linalg.slogdet(lines.covariance[::2])[1]
     assert np.median(volume[meet]) < 2 * math.log(0.5)
+
+
+def test_lines_meet_others_as_often_as_stated() -> None:
+    """The first of each pair may not be there: 60 percent meet the second, the others pass it by 30 cm."""
+    rng, count = np.random.default_rng(11), 600
+    meet = rng.random(count) < 0.6
+    lines, _, pair = drawn_pairs(np.where(meet, 0.0, 0.3 * rng.standard_normal(count)), (5e-4, 1e-4), rng)
+    track, sure = np.arange(len(lines)), np.arange(len(lines)) % 2 == 1
+    stated = meeting(lines, track, Corners(pair, np.full(count, 2)), sure, CornerOptions())
+    assert not stated[sure].any() and stated[::2].mean() == pytest.approx(meet.mean(), abs=0.06)
+    likely = stated[::2] > 0.8
+    assert likely.sum() > 0.2 * count and meet[likely].mean() > stated[::2][likely].mean() - 0.03
+    assert meet[stated[::2] < 0.2].mean() < 0.15
+    # Pairs of which both are sure, or neither, say nothing, and what is not in a corner meets nothing.
+    assert not meeting(lines, track, Corners(pair, np.full(count, 2)), np.zeros(len(lines), dtype=bool), CornerOptions()).any()
+    few = meeting(lines, track, Corners(pair[:50], np.full(50, 2)), sure, CornerOptions())
+    assert few[:100:2].any() and not few[100:].any()
 
 
 def test_lines_without_a_corner_stay_and_parallel_ones_have_none() -> None:

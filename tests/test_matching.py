@@ -30,7 +30,7 @@ from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbour
 from omnilines.matching.match import Matched, evidence_of_lines, match_arcs
 from omnilines.matching.options import HypothesisOptions, MatchingOptions
 from omnilines.matching.shared_view import neighbours_in_view
-from omnilines.matching.tracks import build_tracks
+from omnilines.matching.tracks import build_tracks, spare_tracks
 
 CAMERAS = list(VIEWS)
 FEW_CAMERAS = ["fisheye", "panorama", *(pytest.param(name, marks=pytest.mark.full) for name in ("scaramuzza", "pinhole"))]
@@ -259,6 +259,20 @@ def test_three_photos_are_enough_where_every_arc_agrees() -> None:
     got = score(scene, found.tracks.track, 3)
     assert got.purity > 0.99 and len(found.tracks) > (seen >= 4).sum() + 0.3 * (seen == 3).sum()
     assert np.median(line_errors(scene, found)) < 0.02
+
+
+def test_what_tracks_of_four_photos_leave_gives_spare_ones_of_three() -> None:
+    """Without colours four photos have to see a line; those that three see are spare, and right, and nothing is in both."""
+    scene = room("fisheye", views=6)
+    found = match_arcs(scene.arcs(0.2, 1), tolerance_px=SLACKS_PX[0])
+    spare = replace(found, tracks=spare_tracks(found.arcs, found.hypotheses, found.tracks, 3))
+    assert_consistent(spare)
+    track, three = spare.tracks.track, int((scene.views_of_lines() == 3).sum())
+    assert not ((track >= 0) & (found.tracks.track >= 0)).any() and set(spare.tracks.enough_views.tolist()) == {3}
+    assert 0.6 * three <= len(spare.tracks) <= 1.1 * three
+    assert np.mean(line_errors(scene, spare) < 0.1) > 0.8
+    nothing = spare_tracks(found.arcs, found.hypotheses, found.tracks, 7)
+    assert len(nothing) == 0 and bool((nothing.track == -1).all())
 
 
 def test_an_arc_that_leads_elsewhere_asks_for_another_photo() -> None:

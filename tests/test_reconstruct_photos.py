@@ -146,6 +146,25 @@ def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, reb
     assert {path.name: path.stat().st_mtime_ns for path in (rebuilt / "work" / "arcs").iterdir()} == kept
 
 
+def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebuilt, tmp_path, capsys):
+    """The others stay as they are; those that are added follow them, and are right."""
+    measured = [f"scene.kept_lines.guided_by_{what}=false" for what in ("families", "corners")]
+    found = []
+    for least in (1.0, 0.8):
+        out = tmp_path / f"{least}"
+        shutil.copytree(rebuilt / "work", out / "work")
+        options = [word for one in (*measured, f"scene.kept_lines.min_meeting={least}") for word in ("--set", one)]
+        assert call(room / "photos", room, out, *options, "--json") == 0
+        found.append((read_lines(out / "lines.csv"), json.loads(capsys.readouterr().out)["stages"]))
+    (without, before), (lines, stages) = found
+    assert [one["stage"] for one in stages[-2:]] == ["lines", "lines, with those that a corner confirms"]
+    assert before == stages[:-1] and stages[-2]["kept"] == len(without) < stages[-1]["kept"] == len(lines)
+    assert lines.tracks[: len(without)] == without.tracks and (lines.views[len(without) :] == 3).all()
+    np.testing.assert_array_equal(lines.ends_m[: len(without)], without.ends_m)
+    assert scores(room, lines).recall[2] >= scores(room, without).recall[2]
+    assert scores(room, lines).precision[2] > scores(room, without).precision[2] - 0.01
+
+
 def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     model = tmp_path / "colmap"

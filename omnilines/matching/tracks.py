@@ -99,6 +99,29 @@ def build_tracks(
     return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained, enough)
 
 
+def spare_tracks(
+    arcs: ViewedArcs, found: Hypotheses, tracks: Tracks, views: int, options: MatchingOptions = MatchingOptions()
+) -> Tracks:
+    """Tracks of arcs that have none in `tracks`, in at least `views` photos (3 or more): lines there may be, where `tracks` asks
+    for more photos. None of those explains what they show."""
+    order, count = np.argsort(-found.score, kind="stable"), len(tracks)
+    free = order[tracks.track[order] < 0]
+    more, extra = claim(free, _still_free(found.support, tracks.track), arcs.image, arcs.images, views)
+    track = np.where(more >= 0, more + count, tracks.track)
+    enough = np.append(tracks.enough_views, np.full(extra, views))
+    own, explained = np.zeros(len(enough), dtype=bool), 0
+    while not own.all():
+        track, lines, _ = _triangulated(arcs, track, len(enough))
+        own = lines.known.numpy() & (_views(arcs, track, len(enough)) >= enough)
+        if own[count:].all():
+            own = _needed(arcs, track, lines, enough, found.neighbours, options)
+            explained += int((~own[count:]).sum())
+        own[:count] = True
+        track, enough = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), enough[own]
+    track, lines, wrong = _triangulated(arcs, np.where(track >= count, track - count, -1), len(enough) - count)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), 0, wrong, explained, enough[count:])
+
+
 def _enough_views(
     arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int, found: Hypotheses, min_views: int, min_agreement: float
 ) -> Int[np.ndarray, " t"]:

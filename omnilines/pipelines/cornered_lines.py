@@ -18,13 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from omnilines.adjustment.lines import motion_across
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.parallel_lines import local_charts, stepped_lines
 from omnilines.records import Lines
-from omnilines.structure.corners import Corners, GapShares, corners_seen, gap_shares, likelihood
+from omnilines.structure.corners import Corners, GapShares, corners_seen, gap_shares, likelihood, meeting_share
 from omnilines.structure.options import CornerOptions
 
 
@@ -43,17 +43,12 @@ def cornered_lines(
 
     `track` is what `corners` knows each line by: the stretches of one line have the same, and move as one.
     """
-    known, first, own = np.unique(track, return_index=True, return_inverse=True)
-    corners = replace(corners, line=first[np.searchsorted(known, corners.line)])
-    along = lines.ends_m[corners.line, 1] - lines.ends_m[corners.line, 0]
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    # Of lines nearly parallel in space it is not known where they are nearest to each other.
-    corners = corners.rows(np.linalg.norm(np.cross(along[:, 0], along[:, 1]), axis=-1) > options.min_sine)
+    _, first, own = np.unique(track, return_index=True, return_inverse=True)
+    corners = _crossing(lines, track, corners, options.min_sine)
     if not len(corners):
         return lines
     assert lines.covariance is not None and lines.chart_scale_m is not None
-    gap, by_line = _gaps(lines, corners.line)
-    variance = np.einsum("kei,keij,kej->ke", by_line, lines.covariance[corners.line], by_line)
+    gap, by_line, variance = _gaps(lines, corners.line)
     shares = gap_shares(gap, variance.sum(1), corners.photos, float(np.median(lines.chart_scale_m)), options)
     # Every corner is a measurement of both of its lines.
     corner = np.tile(np.arange(len(corners)), 2)
@@ -63,6 +58,36 @@ def cornered_lines(
     stretches = np.flatnonzero(np.isin(first[own], rows))
     at = np.searchsorted(rows, first[own][stretches])
     return stepped_lines(lines, stretches, torch.as_tensor(step[at]), torch.as_tensor(covariance[at]))
+
+
+def meeting(
+    lines: Lines, track: Int[np.ndarray, " n"], corners: Corners, sure: Bool[np.ndarray, " n"], options: CornerOptions
+) -> Float[np.ndarray, " n"]:
+    """With which probability each line meets one of the `sure` ones (the largest of its corners); 0 for those themselves.
+
+    The shares of gaps are those of these corners alone: lines that are less sure meet others less often.
+    """
+    corners = _crossing(lines, track, corners, options.min_sine)
+    corners = corners.rows(sure[corners.line].sum(-1) == 1)
+    if not len(corners):
+        return np.zeros(len(lines))
+    assert lines.chart_scale_m is not None
+    gap, _, variance = _gaps(lines, corners.line)
+    meets = meeting_share(gap, variance.sum(1), corners.photos, float(np.median(lines.chart_scale_m)), options)
+    _, own = np.unique(track, return_inverse=True)
+    found = np.zeros(len(lines))
+    np.maximum.at(found, own[corners.line[~sure[corners.line]]], meets)
+    return np.where(sure, 0.0, found[own])
+
+
+def _crossing(lines: Lines, track: Int[np.ndarray, " n"], corners: Corners, min_sine: float) -> Corners:
+    """The corners by the first stretch of each line, without those of lines nearly parallel in space: where these are nearest
+    to each other is not known."""
+    known, first = np.unique(track, return_index=True)
+    corners = replace(corners, line=first[np.searchsorted(known, corners.line)])
+    along = lines.ends_m[corners.line, 1] - lines.ends_m[corners.line, 0]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return corners.rows(np.linalg.norm(np.cross(along[:, 0], along[:, 1]), axis=-1) > min_sine)
 
 
 class _Seen(NamedTuple):
@@ -77,9 +102,12 @@ class _Seen(NamedTuple):
     """Of the gap, by the other line."""
 
 
-def _gaps(lines: Lines, pair: Int[np.ndarray, "k 2"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 2 4"]]:
-    """Signed distance (m) from the first to the second line of each pair, across both, and its derivatives by their charts."""
-    assert lines.chart_centre_m is not None
+def _gaps(
+    lines: Lines, pair: Int[np.ndarray, "k 2"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 2 4"], Float[np.ndarray, "k 2"]]:
+    """Signed distance (m) from the first to the second line of each pair, across both, its derivatives by their charts, and its
+    variance by each of them."""
+    assert lines.chart_centre_m is not None and lines.covariance is not None
     ends, centre = lines.ends_m[pair], lines.chart_centre_m[pair]
     along = ends[:, :, 1] - ends[:, :, 0]
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -93,7 +121,8 @@ def _gaps(lines: Lines, pair: Int[np.ndarray, "k 2"]) -> tuple[Float[np.ndarray,
         point = torch.as_tensor(ends[:, k, 0] + place * along[:, k] - centre[:, k])
         motion = motion_across(local_charts(lines, pair[:, k]), point[:, None])[:, 0].numpy()
         by_line[:, k] = (2 * k - 1) * (normal[:, None] @ motion)[:, 0]
-    return (between * normal).sum(-1), by_line
+    variance = np.einsum("kei,keij,kej->ke", by_line, lines.covariance[pair], by_line)
+    return (between * normal).sum(-1), by_line, variance
 
 
 def _update(

@@ -1,26 +1,21 @@
-"""Lines clipped to what the photos show, those that fail dropped, and what every stage kept and dropped counted."""
+"""The lines that pass, and what every stage kept and dropped counted."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Int
 from scipy import sparse
 
 from camera_models import CameraModel, GeometryError
-from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.scene import AdjustedScene
-from omnilines.geometry.line import PlueckerLines
-from omnilines.geometry.line_chart import LineChart
-from omnilines.matching.chance import chance_of_lines
 from omnilines.matching.match import Matched
 from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.passing_lines import passing_lines
 from omnilines.progress import ProgressCallback
-from omnilines.records import Lines, PhotoCount, Segments, StageCount
-from omnilines.structure.clipping import Stretches, supported_stretches
+from omnilines.records import PhotoCount, Segments, StageCount
 
 
 @dataclass(frozen=True)
@@ -36,13 +31,8 @@ class KeptLines:
     """What became of the arcs of each photo of `segments`."""
     matched: Matched
     """The tracks that the lines come from, with the poses that they were matched with."""
-
-    @property
-    def track(self) -> Int[np.ndarray, " k"]:
-        """The track of each line, one for all stretches of a line; -1 where a stretch has no arc of its own."""
-        member, found = self.segments.track >= 0, np.full(len(self.scene.lines), -1)
-        found[self.segments.track[member]] = self.matched.tracks.track[member]
-        return found
+    track: Int[np.ndarray, " k"]
+    """Of each line, one for all stretches of a line; those beyond the tracks of `matched` are of lines that a corner confirms."""
 
     @property
     def tolerance_px(self) -> float:
@@ -64,137 +54,26 @@ def kept_lines(
 
     Raises GeometryError where none does.
     """
-    limits = options.kept_lines
-    progress("clipping lines", 0, 0)
-    lines = scene.lines
-    limit_px = max(limits.max_rms_tolerances * matched.tolerance_px, limits.max_rms_px)
-    known = lines.known
-    far = known & (lines.rms_px > limit_px)
-    # Of lines that rest on one camera most are right: the table calls them weak, and keeps them.
-    weak = known & ~far & (np.array(lines.status) == "weak") & ~scene.rests_on_one
-    kept = np.flatnonzero(known & ~far & ~weak)
-    seen = _supported(matched, kept, scene, options)
-    progress("comparing lines with chance", 0, 0)
-    camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
-    stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
-    unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
-    table, row = _table(lines, scene, kept, stretches, limits.min_length_sigmas)
+    own = passing_lines(found, matched, scene, cameras, options=options, progress=progress)
+    table, dropped, known = own.table, own.dropped, scene.lines.known
     if not len(table):
-        none = f"{int((~known).sum())} have no line in space, {int(far.sum())} lie more than {limit_px:.1f} px from their arcs"
+        none = f"{int((~known).sum())} have no line in space, {dropped.far} lie more than {own.limit_px:.1f} px from their arcs"
         raise GeometryError(
-            f"No line was left: of {len(lines)} triangulated, {none}, {int(weak.sum())} are too uncertain, {unsupported} are "
-            f"nowhere shown by {options.min_views} photos, and {by_chance} by chance alone; give photos from more places."
+            f"No line was left: of {len(known)} triangulated, {none}, {dropped.weak} are too uncertain, {dropped.unsupported} "
+            f"are nowhere shown by {options.min_views} photos, and {dropped.by_chance} by chance alone; give photos from more "
+            "places."
         )
     filtered = (
-        *((f"status {status}", count) for status, count in Counter(lines.status).items() if status not in ("ok", "weak")),
-        (f"more than {limit_px:.1f} px from their arcs", int(far.sum())),
-        ("weak: too uncertain for their distance", int(weak.sum())),
-        ("nowhere supported by enough photos", int(unsupported)),
-        ("by chance as many photos would show them", int(by_chance)),
+        *((f"status {status}", n) for status, n in Counter(scene.lines.status).items() if status not in ("ok", "weak")),
+        (f"more than {own.limit_px:.1f} px from their arcs", dropped.far),
+        ("weak: too uncertain for their distance", dropped.weak),
+        ("nowhere supported by enough photos", dropped.unsupported),
+        ("by chance as many photos would show them", dropped.by_chance),
     )
     stages = (*arc_stages(found, segments, matched, options.min_views), StageCount("lines", len(table), counted(filtered)))
-    supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
-    segments = replace(segments, track=supported, tracks=table.tracks)
+    segments = replace(segments, track=own.row, tracks=table.tracks)
     photos = photo_counts(segments, matched, options.min_views)
-    return KeptLines(replace(scene, lines=table), segments, stages, photos, matched)
-
-
-def _lines_of(scene: AdjustedScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:
-    ends = torch.as_tensor(scene.lines.ends_m[tracks])
-    return PlueckerLines.from_points(ends[:, 0], ends[:, 1])
-
-
-def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: AdjustedScene, options: SceneOptions) -> Stretches:
-    """Stretches of the lines `kept`, numbered as there."""
-    arcs, lines = matched.arcs.with_poses(scene.poses.cam_from_world), _lines_of(scene, kept)
-    rows, line = matched.tracks.members(kept)
-    positions, sigma, in_front = arcs.places(lines, rows, line)
-    return supported_stretches(
-        lines,
-        line=line[in_front],
-        positions_m=positions[in_front],
-        sigma_m=sigma[in_front],
-        image=arcs.image[rows[in_front]],
-        enough_views=matched.tracks.enough_views[kept],
-        options=options.structure.clipping,
-    )
-
-
-def _beyond_chance(
-    matched: Matched,
-    kept: Int[np.ndarray, " k"],
-    scene: AdjustedScene,
-    stretches: Stretches,
-    cameras: Sequence[CameraModel],
-    options: SceneOptions,
-) -> Stretches:
-    """The stretches that more photos show than would by chance; `cameras` has one for each photo."""
-    own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
-    lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
-    arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
-    chance = chance_of_lines(
-        arcs, lines, stretches.positions_m, own, cameras, neighbours=matched.hypotheses.neighbours, options=options.matching
-    )
-    return stretches.rows(np.flatnonzero(chance <= options.kept_lines.max_chance))
-
-
-def _table(
-    lines: Lines, scene: AdjustedScene, kept: Int[np.ndarray, " k"], stretches: Stretches, min_length_sigmas: float
-) -> tuple[Lines, Int[np.ndarray, " s"]]:
-    """One row for each stretch, and which stretch it is; stretches too short for their uncertainty are left out."""
-    track = kept[stretches.line]
-    charted = np.flatnonzero(np.isfinite(lines.chart_scale_m)) if lines.chart_scale_m is not None else kept
-    at = torch.as_tensor(np.searchsorted(charted, track))
-    chart: LineChart = scene.adjusted.state.chart[at]
-    sigma = end_sigma_m(chart, scene.adjusted.line_covariance[at], torch.as_tensor(stretches.ends_m)).numpy()
-    length = np.linalg.norm(stretches.ends_m[:, 1] - stretches.ends_m[:, 0], axis=-1)
-    row = np.flatnonzero(length > min_length_sigmas * sigma)
-    track = track[row]
-    return (
-        Lines(
-            _names(lines.tracks, track),
-            stretches.ends_m[row],
-            stretches.views[row],
-            lines.rms_px[track],
-            sigma[row],
-            tuple(lines.status[k] for k in track.tolist()),
-            None if lines.covariance is None else lines.covariance[track],
-            None if lines.chart_centre_m is None else lines.chart_centre_m[track],
-            None if lines.chart_scale_m is None else lines.chart_scale_m[track],
-        ),
-        row,
-    )
-
-
-def _names(tracks: tuple[str, ...], track: Int[np.ndarray, " s"]) -> tuple[str, ...]:
-    """line7 for the first stretch of a line, line7-2 for the second."""
-    seen: Counter[int] = Counter()
-    names = []
-    for k in track.tolist():
-        seen[k] += 1
-        names.append(tracks[k] if seen[k] == 1 else f"{tracks[k]}-{seen[k]}")
-    return tuple(names)
-
-
-def _arcs_of_stretches(
-    matched: Matched, kept: Int[np.ndarray, " k"], scene: AdjustedScene, stretches: Stretches, row: Int[np.ndarray, " s"]
-) -> Int[np.ndarray, " n"]:
-    """The row of the table that every arc supports: of the stretches of its line the one that it overlaps most."""
-    rows, line = matched.tracks.members(kept)
-    positions, in_front = matched.arcs.with_poses(scene.poses.cam_from_world).positions(_lines_of(scene, kept), rows, line)
-    first, last = (np.searchsorted(stretches.line, line, side) for side in ("left", "right"))
-    arc = np.repeat(np.arange(len(rows)), last - first)
-    stretch = np.arange(len(arc)) - np.repeat(np.cumsum(last - first) - last, last - first)
-    low, high = stretches.positions_m[stretch].T
-    overlap = np.minimum(positions[arc, 1], high) - np.maximum(positions[arc, 0], low)
-    number = np.full(len(stretches.line), -1)
-    number[row] = np.arange(len(row))
-    usable = in_front[arc] & (overlap > 0) & (number[stretch] >= 0)
-    # Of the stretches of one arc the longest overlap is written last.
-    order = np.flatnonzero(usable)[np.argsort(overlap[usable], kind="stable")]
-    place = np.full(len(matched.arcs), -1)
-    place[rows[arc[order]]] = number[stretch[order]]
-    return place
+    return KeptLines(replace(scene, lines=table), segments, stages, photos, matched, own.track)
 
 
 def counted(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
@@ -242,7 +121,9 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
 
 def photo_counts(segments: Segments, matched: Matched, min_views: int) -> tuple[PhotoCount, ...]:
     """The same of each photo of `segments`, whose `track` is the line of every arc; later stages are parts of those before."""
-    in_line, in_track = segments.track >= 0, matched.tracks.track >= 0
+    in_line = segments.track >= 0
+    # Those of lines that a corner confirms are in no track of `matched`.
+    in_track = (matched.tracks.track >= 0) | in_line
     partner, several, enough = _agreement(matched, min_views)
     # A line may take an arc in that led to none by itself.
     stages = (np.ones_like(partner), partner | in_track, several | in_track, (several & enough) | in_track, in_track, in_line)

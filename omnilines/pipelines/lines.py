@@ -10,6 +10,7 @@ from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.pipelines.arcs import FoundArcs, in_order, segments_of, viewed_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
+from omnilines.pipelines.confirmed_lines import spare_of, with_confirmed
 from omnilines.pipelines.kept_lines import KeptLines, kept_lines
 from omnilines.pipelines.options import SceneOptions
 from omnilines.progress import ProgressCallback
@@ -58,7 +59,26 @@ def lines_of_arcs(
             break
         before, tolerance_px = members, matched.tolerance_px
         poses, cameras = scene.poses if moved is None else moved, refined
-    return kept_lines(found, segments, matched, scene, _refined(cameras, scene), options=options, progress=progress)
+    refined = replace(cameras, cameras=_refined(cameras, scene))
+    kept = kept_lines(found, segments, matched, scene, refined.cameras, options=options, progress=progress)
+    return _with_spare(kept, found, refined, options, progress)
+
+
+def _with_spare(
+    kept: KeptLines, found: Sequence[FoundArcs], cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+) -> KeptLines:
+    """With the lines that a corner confirms. They are adjusted by themselves, with poses and cameras as they are."""
+    spare = spare_of(kept.matched, options)
+    if spare is None:
+        return kept
+    segments = _with_tracks(kept.segments, spare, len(kept.matched.tracks))
+    alone = replace(options, refine=("lines",), partition=0)
+    try:
+        scene = _adjusted(segments, replace(kept.scene.poses, frames=None), cameras, alone, progress, workers=Workers())
+    except GeometryError:
+        # None of them has a line.
+        return kept
+    return with_confirmed(kept, found, spare, scene, cameras.cameras, options=options, progress=progress)
 
 
 def _require(matched: Matched) -> None:
@@ -72,9 +92,10 @@ def _require(matched: Matched) -> None:
     )
 
 
-def _with_tracks(segments: Segments, matched: Matched) -> Segments:
-    width = len(str(len(matched.tracks)))
-    names = tuple(f"line{k:0{width}d}" for k in range(len(matched.tracks)))
+def _with_tracks(segments: Segments, matched: Matched, first: int = 0) -> Segments:
+    """With the tracks, numbered from `first` on."""
+    width = len(str(first or len(matched.tracks)))
+    names = tuple(f"line{k:0{width}d}" for k in range(first, first + len(matched.tracks)))
     return replace(segments, track=matched.tracks.track, tracks=names, covariance_px2=matched.arcs.covariance_px2)
 
 

@@ -50,6 +50,9 @@ class KeptLineOptions(NamedTuple):
     guided_by_corners: bool = True
     """A line takes the lines into account that end where it does in several photos, as far as lines of this scene that end
     together meet (`structure.corners`)."""
+    min_meeting: float = 0.95
+    """A line of one photo fewer than `min_views` (never fewer than 3) is kept where it meets one of the others in a corner
+    (`structure.corners`) with a larger probability; with 1 none is."""
 
 
 class FrameOptions(NamedTuple):

@@ -111,6 +111,19 @@ def gap_shares(
     return GapShares(gaps, share, group)
 
 
+def meeting_share(
+    gap_m: Float[np.ndarray, " k"],
+    variance_m2: Float[np.ndarray, " k"],
+    photos: Int[np.ndarray, " k"],
+    distance_m: float,
+    options: CornerOptions = CornerOptions(),
+) -> Float[np.ndarray, " k"]:
+    """The probability that the lines of each corner meet, under the shares that `gap_shares` finds of these corners."""
+    shares = gap_shares(gap_m, variance_m2, photos, distance_m, options)
+    weight = shares.share[shares.group] * likelihood(gap_m, variance_m2, shares.gaps_m)
+    return weight[:, np.array(options.gaps) <= options.meeting_gap].sum(-1) / weight.sum(-1)
+
+
 def likelihood(
     gap_m: Float[np.ndarray, " k"], variance_m2: Float[np.ndarray, " k"], gaps_m: Float[np.ndarray, " c"]
 ) -> Float[np.ndarray, "k c"]:

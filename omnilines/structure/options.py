@@ -58,6 +58,8 @@ class CornerOptions(NamedTuple):
     gaps: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
     """Standard deviations of the gap between two lines that end together, over the median distance of lines from cameras, of
     which the shares are found: the least of lines that meet, the others of those that do not."""
+    meeting_gap: float = 1e-3
+    """Lines meet whose gap has a standard deviation of at most so much, over that distance."""
 
 
 class UprightOptions(NamedTuple):
