@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -19,13 +20,19 @@ from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
 from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.start import ShapeStart
+from omnilines.calibration.lines.straight import RadialShape
 from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.calibration.select import Candidate
 from omnilines.cli import main
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
+from omnilines.pipelines.chain_starts import CameraStart
 from omnilines.pipelines.line_camera import adjusted_camera, held_camera, prior_with_boards
+from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.line_scale import scaled, with_scale_of_all
 from omnilines.structure.options import DirectionsOptions
 
 FISHEYE = OpenCVFisheye([230.0, 230.8, 321.0, 238.0, -0.01, 0.002, -0.0015, 0.0001], (640, 480))
@@ -124,6 +131,27 @@ def test_camera_comes_back_from_a_disturbed_start_within_its_covariance(seed: in
     assert mahalanobis(fit, FISHEYE) < 32.0
     # What is known of right angles before takes a small share.
     assert 0.9 < sum(photo.leverage for photo in fit.photos) < 1.001
+
+
+ROUGH = replace(OPTIONS, rounds=1)
+NO_SHAPE = ShapeStart(RadialShape(np.zeros(2), np.zeros(3), 1.0), 1.0, 0.0, 0.0, np.zeros(0, dtype=bool), 0.0)
+NO_SCALE = CameraStart(NO_SHAPE, 0.0, math.inf, 0.0, FISHEYE.image_size)
+GUIDE = Candidate(FISHEYE.NAME, {})
+
+
+def test_a_camera_at_a_wrong_scale_is_brought_to_that_of_the_right_angles_of_all_photos() -> None:
+    """Lines are as straight there, and families meet as well; none of them is at right angles."""
+    chains, factor = true_chains(FISHEYE, 0), 1.4
+    wrong = scaled(FISHEYE, factor, math.radians(95.0))
+    rays = torch.nn.functional.normalize(torch.tensor([[0.3, -0.2, 1.0], [1.0, 0.5, 0.1]], dtype=torch.float64), dim=-1)
+    stretched = rays * torch.tensor([1.0, 1.0, factor], dtype=torch.float64)
+    assert float((wrong.project(stretched)[0] - FISHEYE.project(rays)[0]).norm(dim=-1).max()) < 2.0
+    done = adjusted_camera(wrong, chains, ROUGH)
+    assert not done.families.frames and bearing_error_deg(done.model, FISHEYE, math.radians(90.0))[0] > 2.0
+    start, found = with_scale_of_all(NO_SCALE, done, chains, GUIDE, LinesOptions())
+    assert found.families.frames == 6 and found.settled and abs(math.log(start.focal_px / 230.4)) < 0.2
+    assert mahalanobis(line_camera(found, chains.images, OPTIONS), FISHEYE) < 32.0
+    assert with_scale_of_all(start, found, chains, GUIDE, LinesOptions()) == (start, found)
 
 
 def mahalanobis(fit: LineCamera, truth: CameraModel) -> float:

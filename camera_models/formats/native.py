@@ -49,6 +49,8 @@ __all__ = ["FORMAT", "VERSION", "Calibration", "CameraEstimate", "RigCamera", "V
 
 def load(path: str | Path) -> Calibration:
     """The calibration in a file; raises InputError with the file, the key and what was expected there."""
+    if not isinstance(path, str | Path):
+        raise InputError(f"The path of a calibration file was expected, found {type(path).__name__}; give a path.")
     data = read_yaml(path)
     try:
         calibration = _calibration(data)

@@ -174,7 +174,11 @@ def extract(
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
-    """A camera alone as a calibration, of the name cam0."""
+    """A camera alone as a calibration, of the name cam0. Raises InputError for anything else than one of both."""
+    if not isinstance(camera, CameraModel | Calibration):
+        raise InputError(
+            f"A camera model or a calibration was expected, found {type(camera).__name__}; give what `load` returns."
+        )
     return camera if isinstance(camera, Calibration) else Calibration({"cam0": camera})
 
 

@@ -21,7 +21,7 @@ from omnilines.calibration.select import Candidate
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.chain_starts import CameraStart
 from omnilines.pipelines.line_camera import adjusted_camera
-from omnilines.pipelines.line_families import chain_circles, families_of
+from omnilines.pipelines.line_families import chain_circles
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.structure.meeting import Meeting, meeting_directions
@@ -43,24 +43,14 @@ def with_scale_of_all(
     progress: ProgressCallback = silent,
 ) -> tuple[CameraStart, LineAdjustment]:
     """The adjustment from the scale at which the directions of all photos are at right angles, where that is another one; and the
-    start with it.
-
-    Where neither the start nor these directions tell the scale, only frames at right angles do that single photos show. Chance
-    must not make them at any scale in any photo: where it could, the camera is adjusted without them, and its scale is open.
-    """
-    found, told = _scale_of_all(done, lines, progress)
-    if found is not None:
-        reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
-        other = scaled(done.model, found.factor, reach, **guide.options)
-        start = replace(start, focal_px=_middle_focal_px(other), focal_sigma=found.sigma)
-        return start, adjusted_camera(other, arcs, lines.adjustment, lines.directions, progress=progress)
-    if told or math.isfinite(start.focal_sigma) or not done.families.frames:
+    start with it."""
+    found = _scale_of_all(done, lines, progress)
+    if found is None:
         return start, done
-    tried = lines.right_angles.factors * len(arcs.images)
-    sure = replace(lines.directions, false_directions=lines.directions.false_directions / tried)
-    if families_of(done.model, done.chains, lines.adjustment, sure, progress).frames:
-        return start, done
-    return start, adjusted_camera(done.model, arcs, lines.adjustment, sure, prior=done.prior, progress=progress)
+    reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
+    other = scaled(done.model, found.factor, reach, **guide.options)
+    start = replace(start, focal_px=_middle_focal_px(other), focal_sigma=found.sigma)
+    return start, adjusted_camera(other, arcs, lines.adjustment, lines.directions, progress=progress)
 
 
 def scaled(model: CameraModel, factor: float, reach_rad: float, **options: Any) -> CameraModel:
@@ -87,7 +77,7 @@ def _middle_focal_px(model: CameraModel) -> float:
     return float(_radii_px(model, angle)) / math.tan(MIDDLE_RAD)
 
 
-def _scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback) -> tuple[ScalePeak | None, bool]:
+def _scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback) -> ScalePeak | None:
     """See `better_scale`: of the lines of an adjustment."""
     chains = done.chains
     with torch.no_grad():

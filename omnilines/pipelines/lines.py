@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
@@ -67,18 +69,30 @@ def lines_of_arcs(
 def _with_spare(
     kept: KeptLines, found: Sequence[FoundArcs], cameras: Calibration, options: SceneOptions, progress: ProgressCallback
 ) -> KeptLines:
-    """With the lines that a corner confirms. They are adjusted by themselves, with poses and cameras as they are."""
+    """With the lines that a corner confirms. They are adjusted by themselves, with cameras as they are, and poses as far as they
+    are known: what poses that were refined leave uncertain is in the covariances of the lines."""
     spare = spare_of(kept.matched, options)
     if spare is None:
         return kept
     segments = _with_tracks(kept.segments, spare, len(kept.matched.tracks))
-    alone = replace(options, refine=("lines",), partition=0)
+    sigma = _pose_sigma(kept.scene.poses) if "poses" in options.refine else None
+    alone = replace(options, refine=("lines",) if sigma is None else ("lines", "poses"), partition=0)
+    poses = replace(kept.scene.poses, frames=None)
     try:
-        scene = _adjusted(segments, replace(kept.scene.poses, frames=None), cameras, alone, progress, workers=Workers())
+        scene = _adjusted(segments, poses, cameras, alone, progress, workers=Workers(), pose_sigma=sigma)
     except GeometryError:
         # None of them has a line.
         return kept
     return with_confirmed(kept, found, spare, scene, cameras.cameras, options=options, progress=progress)
+
+
+def _pose_sigma(poses: ImagePoses) -> tuple[float, float] | None:
+    """Standard deviations (rad, m) of a component of the poses, in the quadratic mean; None where none is uncertain."""
+    if poses.covariance is None:
+        return None
+    variance = np.diagonal(poses.covariance, axis1=1, axis2=2)
+    turn, shift = np.sqrt(variance[np.isfinite(variance).all(1)].reshape(-1, 2, 3).mean((0, 2)))
+    return (float(turn), float(shift)) if turn > 0.0 and shift > 0.0 else None
 
 
 def _require(matched: Matched) -> None:
@@ -107,6 +121,7 @@ def _adjusted(
     progress: ProgressCallback,
     *,
     workers: Workers,
+    pose_sigma: tuple[float, float] | None = None,
 ) -> AdjustedScene:
     progress("triangulating lines", 0, 0)
     return reconstruct_lines(
@@ -120,6 +135,7 @@ def _adjusted(
         refine_cameras="intrinsics" in options.refine,
         refine_rig="rig" in options.refine,
         rig=cameras.rig,
+        pose_sigma=pose_sigma,
         loss=options.loss,
         options=options.adjustment,
         # Arcs that stand out are mostly of near edges, and lines are off by them.

@@ -56,14 +56,14 @@ def scale_peaks(
 
 def better_scale(
     photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
-) -> tuple[ScalePeak | None, bool]:
+) -> ScalePeak | None:
     """The factor on z under which directions found with the factor 1 are at right angles, where it is more likely than 1 by more
-    than chance makes; and whether right angles tell the scale at all."""
+    than chance makes."""
     peaks = scale_peaks(photos, weights, options)
     if not peaks or not peaks[0].stands:
-        return None, False
+        return None
     now = _gain(_Pairs.of(photos, weights), 1.0, options)
-    return (peaks[0] if peaks[0].gain - now >= _beyond_chance(options) else None), True
+    return peaks[0] if peaks[0].gain - now >= _beyond_chance(options) else None
 
 
 def _beyond_chance(options: RightAngleOptions) -> float:
