@@ -154,8 +154,11 @@ def calibrate(
 
 
 def shown_by(pattern: str) -> tuple[tuple[str, ...], bool]:
-    """The targets that a pattern names, and whether lines stand in their place or beside them."""
+    """The targets that a pattern names, and whether lines stand in their place or beside them. Raises InputError where lines are
+    named twice."""
     names = [name.strip() for name in pattern.split(",")]
+    if names.count(LINES) > 1:
+        raise InputError(f"`pattern` was expected to name {LINES} once, found {pattern!r}; leave the others out.")
     return tuple(name for name in names if name != LINES), LINES in names
 
 
