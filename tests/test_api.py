@@ -261,3 +261,20 @@ def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsy
 def test_errors_have_one_base() -> None:
     assert issubclass(ol.InputError, ol.OmnilinesError) and issubclass(ol.GeometryError, ol.OmnilinesError)
     assert not issubclass(ol.Cancelled, ol.OmnilinesError), "who cancels catches that alone"
+
+
+def test_what_is_no_path_or_calibration_is_refused_in_a_sentence() -> None:
+    """Without the hook, as users call: it would refuse the wrong type before the verb does."""
+    script = """
+import numpy as np, omnilines as ol
+for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check([np.zeros((8, 8), np.uint8)], None)):
+    try:
+        call()
+    except ol.InputError as error:
+        print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines() == [
+        "The path of a calibration file was expected, found ndarray; give a path.",
+        "A camera model or a calibration was expected, found NoneType; give what `load` returns.",
+    ]

@@ -182,6 +182,7 @@ def _fitted(kind: str, q: list[float], f: float, sensor: Sensor) -> tuple[Camera
     reach_px = float(np.hypot(*corners.T).max())
 
     def grows(to: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Radii in pixels and the angles up to `to`, as far as the image reaches and radii grow."""
         theta = np.linspace(0.0, to, _SAMPLES + 2)[1:-1]
         radius = f / sensor.unit_px / q[0] * projection(theta)
         rho = sensor.unit_px * radius * polyval(radius, q)

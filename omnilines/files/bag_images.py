@@ -147,6 +147,7 @@ def _protobuf_fields(data: bytes) -> Iterator[tuple[int, Any]]:
     place = 0
 
     def varint() -> int:
+        """The number at `place`, which moves behind it."""
         nonlocal place
         value = shift = 0
         while True:
