@@ -237,6 +237,13 @@ def test_what_is_kept_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
         work_folder(tmp_path / "mine")
 
 
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="a file system where nothing can be made: /proc, of Linux")
+def test_a_folder_that_only_seems_writable_is_named_before_any_work() -> None:
+    """To root every folder does; one on a file system of another kind, or of another machine, may be none."""
+    with pytest.raises(InputError, match=r"expected at /proc/omnilines, found that .*/proc.*; name another"):
+        check_results("/proc/omnilines", ())
+
+
 def test_a_command_runs_again_in_its_folder_beside_files_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     give("omnilines", "photos")(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -24,7 +25,7 @@ def output_folder(out: str | Path) -> Path:
 
 
 def check_output_folder(out: str | Path) -> None:
-    """Refuse, before any work, a folder that could not be made or written to; nothing is made yet. Raises InputError."""
+    """Refuse, before any work, a folder that could not be made or written to; nothing stays there. Raises InputError."""
     folder = Path(out).absolute()
     try:
         there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
@@ -35,6 +36,12 @@ def check_output_folder(out: str | Path) -> None:
     if not there.is_dir() or not os.access(there, os.W_OK):
         why = "cannot be written to" if there.is_dir() else "is no folder"
         raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")
+    try:  # to root every folder seems writable: /proc, what is mounted from elsewhere
+        Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=there)).rmdir()
+    except OSError as error:
+        raise InputError(
+            f"A folder to write to was expected at {out}, found that none can be made in {there} ({error.strerror}); name another."
+        ) from None
 
 
 class Written(NamedTuple):
