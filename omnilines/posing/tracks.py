@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.posing.bearing_residual import bearing_residual, placed
 from omnilines.posing.features import Features
+from omnilines.posing.kernels.join import joined
 
 MAX_PAIRS = 8
 """Pairs of a track, those with most parallax, that a point is tried from."""
@@ -54,25 +53,40 @@ def triangulated_tracks(
 ) -> tuple[Observations, Float[Tensor, "p 3"]]:
     """Points of features linked by matches, and the observations that agree with them to `limit` standard deviations.
 
-    Tracks are what matches connect. A point is tried from the pairs of its track with most parallax, and the one that most
-    observations agree with is taken (sum min(r^2, limit^2)); of several features of one photo the best is kept. Points need two
-    photos and a parallax of `min_parallax_rad`.
+    A track has one feature of a photo at most: matches join tracks in the order of their likeness, the most alike first, but for
+    those that would bring two features of one photo together. Of what all matches connect a few wrong ones make one track that
+    most features of a street are in. A point is tried from the pairs of its track with most parallax, and the one that most
+    observations agree with is taken (sum min(r^2, limit^2)). Points need two photos and a parallax of `min_parallax_rad`.
     """
     start = torch.cumsum(torch.tensor([0, *(len(f) for f in features)]), 0)
-    total = int(start[-1])
-    ends = [torch.stack([pair[:, 0] + start[i], pair[:, 1] + start[j]], 1) for (i, j), pair in matches.items() if len(pair)]
-    links = torch.cat(ends) if ends else torch.zeros(0, 2, dtype=torch.long)
-    ones = np.ones(len(links), dtype=np.int8)
-    _, label = connected_components(coo_array((ones, (links[:, 0].numpy(), links[:, 1].numpy())), shape=(total, total)), False)
+    photo_of = torch.repeat_interleave(torch.arange(len(features)), start.diff())
+    links = _links(features, matches, start)
+    track = torch.as_tensor(joined(links.numpy(), photo_of.numpy()))
+    links = links[track[links[:, 0]] == track[links[:, 1]]]
     used = torch.unique(links)
-    tracks, point = torch.unique(torch.as_tensor(label.astype(np.int64))[used], return_inverse=True)
-    photo = torch.searchsorted(start, used, right=True) - 1
+    tracks, point = torch.unique(track[used], return_inverse=True)
     order = torch.argsort(point, stable=True)
-    seen = observations_of(features, photo[order], (used - start[photo])[order], point[order])
-    row_of = torch.full((total,), -1)
-    row_of[used[order]] = torch.arange(len(used))
+    used, photo = used[order], photo_of[used[order]]
+    seen = observations_of(features, photo, used - start[photo], point[order])
+    row_of = torch.full((len(photo_of),), -1)
+    row_of[used] = torch.arange(len(used))
     points, known = _best_points(seen, row_of[links], cam_from_world, len(tracks), limit, min_parallax_rad)
-    return _agreeing(seen, points, known, cam_from_world, limit)
+    square = _residual(seen, points[seen.point], cam_from_world).square().sum(-1)
+    return compact(seen.chosen(torch.nonzero(known[seen.point] & (square < limit**2)).flatten()), points)
+
+
+def _links(
+    features: Sequence[Features], matches: Mapping[tuple[int, int], Int[Tensor, "_ 2"]], start: Int[Tensor, " n1"]
+) -> Int[Tensor, "l 2"]:
+    """Matches as pairs of features of all photos, numbered one after another; those most alike (cosine of descriptors) first."""
+    pairs, alike = [torch.zeros(0, 2, dtype=torch.long)], [np.zeros(0)]
+    for (i, j), pair in matches.items():
+        pairs.append(pair + start[[i, j]])
+        (a, b), rows = (features[i], features[j]), pair.numpy().T
+        one, other = (f.descriptors.numpy()[row].astype(np.float32) for f, row in zip((a, b), rows, strict=True))
+        alike.append(np.einsum("nk,nk->n", one, other) / (a.lengths[rows[0]] * b.lengths[rows[1]]))
+    order = np.argsort(-np.concatenate(alike), kind="stable")
+    return torch.cat(pairs)[torch.as_tensor(order)]
 
 
 def _best_points(
@@ -122,22 +136,6 @@ def _midpoints(
 
 def _residual(seen: Observations, points: Float[Tensor, "n 3"], cam_from_world: Pose) -> Float[Tensor, "n 2"]:
     return bearing_residual(seen.bearings, seen.rows, placed(cam_from_world[seen.photo], points))[0]
-
-
-def _agreeing(
-    seen: Observations, points: Float[Tensor, "p 3"], known: Bool[Tensor, " p"], cam_from_world: Pose, limit: float
-) -> tuple[Observations, Float[Tensor, "q 3"]]:
-    """The observations within the limit, one of a photo, of points that two photos or more then have, renumbered."""
-    square = _residual(seen, points[seen.point], cam_from_world).square().sum(-1)
-    rows = torch.nonzero(known[seen.point] & (square < limit**2)).flatten()
-    photos = int(seen.photo.max()) + 1 if len(seen) else 1
-    rows = rows[torch.argsort(square[rows], stable=True)]
-    key = seen.point[rows] * photos + seen.photo[rows]
-    rows = rows[torch.argsort(key, stable=True)]
-    key = seen.point[rows] * photos + seen.photo[rows]
-    fresh = torch.ones(len(rows), dtype=torch.bool)
-    fresh[1:] = key[1:] != key[:-1]
-    return compact(seen.chosen(rows[fresh]), points)
 
 
 def compact(seen: Observations, points: Float[Tensor, "p 3"]) -> tuple[Observations, Float[Tensor, "q 3"]]:
