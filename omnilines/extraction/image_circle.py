@@ -119,7 +119,7 @@ def usable_pixels(
     allowed = np.ones((height, width), dtype=np.uint8)
     if circle is not None:
         u, v, radius = circle
-        inner = radius - _margin_px(radius, options)
+        inner = radius - margin_px(radius, options)
         allowed[:] = (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] <= inner**2
     if mask is not None:
         side = 2 * MASK_MARGIN_PX + 1
@@ -127,7 +127,7 @@ def usable_pixels(
     return allowed.astype(bool)
 
 
-def _margin_px(radius: float, options: ImageCircleOptions) -> float:
+def margin_px(radius: float, options: ImageCircleOptions) -> float:
     """What is left out inside the rim."""
     return max(options.margin_px, options.margin_share * radius)
 
@@ -160,7 +160,7 @@ def follows_rim(
     The rim of many lenses is no step but a slope of many pixels, with edges of its own.
     """
     u, v, radius = circle
-    rim = radius - _margin_px(radius, options) - rim_width(image, circle, options)
+    rim = radius - margin_px(radius, options) - rim_width(image, circle, options)
     outwards = points[:, :2] - np.array([u, v])
     distance = np.maximum(np.linalg.norm(outwards, axis=-1), 1e-9)
     outwards /= distance[:, None]
