@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.kernels.rim import Rays, first_light
+from omnilines.extraction.kernels.rim import Rays, first_light, light_outside
 from omnilines.extraction.options import ImageCircleOptions
 
 RAYS = 360
@@ -76,13 +76,11 @@ def _dark_outside(
     image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], options: ImageCircleOptions
 ) -> bool:
     """Whether hardly any pixel outside the circle is light, and some are outside."""
-    u, v, radius = circle
-    step = max(1, max(image.shape[:2]) // LOOKED_AT)
-    sparse = image[::step, ::step]
-    row, column = step * np.arange(sparse.shape[0])[:, None], step * np.arange(sparse.shape[1])
-    grey = sparse.reshape(*sparse.shape[:2], -1).max(-1)
-    outside = grey[(column - u) ** 2 + (row - v) ** 2 > (radius * (1.0 + options.same_share)) ** 2]
-    return len(outside) > 0 and float((outside > options.max_dark_grey * grey_unit(image)).mean()) < options.max_light
+    (u, v, radius), (height, width) = circle, image.shape[:2]
+    step, threshold = max(1, max(height, width) // LOOKED_AT), options.max_dark_grey * grey_unit(image)
+    beyond = radius * (1.0 + options.same_share)
+    outside, light = light_outside(image.reshape(height, width, -1), step, u, v, beyond, threshold)
+    return outside > 0 and light < options.max_light * outside
 
 
 def _common_circle(points: Float[np.ndarray, "n 2"], options: ImageCircleOptions) -> tuple[float, float, float] | None:
