@@ -174,7 +174,7 @@ def test_what_the_mask_leaves_out_has_no_arcs() -> None:
     assert len(found) == 1
     assert found.endpoints_px[0, :, 1].min() > 137
     # The mount of a mirror: nothing nearer to the axis than an angle.
-    outer = extract_arcs(image, PINHOLE, None, math.radians(15.0))
+    outer = extract_arcs(image, PINHOLE, None, (math.radians(15.0), math.inf))
     assert len(outer) == 2
     radius = np.hypot(*(outer.endpoints_px - np.array([159.3, 119.6])).reshape(-1, 2).T)
     assert radius.min() > 260.0 * math.tan(math.radians(14.0))

@@ -142,10 +142,12 @@ def _charts(model: CameraModel) -> Charts:
         area = float((np.ptp(shown, axis=0) + 1e-9).prod())
         median = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
         between = max(median, math.sqrt(area / (_MOST_NODES * own.size)))
-        table, cells, low = _chart(model, side, shown, between)
+        # The half sphere goes on beyond the last node of the image in it.
+        reach = (shown.min(0) - between).clip(-1.0, 1.0), (shown.max(0) + between).clip(-1.0, 1.0)
+        table, cells, low = _chart(model, side, reach, between)
         while 4.0 * area / between**2 <= _MOST_FINER and _left(cells, (inside - low) / between) > MOST_ASKED:
             between *= 0.5
-            table, cells, low = _chart(model, side, shown, between)
+            table, cells, low = _chart(model, side, reach, between)
         shape[side], origin[side], step[side], begin[side] = cells.shape, low, between, sum(map(len, good))
         nodes.append(table.reshape(-1, 8))
         good.append(cells.ravel())
@@ -158,10 +160,10 @@ def _left(cells: Bool[np.ndarray, "h w"], place: Float[np.ndarray, "n 2"]) -> fl
 
 
 def _chart(
-    model: CameraModel, side: int, shown: Float[np.ndarray, "n 2"], between: float
+    model: CameraModel, side: int, reach: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]], between: float
 ) -> tuple[Float[np.ndarray, "h w 8"], Bool[np.ndarray, "h w"], Float[np.ndarray, "2"]]:
-    """The `chart_table` of one half sphere around what it shows, the good cells, and the place of the first node."""
-    low, high = shown.min(0) - _BEYOND * between, shown.max(0) + _BEYOND * between
+    """The `chart_table` of one half sphere around places from the one of `reach` to the other, the good cells, and the place of the first node."""
+    low, high = reach[0] - _BEYOND * between, reach[1] + _BEYOND * between
     count = ((high - low) / between + 1.0).astype(np.int64)
     beside = np.stack(np.meshgrid(*(low[k] + between * np.arange(count[k]) for k in (0, 1)), indexing="ij"), -1)
     ahead = (1.0 - 2.0 * side) * (1.0 - (beside**2).sum(-1, keepdims=True))

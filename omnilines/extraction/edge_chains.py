@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int, UInt
 from camera_models import CameraModel
 from omnilines.extraction.blocks import fit_places, pieces, profiled
 from omnilines.extraction.curves import samples
-from omnilines.extraction.extract import Extracted, extracted
+from omnilines.extraction.extract import EVERYWHERE, Extracted, extracted
 from omnilines.extraction.kernels.tables import Edgels, Samples
 from omnilines.extraction.neighbours import step_fit
 from omnilines.extraction.options import ExtractionOptions, SupportOptions
@@ -21,7 +21,7 @@ def arc_chains(
     model: CameraModel,
     name: str,
     mask: Bool[np.ndarray, "h w"] | None = None,
-    least_angle_rad: float = 0.0,
+    known_rad: tuple[float, float] = EVERYWHERE,
     options: ExtractionOptions = ExtractionOptions(),
 ) -> Chains:
     """The edge points of each arc of a photo, in their order along it. Arguments and errors are those of `extract_arcs`.
@@ -30,7 +30,7 @@ def arc_chains(
     Where other edges lie beside, which draw edge points away or to themselves, points are moved to where all edges are that
     together make the profile across; by how much that is uncertain is in their standard deviation.
     """
-    done = extracted(image, model, mask, least_angle_rad, options)
+    done = extracted(image, model, mask, known_rad, options)
     at = samples(model, done.found.arcs, 0.0)
     sample, point = _points_beside(done.photo.edgels, at, options.support)
     long = np.bincount(at.owner[sample], minlength=len(done.found)) >= options.chains.min_points

@@ -8,6 +8,7 @@ a field of view past 180 degrees, a mirror or the seam of a panorama is nothing 
 """
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from jaxtyping import Bool, Float, Int, UInt
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px, spans
-from omnilines.extraction.bearings import axis_of, bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.clutter import stands_out
 from omnilines.extraction.edgels import find_points, noise_level, numbered, seen_chains
@@ -23,10 +23,12 @@ from omnilines.extraction.hidden_edges import hidden_arcs
 from omnilines.extraction.image_circle import follows_rim, image_circle, usable_pixels
 from omnilines.extraction.kernels.chain import chains, circles, links
 from omnilines.extraction.merging import duplicates, merged
+from omnilines.extraction.mirror import off_mount, within_rim
 from omnilines.extraction.neighbours import fit_together, photo_blur
 from omnilines.extraction.options import ExtractionOptions
 from omnilines.extraction.refit import Photo, Refitted, joined, refit
 
+EVERYWHERE = (0.0, math.inf)
 LEAST_NOISE = 0.3
 """Grey levels: rounding to whole ones."""
 
@@ -51,17 +53,17 @@ def extract_arcs(
     image: UInt[np.ndarray, "h w *channels"],
     model: CameraModel,
     mask: Bool[np.ndarray, "h w"] | None = None,
-    least_angle_rad: float = 0.0,
+    known_rad: tuple[float, float] = EVERYWHERE,
     options: ExtractionOptions = ExtractionOptions(),
 ) -> ExtractedArcs:
     """The arcs of a photo of 8 or 16 bits a channel, grey or in colour.
 
-    `mask` is true where arcs are wanted. From `least_angle_rad` off the bearing of the centre pixel on, the photo shows the
-    scene, not the mount of a mirror.
+    `mask` is true where arcs are wanted. `known_rad` is between which angles off the bearing of the centre pixel the calibration
+    is known: nearer to it the photo shows the mount of a mirror, and the rim of the mirror lies farther off.
 
     Raises InputError where photo or mask have not the size of the camera's images.
     """
-    return extracted(image, model, mask, least_angle_rad, options).found
+    return extracted(image, model, mask, known_rad, options).found
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def extracted(
     image: UInt[np.ndarray, "h w *channels"],
     model: CameraModel,
     mask: Bool[np.ndarray, "h w"] | None,
-    least_angle_rad: float,
+    known_rad: tuple[float, float],
     options: ExtractionOptions,
 ) -> Extracted:
     """`extract_arcs`, with all that they come from."""
@@ -91,7 +93,7 @@ def extracted(
                 f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
                 f"{size[0]}x{size[1]} px; give the one that the calibration is of."
             )
-    photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, least_angle_rad, options)
+    photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, known_rad, options)
     pieces, join = options.pieces, functools.partial(merged, photo, options=options.merging, support=options.support)
     arcs = join(arcs)
     for _ in range(pieces.rounds):
@@ -113,7 +115,7 @@ def _begun(
     image: UInt[np.ndarray, "h w *channels"],
     model: CameraModel,
     mask: Bool[np.ndarray, "h w"] | None,
-    least_angle_rad: float,
+    known_rad: tuple[float, float],
     options: ExtractionOptions,
 ) -> tuple[Photo, Arcs, float]:
     """The photo with its edge points, the pieces of circles along their chains, and the noise of the photo."""
@@ -125,8 +127,8 @@ def _begun(
     if circle is not None:
         scene = ~follows_rim(image, circle, points.astype(np.float64), options.support.min_cosine, options.image_circle)
         cells, points = cells[scene], points[scene]
-    if least_angle_rad > 0.0:
-        scene = bearings_at(model, points[:, :2].astype(np.float64))[0] @ axis_of(model) < np.cos(least_angle_rad)
+    for shown in (within_rim, off_mount):
+        scene = shown(model, points, known_rad, options)
         cells, points = cells[scene], points[scene]
     edgels = numbered(model.image_size, model.PERIODIC, cells, points)
     photo = Photo(image.reshape(height, width, -1), model, edgels)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt
 
 from camera_models import CameraModel
 from omnilines.extraction.edgels import grey_unit
-from omnilines.extraction.kernels.rim import Rays, first_light
+from omnilines.extraction.kernels.rim import Rays, first_light, light_outside
 from omnilines.extraction.options import ImageCircleOptions
 
 RAYS = 360
@@ -76,13 +76,11 @@ def _dark_outside(
     image: UInt[np.ndarray, "h w *channels"], circle: tuple[float, float, float], options: ImageCircleOptions
 ) -> bool:
     """Whether hardly any pixel outside the circle is light, and some are outside."""
-    u, v, radius = circle
-    step = max(1, max(image.shape[:2]) // LOOKED_AT)
-    sparse = image[::step, ::step]
-    row, column = step * np.arange(sparse.shape[0])[:, None], step * np.arange(sparse.shape[1])
-    grey = sparse.reshape(*sparse.shape[:2], -1).max(-1)
-    outside = grey[(column - u) ** 2 + (row - v) ** 2 > (radius * (1.0 + options.same_share)) ** 2]
-    return len(outside) > 0 and float((outside > options.max_dark_grey * grey_unit(image)).mean()) < options.max_light
+    (u, v, radius), (height, width) = circle, image.shape[:2]
+    step, threshold = max(1, max(height, width) // LOOKED_AT), options.max_dark_grey * grey_unit(image)
+    beyond = radius * (1.0 + options.same_share)
+    outside, light = light_outside(image.reshape(height, width, -1), step, u, v, beyond, threshold)
+    return outside > 0 and light < options.max_light * outside
 
 
 def _common_circle(points: Float[np.ndarray, "n 2"], options: ImageCircleOptions) -> tuple[float, float, float] | None:
@@ -119,7 +117,7 @@ def usable_pixels(
     allowed = np.ones((height, width), dtype=np.uint8)
     if circle is not None:
         u, v, radius = circle
-        inner = radius - _margin_px(radius, options)
+        inner = radius - margin_px(radius, options)
         allowed[:] = (np.arange(width) - u) ** 2 + ((np.arange(height) - v) ** 2)[:, None] <= inner**2
     if mask is not None:
         side = 2 * MASK_MARGIN_PX + 1
@@ -127,7 +125,7 @@ def usable_pixels(
     return allowed.astype(bool)
 
 
-def _margin_px(radius: float, options: ImageCircleOptions) -> float:
+def margin_px(radius: float, options: ImageCircleOptions) -> float:
     """What is left out inside the rim."""
     return max(options.margin_px, options.margin_share * radius)
 
@@ -160,7 +158,7 @@ def follows_rim(
     The rim of many lenses is no step but a slope of many pixels, with edges of its own.
     """
     u, v, radius = circle
-    rim = radius - _margin_px(radius, options) - rim_width(image, circle, options)
+    rim = radius - margin_px(radius, options) - rim_width(image, circle, options)
     outwards = points[:, :2] - np.array([u, v])
     distance = np.maximum(np.linalg.norm(outwards, axis=-1), 1e-9)
     outwards /= distance[:, None]

@@ -199,6 +199,8 @@ class ImageCircleOptions(NamedTuple):
     """Grey level that what lies outside does not exceed, noise and all."""
     min_step_grey: float = 6.0
     """Above what lies outside: light."""
+    min_rim: float = 0.9
+    """Share of the directions in which edge points follow the rim of a mirror, around which all is not dark."""
     min_dark_px: int = 8
     """From the border inwards, without light on a ray that begins in the dark."""
     min_dark_rays: float = 0.15

@@ -6,6 +6,7 @@ from jaxtyping import Bool
 from camera_models import CameraModel, InputError
 from omnilines.extraction import ExtractionOptions
 from omnilines.extraction.edge_chains import arc_chains
+from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL
@@ -20,7 +21,7 @@ def arc_chains_of(
     options: ExtractionOptions = ExtractionOptions(),
     *,
     mask: Bool[np.ndarray, "h w"] | None = None,
-    least_angle_rad: float = 0.0,
+    known_rad: tuple[float, float] = EVERYWHERE,
     progress: ProgressCallback = silent,
 ) -> tuple[Chains, tuple[Detail, ...]]:
     """The chains of all photos, and those that are left out with the reason: they cannot be read, or have not the size of the
@@ -30,7 +31,7 @@ def arc_chains_of(
     def look(photo: Photo) -> Chains | str:
         """The chains of one photo, or why it has none."""
         try:
-            return arc_chains(photo.read(), model, photo.name, mask, least_angle_rad, options)
+            return arc_chains(photo.read(), model, photo.name, mask, known_rad, options)
         except InputError as error:
             return str(error)
 

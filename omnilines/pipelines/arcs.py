@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from camera_models import Calibration, CameraModel, GeometryError, InputError
+from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError
 from camera_models.formats.disk import read_bytes
 from camera_models.formats.forms import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of, write_segments
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
@@ -146,7 +147,7 @@ def extract(
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
     turned = by_camera(refs, camera_of)
     items = [_Item(photo, camera_of[photo.name], turned.get(photo.name)) for photo in refs]
-    look = _Look(dict(cameras.cameras), {name: _least_rad(cameras, name) for name in cameras}, mask, options, appearance)
+    look = _Look(dict(cameras.cameras), {name: known_angles_rad(cameras.estimates.get(name)) for name in cameras}, mask, options, appearance)
     kept = None if work is None else _Kept(look, output_folder(work_folder(work) / "arcs"))
     known = [] if kept is None else on_all_cores(kept.known, items, "looking for kept arcs", progress)
     found = {k: arcs for k, (_, arcs) in enumerate(known) if arcs is not None}
@@ -236,8 +237,8 @@ class _Look:
     """What is looked for in photos, and how."""
 
     cameras: Mapping[str, CameraModel]
-    least_rad: Mapping[str, float]
-    """Angle off the axis below which each camera is not known."""
+    known_rad: Mapping[str, tuple[float, float]]
+    """Angles off the axis between which each camera is known."""
     mask: Bool[np.ndarray, "h w"] | None
     options: ExtractionOptions
     appearance: AppearanceOptions
@@ -249,7 +250,7 @@ class _Look:
         model = self.cameras[item.camera]
         try:
             image = item.photo.read()
-            found = extract_arcs(image, model, self.mask, self.least_rad[item.camera], self.options)
+            found = extract_arcs(image, model, self.mask, self.known_rad[item.camera], self.options)
             bearings, seen = model.unproject(found.endpoints_px)
             usable = seen.all(-1)
             colours = side_colours(image, model, bearings[usable], self.appearance)
@@ -259,8 +260,12 @@ class _Look:
         return FoundArcs(item.photo, item.camera, *arrays)
 
 
-def _least_rad(cameras: Calibration, name: str) -> float:
-    return math.radians(cameras.estimates[name].min_angle_deg) if name in cameras.estimates else 0.0
+def known_angles_rad(estimate: CameraEstimate | None) -> tuple[float, float]:
+    """The angles off the axis between which a camera is known, for `extract_arcs`."""
+    if estimate is None:
+        return EVERYWHERE
+    most = estimate.max_angle_deg
+    return math.radians(estimate.min_angle_deg), math.inf if most is None else math.radians(most)
 
 
 @dataclass(frozen=True)
@@ -293,7 +298,7 @@ class _Kept:
         except InputError:
             return None
         look, model = self.look, self.look.cameras[item.camera]
-        camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.least_rad[item.camera])
+        camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.known_rad[item.camera])
         what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance)!r}".encode())
         if look.mask is not None:
             what.update(np.packbits(look.mask).tobytes())

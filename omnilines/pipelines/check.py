@@ -16,7 +16,7 @@ from omnilines.files import Photos, photo_folder, photos_of
 from omnilines.files.sets import claimed
 from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
-from omnilines.pipelines.arcs import calibration_of, check_mask
+from omnilines.pipelines.arcs import calibration_of, check_mask, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_camera import held_camera
 from omnilines.progress import ProgressCallback, silent
@@ -106,9 +106,8 @@ def check(
     if mask is not None:
         check_mask(mask, [model])
     refs, estimate = photos_of(photos), cameras.estimates.get(name)
-    least_rad = 0.0 if estimate is None else math.radians(estimate.min_angle_deg)
     lines = options.lines
-    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, least_angle_rad=least_rad, progress=progress)
+    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_angles_rad(estimate), progress=progress)
     weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     members = int((families.of_chain[weighted.weight > 0] >= 0).sum())

@@ -95,8 +95,11 @@ def scored(scene: RenderedScene, method: Method) -> tuple[ArcScores, Segments, f
 
 def inside_95(scene: RenderedScene, scores: ArcScores, table: Segments) -> float:
     """Share of end points whose distance across from the true great circle is below 1.96 standard deviations."""
-    if table.covariance_px2 is None:
-        return math.nan
+    return math.nan if table.covariance_px2 is None else float((end_sigmas(scene, scores, table) < 1.96).mean())
+
+
+def end_sigmas(scene: RenderedScene, scores: ArcScores, table: Segments) -> np.ndarray:
+    """Distance across from the true great circle over its standard deviation, of both ends of every arc on a line: (n, 2)."""
     rows = np.flatnonzero(scores.on_line)
     pose = scene.poses.cam_from_world
     rotation, translation = pose.rotation.numpy()[table.image[rows]], pose.translation.numpy()[table.image[rows]]
@@ -109,8 +112,7 @@ def inside_95(scene: RenderedScene, scores: ArcScores, table: Segments) -> float
         (scene.camera.unproject(pixels + np.array(move))[0] * normal[:, None]).sum(-1) for move in ((0, 0), (step, 0), (0, step))
     ]
     slope = np.stack([height[1] - height[0], height[2] - height[0]], -1) / step
-    sigma = np.sqrt(np.einsum("nki,nkij,nkj->nk", slope, table.covariance_px2[rows], slope))
-    return float((np.abs(height[0]) < 1.96 * sigma).mean())
+    return np.abs(height[0]) / np.sqrt(np.einsum("nki,nkij,nkj->nk", slope, table.covariance_px2[rows], slope))
 
 
 def repeatability(scene: RenderedScene, scores: ArcScores, table: Segments) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED, REORDERED
-from omnilines.extraction.kernels.step_algebra import MOST_STEPS, Table, blurred_steps, row_of, step_at
+from omnilines.extraction.kernels.step_algebra import MOST_STEPS
+from omnilines.extraction.kernels.step_table import Table, blurred_steps, row_of, step_at
 from omnilines.extraction.kernels.tables import Stepped, Window
 
 

@@ -1,4 +1,4 @@
-"""The first light on rays from the border of a photo inwards, compiled.
+"""The first light on rays from the border of a photo inwards, and how much of it lies outside a circle; compiled.
 
 `no_type_check` keeps the type checker of the tests from wrapping what numba compiles.
 """
@@ -51,3 +51,16 @@ def first_light(image: np.ndarray, rays: Rays, depths: int, threshold: float) ->
                 found[n] = depth
                 break
     return found
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def light_outside(image: np.ndarray, step: int, u: float, v: float, radius: float, threshold: float) -> tuple[int, int]:
+    """Of every so many pixels down and across those farther than a radius from (u, v): how many there are, and are light."""
+    outside, light = 0, 0
+    for i in range(0, image.shape[0], step):
+        for j in range(0, image.shape[1], step):
+            if (j - u) ** 2 + (i - v) ** 2 > radius**2:
+                outside += 1
+                light += _light(image, j, i, threshold)
+    return outside, light

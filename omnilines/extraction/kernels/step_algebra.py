@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numba import njit
 
 from omnilines.extraction.compiled import BORROWED, REORDERED
@@ -21,22 +21,12 @@ MOST_STEPS = 6
 """Steps of one profile: its own and the nearest of its neighbours."""
 _RIDGE = 1e-6
 """Added to the normal matrix of the heights, of its diagonal: steps may lie on each other."""
-_FARTHEST_PX, _WIDEST_PX = 12.0, 12.0
-"""Places of steps and offsets that the table of a blurred step reaches."""
-_FLAT = 9.0
-"""Blurs from a step where it is flat to the last digit."""
-_PARTS = 32
-"""Rows of the table between two offsets."""
-
-
-class Table(NamedTuple):
-    """Blurred steps of 1 about 0 and their derivatives, at many distances."""
-
-    half: Float[np.ndarray, " n"]
-    bell: Float[np.ndarray, " n"]
-    columns: int
-    """Of each row; row after row."""
-    blur: float
+_FARTHEST = 36.0
+"""Blurs from the middle of a profile to a step: farther ones are not told apart. There a bell is still a number."""
+LEAST_BLUR_PX = 0.2
+"""Any pixel blurs more."""
+_POWERS = 2.0 ** np.arange(-1022, 1024)
+"""Those of two that are numbers."""
 
 
 class Fit(NamedTuple):
@@ -44,6 +34,8 @@ class Fit(NamedTuple):
 
     scaled: Float[np.ndarray, "c k l"]
     """Profile times weights, y."""
+    energy: Float[np.ndarray, " l"]
+    """y'y."""
     design: Float[np.ndarray, "s1 k l"]
     """D, a row for the level and one for each step."""
     slope: Float[np.ndarray, "s k l"]
@@ -57,10 +49,12 @@ class Fit(NamedTuple):
     squares: Float[np.ndarray, " l"]
     """Sum of squares that they leave of y."""
     total: Float[np.ndarray, " l"]
-    row: Int[np.ndarray, " l"]
-    """Where a step is read from the table, how far from there it is wanted, and where that is, in blurs."""
-    shift: Float[np.ndarray, " l"]
     first: Float[np.ndarray, " l"]
+    """Distance of the middle offset from a step, in blurs."""
+    bell: Float[np.ndarray, " l"]
+    factor_up: Float[np.ndarray, " l"]
+    bell_down: Float[np.ndarray, " l"]
+    factor_down: Float[np.ndarray, " l"]
 
 
 class Move(NamedTuple):
@@ -79,65 +73,60 @@ class Move(NamedTuple):
     back: Float[np.ndarray, "s s1 l"]
 
 
-@njit(cache=True, nogil=True)
-@no_type_check
-def blurred_steps(blur: float, between: float) -> Table:
-    """A blurred step of 1 about 0 and its derivative at the distances (j / _PARTS + i) between - _FARTHEST_PX - _WIDEST_PX, in
-    row j and column i: a step at any place is read from the row next to it, at as many columns as there are offsets."""
-    columns = int(2.0 * (_FARTHEST_PX + _WIDEST_PX) / between) + 2
-    half, bell = np.empty((_PARTS + 1, columns)), np.empty((_PARTS + 1, columns))
-    for j in range(_PARTS + 1):
-        for i in range(columns):
-            x = ((j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX) / blur
-            if abs(x) > _FLAT:
-                half[j, i], bell[j, i] = math.copysign(0.5, x), 0.0
-                continue
-            half[j, i] = 0.5 * math.erf(x * 0.7071067811865476)
-            bell[j, i] = math.exp(-0.5 * x * x) / (blur * 2.5066282746310002)
-    return Table(half.ravel(), bell.ravel(), columns, blur)
-
-
 @njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
-def row_of(first_px: float, between: float, place: float, table: Table) -> tuple[int, float, float]:
-    """Where a step at a place is read from the table at offsets from `first_px` on: the first value, how far from there it is
-    wanted, and the distance from the step there; both in blurs."""
-    # In this order a place that is no number has a row as well.
-    x = (first_px - min(max(-_FARTHEST_PX, place), _FARTHEST_PX) + _FARTHEST_PX + _WIDEST_PX) / between
-    i = int(x)
-    y = (x - i) * _PARTS
-    j = int(y + 0.5)
-    over = 1.0 / table.blur
-    there_px = (j / _PARTS + i) * between - _FARTHEST_PX - _WIDEST_PX
-    return j * table.columns + i, (y - j) * between / _PARTS * over, there_px * over
+def _exponential(x: float) -> float:
+    """exp of -700 to 700, to 1e-11 of it, in instructions for several lanes at once; that of the library takes them one by one."""
+    power = math.floor(x * 1.4426950408889634 + 0.5)
+    r = x - power * 0.6931471805599453
+    total = 1.0 + r / 9.0
+    for k in range(8, 0, -1):
+        total = 1.0 + r * total * (1.0 / k)
+    return total * _POWERS[np.int32(power) + 1022]
 
 
-@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED, **BORROWED)
 @no_type_check
-def step_at(table: Table, at: int, shift: float, there: float) -> tuple[float, float]:
-    """A step of 1 about 0 and its derivative by the offset, `shift` blurs from a value of the table that lies `there` from the
-    step: by Taylor's series, good to 1e-8 and 4e-6."""
-    bell, curved = table.bell[at], shift * shift * (there * there - 1.0)
-    turn = shift * there
-    step = table.half[at] + shift * table.blur * bell * (1.0 - 0.5 * turn + curved / 6.0)
-    return step, bell * (1.0 - turn + 0.5 * curved)
+def _blurred_step(window: Window, place: np.ndarray, blur: float, j: int, fit: Fit) -> None:
+    """Weighted steps of 1 about 0 and their derivatives by their places.
 
-
-@njit(cache=True, nogil=True, **REORDERED, **BORROWED)
-@no_type_check
-def _blurred_step(window: Window, place: np.ndarray, steps: Table, j: int, fit: Fit) -> None:
-    """Weighted steps of 1 about 0 and their derivatives by their places."""
-    lanes = len(fit.row)
-    offsets, weight = window.offsets_px, window.weight
-    design, slope, row, shift, first = fit.design, fit.slope, fit.row, fit.shift, fit.first
-    between = offsets[1] - offsets[0]
+    The bell is that of the offset before times a factor, which is the factor before times exp(-d^2), d blurs between offsets;
+    from the middle to both sides.
+    """
+    lanes, size = len(fit.total), len(window.weight)
+    middle, between = size // 2, (window.offsets_px[1] - window.offsets_px[0]) / blur
+    shrink = math.exp(-between * between)
     for n in range(lanes):
-        row[n], shift[n], first[n] = row_of(offsets[0], between, place[j, n], steps)
-    for k in range(len(weight)):
-        along = k * between / steps.blur
+        # In this order a place that is no number is one as well.
+        x = min(max(-_FARTHEST, (window.offsets_px[middle] - place[j, n]) / blur), _FARTHEST)
+        fit.first[n], fit.bell[n] = x, _exponential(-0.5 * x * x)
+        fit.factor_up[n] = _exponential(-between * (x + 0.5 * between))
+    for n in range(lanes):
+        fit.factor_down[n], fit.bell_down[n] = shrink / fit.factor_up[n], fit.bell[n]
+    for k in range(middle, size):
+        _one_offset(window.weight[k], (k - middle) * between, blur, j, k, fit.bell, fit)
         for n in range(lanes):
-            half, bell = step_at(steps, row[n] + k, shift[n], first[n] + along)
-            design[1 + j, k, n], slope[j, k, n] = weight[k] * half, -weight[k] * bell
+            fit.bell[n] *= fit.factor_up[n]
+            fit.factor_up[n] *= shrink
+    for k in range(middle - 1, -1, -1):
+        for n in range(lanes):
+            fit.bell_down[n] *= fit.factor_down[n]
+            fit.factor_down[n] *= shrink
+        _one_offset(window.weight[k], (k - middle) * between, blur, j, k, fit.bell_down, fit)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", **REORDERED, **BORROWED)
+@no_type_check
+def _one_offset(weight: float, along: float, blur: float, j: int, k: int, bell: np.ndarray, fit: Fit) -> None:
+    """Weighted steps and derivatives at one offset, `along` blurs from the middle one, where exp(-x^2 / 2) is the bell: the step
+    by C. Hastings' approximation of erf (Abramowitz and Stegun 7.1.26), good to 8e-8."""
+    level = -weight / (blur * 2.5066282746310002)
+    for n in range(len(fit.total)):
+        x = fit.first[n] + along
+        t = 1.0 / (1.0 + 0.2316418882663604 * abs(x))
+        tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))) * bell[n]
+        fit.design[1 + j, k, n] = weight * math.copysign(0.5 - 0.5 * tail, x)
+        fit.slope[j, k, n] = level * bell[n]
 
 
 @njit(cache=True, nogil=True, **REORDERED, **BORROWED)
@@ -207,13 +196,14 @@ def backward(factor: np.ndarray, size: int, right: np.ndarray, row: int) -> None
 
 @njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
-def heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fit) -> None:
+def heights(window: Window, place: np.ndarray, steps: int, blur: float, fit: Fit) -> None:
     """Fill the design D for steps at these places, its slope, the factor of N = D'D + R, the ridge R and the heights
     h = N^-1 D'y; and the sum of squares that they leave of y, y'y - h'D'y - h'Rh."""
     lanes = len(fit.total)
-    scaled, design, _, factor, ridge, height, squares, total, _, _, _ = fit
+    design, factor, ridge, height = fit.design, fit.factor, fit.ridge, fit.height
+    scaled, squares, total = fit.scaled, fit.squares, fit.total
     for j in range(steps):
-        _blurred_step(window, place, table, j, fit)
+        _blurred_step(window, place, blur, j, fit)
     for p in range(steps + 1):
         for q in range(p + 1):
             _inner(design, p, design, q, total)
@@ -224,7 +214,7 @@ def heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fi
             factor[p, p, n] += ridge[p, n]
     factorise(factor, steps + 1)
     for n in range(lanes):
-        squares[n] = 0.0
+        squares[n] = fit.energy[n]
     for c in range(len(scaled)):
         # |L^-1 D'y|^2 is h'D'y.
         for p in range(steps + 1):
@@ -236,9 +226,6 @@ def heights(window: Window, place: np.ndarray, steps: int, table: Table, fit: Fi
             for n in range(lanes):
                 squares[n] -= height[c, p, n] * height[c, p, n]
         backward(factor, steps + 1, height, c)
-        _inner(scaled, c, scaled, c, total)
-        for n in range(lanes):
-            squares[n] += total[n]
         for p in range(steps + 1):
             for n in range(lanes):
                 squares[n] -= height[c, p, n] * ridge[p, n] * height[c, p, n]
@@ -250,7 +237,8 @@ def newton(steps: int, fit: Fit, move: Move) -> None:
     """Normal matrix and right side of the places, with the heights projected out. With s a slope, r = y - D h what is left and
     w = D's, they hold s's - 2 w' N^-1 w + w' N^-1 D'D N^-1 w and s'r - w' N^-1 D'r, where D'r = R h."""
     lanes = len(fit.total)
-    scaled, design, slope, factor, ridge, height, _, total, _, _, _ = fit
+    scaled, design, slope, total = fit.scaled, fit.design, fit.slope, fit.total
+    factor, ridge, height = fit.factor, fit.ridge, fit.height
     newest, pull, column, back = move.newest, move.pull, move.column, move.back
     for i in range(steps):
         for p in range(steps + 1):

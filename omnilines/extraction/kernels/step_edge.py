@@ -15,12 +15,11 @@ from numba import njit
 
 from omnilines.extraction.compiled import BORROWED, REORDERED
 from omnilines.extraction.kernels.step_algebra import (
+    LEAST_BLUR_PX,
     MOST_STEPS,
     Fit,
     Move,
-    Table,
     backward,
-    blurred_steps,
     factorise,
     forward,
     heights,
@@ -76,7 +75,7 @@ class Given(NamedTuple):
     window: Window
     stiff: Float[np.ndarray, "2"]
     rounds: int
-    table: Table
+    blur: float
 
 
 @njit(cache=True, nogil=True, **REORDERED, **BORROWED)
@@ -148,9 +147,13 @@ def _begin(given: Given, m: int, n: int, room: Room) -> None:
     profile, start, count = given.stepped
     begin, weight = given.window.begin, given.window.weight
     fit, move, state = room
+    energy = 0.0
     for c in range(profile.shape[1]):
         for k in range(len(weight)):
-            fit.scaled[c, k, n] = profile[m, c, begin + k] * weight[k]
+            scaled = profile[m, c, begin + k] * weight[k]
+            fit.scaled[c, k, n] = scaled
+            energy += scaled * scaled
+    fit.energy[n] = energy
     for j in range(count[m]):
         move.start[j, n], move.here[j, n] = start[m, j], start[m, j]
         move.hold[j, n] = (given.sigma[m] / given.stiff[min(j, 1)]) ** 2
@@ -172,10 +175,15 @@ def _fit_rows(given: Given, rows: np.ndarray, room: Room, found: Found) -> None:
             state.profile[n] = -1
     following = min(lanes, len(rows))
     while left > 0:
-        heights(given.window, move.here, steps, given.table, fit)
+        heights(given.window, move.here, steps, given.blur, fit)
         _judge(steps, given.rounds, room)
-        newton(steps, fit, move)
-        _take_step(steps, given.rounds == 1, room)
+        moving = False
+        for n in range(lanes):
+            moving = moving or not state.done[n]
+        # Of lanes that are done nothing more is asked for.
+        if moving:
+            newton(steps, fit, move)
+            _take_step(steps, given.rounds == 1, room)
         ended = False
         for n in range(lanes):
             ended = ended or (state.done[n] and state.profile[n] >= 0)
@@ -207,9 +215,10 @@ def _fit_rows(given: Given, rows: np.ndarray, room: Room, found: Found) -> None:
 @no_type_check
 def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
     """For so many lanes."""
-    size, numbers = len(weight), np.empty((7, lanes))
+    size, numbers = len(weight), np.empty((11, lanes))
     fit = Fit(
         np.zeros((channels, size, lanes)),
+        numbers[10],
         np.empty((MOST_STEPS + 1, size, lanes)),
         np.empty((MOST_STEPS, size, lanes)),
         np.empty((MOST_STEPS + 1, MOST_STEPS + 1, lanes)),
@@ -217,9 +226,11 @@ def _room(channels: int, weight: np.ndarray, lanes: int) -> Room:
         np.empty((channels, MOST_STEPS + 1, lanes)),
         numbers[0],
         numbers[1],
-        np.empty(lanes, dtype=np.int64),
         numbers[2],
         numbers[3],
+        numbers[7],
+        numbers[8],
+        numbers[9],
     )
     for k in range(size):
         fit.design[0, k] = weight[k]
@@ -246,8 +257,7 @@ def fit_steps(
     profile, start, count = stepped
     m, channels = len(profile), profile.shape[1]
     found = Found(start.copy(), np.full(m, np.inf), np.zeros((m, MOST_STEPS, channels)), np.zeros(m))
-    table = blurred_steps(blur, window.offsets_px[1] - window.offsets_px[0])
-    given = Given(stepped, sigma, window, stiff, rounds, table)
+    given = Given(stepped, sigma, window, stiff, rounds, max(blur, LEAST_BLUR_PX))
     most, least = _room(channels, window.weight, MOST_LANES), _room(channels, window.weight, LEAST_LANES)
     order = np.argsort(count, kind="mergesort")
     first = 0
