@@ -7,7 +7,7 @@ torch's: OpenMP's must not be forked, and the simplest one must not be entered t
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
 
@@ -19,6 +19,15 @@ R = TypeVar("R")
 ProgressCallback = Callable[[str, int, int], None]
 """Told (stage, done, total) as work goes on; total 0 where it is not known. What it raises stops the work and reaches the caller:
 raise `Cancelled` from it to cancel."""
+
+
+@runtime_checkable
+class Each(Protocol):
+    """Does a piece of work with every item: here, or by workers."""
+
+    def __call__(self, work: Callable[[T], R], items: Sequence[T], /) -> list[R]:
+        """The results in order."""
+        ...
 
 
 class Cancelled(Exception):

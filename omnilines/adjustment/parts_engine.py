@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -30,21 +30,12 @@ from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, mini
 from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import orthonormal
 from omnilines.least_squares.separators import SharedStep, SharedSystem, blocks_of
-from omnilines.progress import one_torch_thread
+from omnilines.progress import Each, one_torch_thread
 
 PARTS = "parts-"
 """How the names of folders of parts begin."""
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-@runtime_checkable
-class Each(Protocol):
-    """Does a piece of work with every item: here, or by workers."""
-
-    def __call__(self, work: Callable[[T], R], items: Sequence[T], /) -> list[R]:
-        """The results in order."""
-        ...
 
 
 def here(work: Callable[[T], R], items: Sequence[T], /) -> list[R]:

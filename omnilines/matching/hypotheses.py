@@ -1,6 +1,6 @@
 """For every arc the 3D line that the other photos agree on, over all arcs of all photos (`kernels/voting.py`)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
@@ -8,12 +8,14 @@ from jaxtyping import Bool, Float, Int, Int32
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.kernels.voting import best_lines
 from omnilines.matching.options import MatchingOptions
-from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.progress import Each, ProgressCallback, on_all_cores, silent
 
 MAX_SUPPORTERS = 96
 """Arcs that are remembered for each arc."""
 AT_ONCE = 256
 """Arcs that a core works on at a time, and photos whose neighbours are looked for."""
+PHOTOS_A_TASK = 25
+"""That a worker compares with their neighbours."""
 PLACES = 64
 """Parts that each coordinate of a bearing is cut into."""
 
@@ -45,39 +47,86 @@ def find_hypotheses(
     rows: Int[np.ndarray, " n"] | None = None,
     options: MatchingOptions = MatchingOptions(),
     progress: ProgressCallback = silent,
+    workers: Each | None = None,
 ) -> Hypotheses:
-    """Compare every arc (or those of `rows`) with all arcs of the photos that are neighbours of its own, on all cores.
+    """Compare every arc (or those of `rows`) with all arcs of the photos that are neighbours of its own, on all cores, or by
+    workers.
 
-    The same arcs give the same result, whatever the number of cores.
+    The same arcs give the same result to the last bit, whatever the number of cores, and whoever works on them.
     """
     every = np.arange(len(arcs)) if rows is None else rows
     near = _by_place(arcs)
     place = np.empty_like(near)
     place[near] = np.arange(len(near))
     asked = np.sort(place[every])
-    parts = [asked[at : at + AT_ONCE] for at in range(0, max(len(asked), 1), AT_ONCE)]
-    packed, px_rad, colours = arcs.packed[near], arcs.px_rad[near], arcs.colours[near]
-
-    def work(rows: Int[np.ndarray, " k"]) -> tuple[np.ndarray, ...]:
-        """Of some arcs, what `best_lines` finds."""
-        depth, score, support, tried = best_lines(
-            rows,
-            arcs.image,
-            arcs.starts,
-            neighbours,
-            packed,
-            px_rad,
-            colours,
-            MAX_SUPPORTERS,
-            options.hypotheses,
-            options.likeness,
-        )
-        return depth, score, np.where(support >= 0, near[support], -1).astype(np.int32), tried
-
-    found = on_all_cores(work, parts, "matching arcs", progress)
+    whole = _Compared(
+        asked, near, arcs.image, arcs.starts, neighbours, arcs.packed[near], arcs.px_rad[near], arcs.colours[near], options
+    )
+    if workers is None:
+        parts = [replace(whole, rows=asked[at : at + AT_ONCE]) for at in range(0, max(len(asked), 1), AT_ONCE)]
+        found = on_all_cores(_best_lines, parts, "matching arcs", progress)
+    else:
+        progress("matching arcs", 0, 0)
+        photos = range(0, arcs.images, PHOTOS_A_TASK)
+        found = workers(_best_lines, [whole.of_photos(first, first + PHOTOS_A_TASK) for first in photos])
     back = np.searchsorted(asked, place[every])
     depth, score, support, candidates = (np.concatenate(column)[back] for column in zip(*found, strict=True))
     return Hypotheses(depth, score[:, 0], score[:, 1], score[:, 2], support, candidates, neighbours)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Arcs that are to be compared, in the order of `_by_place`, with all that this takes: numbers, no pixels."""
+
+    rows: Int[np.ndarray, " k"]
+    """Which of these arcs are asked for; the others are of photos that they are compared with."""
+    number: Int[np.ndarray, " n"]
+    """Of each, where it is among all arcs of all photos."""
+    image: Int[np.ndarray, " n"]
+    starts: Int[np.ndarray, " s"]
+    neighbours: Bool[np.ndarray, "m m"]
+    packed: Float[np.ndarray, "n 14"]
+    px_rad: Float[np.ndarray, " n"]
+    colours: Float[np.ndarray, "n 2 3"]
+    options: MatchingOptions
+
+    def of_photos(self, first: int, last: int) -> "_Compared":
+        """Those of the photos from `first` up to `last`, with their neighbours: a task that travels. Photos and arcs keep their
+        order, on which results depend."""
+        wanted = self.neighbours[first:last].any(0)
+        wanted[first:last] = True
+        photos = np.flatnonzero(wanted)
+        kept = np.flatnonzero(np.isin(self.image, photos))
+        low, high = self.starts[[first, min(last, len(self.starts) - 1)]]
+        image = np.searchsorted(photos, self.image[kept])
+        return _Compared(
+            np.searchsorted(kept, self.rows[np.searchsorted(self.rows, low) : np.searchsorted(self.rows, high)]),
+            self.number[kept],
+            image,
+            np.searchsorted(image, np.arange(len(photos) + 1)),
+            self.neighbours[np.ix_(photos, photos)],
+            self.packed[kept],
+            self.px_rad[kept],
+            self.colours[kept],
+            self.options,
+        )
+
+
+def _best_lines(its: _Compared) -> tuple[np.ndarray, ...]:
+    """Of the arcs that are asked for, what `best_lines` finds."""
+    depth, score, support, tried = best_lines(
+        its.rows,
+        its.image,
+        its.starts,
+        its.neighbours,
+        its.packed,
+        its.px_rad,
+        its.colours,
+        MAX_SUPPORTERS,
+        its.options.hypotheses,
+        its.options.likeness,
+    )
+    return depth, score, np.where(support >= 0, its.number[support], -1).astype(np.int32), tried
 
 
 def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:

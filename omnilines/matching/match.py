@@ -18,10 +18,11 @@ from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
+from omnilines.matching.kernels.supporters import supporting_photos
 from omnilines.matching.options import MatchingOptions, ToleranceOptions
 from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import Tracks, build_tracks
-from omnilines.progress import ProgressCallback, silent
+from omnilines.progress import Each, ProgressCallback, silent
 from omnilines.triangulation.robust import noise_level
 
 SAMPLED_PAIRS, MIN_SAMPLED = 2_000_000, 250
@@ -44,10 +45,11 @@ class Matched:
 
     def agreeing_photos(self) -> Int[np.ndarray, " n"]:
         """Number of other photos that support the best line of every arc."""
-        support = self.hypotheses.support
-        photo = np.where(support >= 0, self.arcs.image[support], -1)
-        photo.sort(axis=1)
-        return ((photo[:, 1:] != photo[:, :-1]) & (photo[:, 1:] >= 0)).sum(1) + (photo[:, 0] >= 0)
+        every, together = np.arange(len(self.arcs)), np.zeros(len(self.arcs), dtype=np.int64)
+        count: Int[np.ndarray, " n"] = supporting_photos(
+            every, self.hypotheses.support, together, self.arcs.image, self.arcs.images
+        )
+        return count
 
 
 def match_arcs(
@@ -58,8 +60,9 @@ def match_arcs(
     options: MatchingOptions = MatchingOptions(),
     seed: int = 0,
     progress: ProgressCallback = silent,
+    workers: Each | None = None,
 ) -> Matched:
-    """Put arcs into tracks that at least `min_views` photos (3 or more) see.
+    """Put arcs into tracks that at least `min_views` photos (3 or more) see. Where `workers` are given, they compare the arcs.
 
     Raises InputError on a wrong option and GeometryError where fewer than three photos have arcs, or all of them stand at one
     place: then nothing has a depth.
@@ -77,8 +80,8 @@ def match_arcs(
         its = evidence_of_lines(arcs, near, seed, options, progress)
         tolerance_px, beyond_chance = its.tolerance_px, its.beyond_chance
     widened = arcs.widened(tolerance_px)
-    near = neighbours_in_view(widened, near, min_views, options, progress)
-    found = find_hypotheses(widened, near, options=options, progress=progress)
+    near = neighbours_in_view(widened, near, min_views, options, progress, workers)
+    found = find_hypotheses(widened, near, options=options, progress=progress, workers=workers)
     tracks = build_tracks(widened, found, min_views, options, progress)
     return Matched(widened, found, tracks, tolerance_px, beyond_chance)
 

@@ -13,7 +13,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import AT_ONCE, Hypotheses, find_hypotheses
 from omnilines.matching.kernels.track import claim
 from omnilines.matching.options import MatchingOptions
-from omnilines.progress import ProgressCallback, silent
+from omnilines.progress import Each, ProgressCallback, silent
 
 
 def neighbours_in_view(
@@ -22,6 +22,7 @@ def neighbours_in_view(
     min_views: int,
     options: MatchingOptions = MatchingOptions(),
     progress: ProgressCallback = silent,
+    workers: Each | None = None,
 ) -> Bool[np.ndarray, "m m"]:
     """The neighbours that each photo is matched with, of the nearest ones, `near`: those that share most of its lines, of which
     at least `min_views` photos show each. Where every photo is near, they are all of them.
@@ -34,7 +35,7 @@ def neighbours_in_view(
         return near
     progress("looking who sees the same", 0, 0)
     few = _sharpest(arcs, options.hypotheses.sharpest_arcs)
-    shows = _shows(few, find_hypotheses(few, near, options=options), min_views)
+    shows = _shows(few, find_hypotheses(few, near, options=options, workers=workers), min_views)
     lines = np.diff(shows.indptr).astype(np.float64)
     by_chance = (min_views - 1) / near.sum(1).clip(1) * lines
     chosen = np.zeros_like(near)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Int
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.asked import AskedLines
 from omnilines.matching.hypotheses import Hypotheses
+from omnilines.matching.kernels.supporters import free_supporters, photos_of_tracks, supporting_photos
 from omnilines.matching.kernels.track import claim, needed, united
 from omnilines.matching.known_lines import known_lines, most_likely
 from omnilines.matching.options import MatchingOptions
@@ -76,7 +77,7 @@ def build_tracks(
         track, fewer = _united(track, candidates, count, options.tracks.same_share)
         merged, wrong = merged + fewer, wrong + out
         free = order[track[order] < 0]
-        support = _still_free(found.support, track)
+        support = free_supporters(found.support, track)
         more, extra = claim(free, support, arcs.image, arcs.images, FIRST_VIEWS)
         track = np.where(more >= 0, more + count, track)
         track, count = _with_views(arcs, track, count + extra, np.full(count + extra, FIRST_VIEWS))
@@ -106,7 +107,7 @@ def spare_tracks(
     for more photos. None of those explains what they show."""
     order, count = np.argsort(-found.score, kind="stable"), len(tracks)
     free = order[tracks.track[order] < 0]
-    more, extra = claim(free, _still_free(found.support, tracks.track), arcs.image, arcs.images, views)
+    more, extra = claim(free, free_supporters(found.support, tracks.track), arcs.image, arcs.images, views)
     track = np.where(more >= 0, more + count, tracks.track)
     enough = np.append(tracks.enough_views, np.full(extra, views))
     own, explained = np.zeros(len(enough), dtype=bool), 0
@@ -133,10 +134,7 @@ def _enough_views(
     member = np.flatnonzero(track >= 0)
     own = track[member]
     others = _views(arcs, track, count)[own] - 1
-    support = found.support[member]
-    row, column = np.nonzero((support >= 0) & (track[support] == own[:, None]))
-    pairs = np.unique(row * arcs.images + arcs.image[support[row, column]])
-    agreeing = np.bincount(pairs // arcs.images, minlength=len(member))
+    agreeing = supporting_photos(member, found.support, track, arcs.image, arcs.images)
     alone = (agreeing < others) | (found.agreement[member] < min_agreement * others)
     return np.where(np.bincount(own, alone, minlength=count) > 0, min_views, max(min_views - 1, FIRST_VIEWS))
 
@@ -218,17 +216,10 @@ def _united(
     return _of_tracks(track, root), int((root != np.arange(count)).sum())
 
 
-def _still_free(support: Int[np.ndarray, "n k"], track: Int[np.ndarray, " n"]) -> Int[np.ndarray, "n k"]:
-    """The supporters that have no track, -1 after the last."""
-    free = np.where((support >= 0) & (track[support] < 0), support, -1)
-    return np.take_along_axis(free, np.argsort(free < 0, axis=1, kind="stable"), 1)
-
-
 def _views(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> Int[np.ndarray, " t"]:
     """Number of photos that see each track."""
-    member = track >= 0
-    seen = np.unique(track[member] * arcs.images + arcs.image[member]) // arcs.images
-    return np.bincount(seen, minlength=count)
+    views: Int[np.ndarray, " t"] = photos_of_tracks(track, arcs.image, count)
+    return views
 
 
 def _with_views(

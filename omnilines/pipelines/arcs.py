@@ -323,12 +323,14 @@ def viewed_arcs(found: Sequence[FoundArcs], poses: ImagePoses, cameras: Calibrat
             f"Arcs of straight lines were expected, found none in {len(found)} photos with poses; see their pictures."
         )
     place = {name: k for k, name in enumerate(poses.images)}
-    bearings, by_pixel = [], []
-    with torch.no_grad():
-        for arcs in found:
-            ends = torch.as_tensor(arcs.endpoints_px)
-            bearings.append(cameras[arcs.camera].unproject(ends)[0].numpy())
-            by_pixel.append(cameras[arcs.camera].unproject_jacobian(ends).numpy())
+
+    def seen(arcs: FoundArcs) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3 2"]]:
+        """The ends of the arcs of one photo as bearings, with their derivatives."""
+        ends = torch.as_tensor(arcs.endpoints_px)
+        with torch.no_grad():
+            return cameras[arcs.camera].unproject(ends)[0].numpy(), cameras[arcs.camera].unproject_jacobian(ends).numpy()
+
+    bearings, by_pixel = zip(*on_all_cores(seen, found, "", silent), strict=True)
     return ViewedArcs(
         np.repeat(np.array([place[arcs.photo.name] for arcs in found], dtype=np.int64), [len(arcs) for arcs in found]),
         poses.cam_from_world,

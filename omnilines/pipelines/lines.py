@@ -15,7 +15,7 @@ from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.confirmed_lines import spare_of, with_confirmed
 from omnilines.pipelines.kept_lines import KeptLines, kept_lines
 from omnilines.pipelines.options import SceneOptions
-from omnilines.progress import ProgressCallback
+from omnilines.progress import Each, ProgressCallback
 from omnilines.records import ImagePoses, Segments
 
 
@@ -27,12 +27,13 @@ def lines_of_arcs(
     progress: ProgressCallback,
     *,
     workers: Workers = Workers(),
+    compare: Each | None = None,
 ) -> KeptLines:
     """Match, triangulate, adjust, clip and filter.
 
     With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
     arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`). `workers`
-    adjust the parts of a scene that is divided (`options.partition`).
+    adjust the parts of a scene that is divided (`options.partition`), and those of `compare` compare arcs.
 
     Raises GeometryError naming the stage where no line is left.
     """
@@ -47,6 +48,7 @@ def lines_of_arcs(
             options=options.matching,
             seed=options.seed,
             progress=progress,
+            workers=compare,
         )
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)

@@ -1,4 +1,4 @@
-"""Parts of a scene adjusted by the workers of an executor, the same that photos are handed to (`batches.py`)."""
+"""What workers of an executor do beside looking at photos (`batches.py`): they compare arcs, and adjust parts of a scene."""
 
 import shutil
 import socket
@@ -14,7 +14,7 @@ from omnilines.adjustment.parts_engine import PARTS, Workers, here
 from omnilines.files.folders import work_folder
 from omnilines.pipelines.batches import one_by_one
 from omnilines.pipelines.options import SceneOptions
-from omnilines.progress import silent
+from omnilines.progress import Each, silent
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -31,6 +31,11 @@ def part_workers(executor: Executor | None, work: str | Path | None) -> Workers:
     return Workers(here if executor is None else _Each(executor), folder)
 
 
+def matching_workers(executor: Executor | None) -> Each | None:
+    """Workers of an executor, for arcs that are compared; None where there are none, and all cores do it."""
+    return None if executor is None else _Each(executor, "matching arcs", "tasks of matching")
+
+
 def check_partition(options: SceneOptions, *, rig: bool, prior: bool = False) -> None:
     """Raises InputError for a `partition` of what is adjusted in one piece only."""
     poses, cameras = "poses" in options.refine, "intrinsics" in options.refine
@@ -43,11 +48,13 @@ class _Each:
     """Hands every item to a worker."""
 
     executor: Executor
+    stage: str = "adjusting parts"
+    noun: str = "parts"
 
     def __call__(self, work: Callable[[T], R], items: Sequence[T], /) -> list[R]:
         """The results in order. Raises InputError where a worker cannot see the parts, runs another omnilines or is lost."""
         names = [str(number) for number in range(1, len(items) + 1)]
-        return one_by_one(_Reading(work), items, names, "adjusting parts", executor=self.executor, noun="parts", progress=silent)
+        return one_by_one(_Reading(work), items, names, self.stage, executor=self.executor, noun=self.noun, progress=silent)
 
 
 @dataclass(frozen=True)

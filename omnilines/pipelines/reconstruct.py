@@ -27,7 +27,7 @@ from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
-from omnilines.pipelines.part_workers import check_partition, part_workers
+from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
 from omnilines.pipelines.poses import estimate_poses, given_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
@@ -75,7 +75,8 @@ def reconstruct(
     `poses` are those of `estimate_poses` or `read_poses`. With poses refined (`options.refine`), rough ones are made better
     first, and photos that have none are placed by the lines. `distance`, known in metres, scales poses whose unit is open.
     `inputs` is what the scene says that it was made from. Poses that have to be found in the photos are kept in the folder
-    `work`, where one is given. The workers of an `executor` adjust the parts of a scene that is divided (`options.partition`).
+    `work`, where one is given. The workers of an `executor` compare arcs, and adjust the parts of a scene that
+    is divided (`options.partition`).
 
     Raises InputError on bad options or tables, and where poses explain the photos only if they are read in another way, and
     GeometryError naming the stage where no line is left.
@@ -112,7 +113,10 @@ def reconstruct(
     if distance is not None:
         require_poses(distance, posed)
     try:
-        found = lines_of_arcs(arcs.photos, posed.poses, cameras, options, progress, workers=part_workers(executor, work))
+        found = lines_of_arcs(
+            arcs.photos, posed.poses, cameras, options, progress,
+            workers=part_workers(executor, work), compare=matching_workers(executor),
+        )  # fmt: skip
     except GeometryError as error:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")

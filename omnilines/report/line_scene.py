@@ -17,7 +17,7 @@ from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount
 from omnilines.report.numbers import figure
 from omnilines.report.page import Section
-from omnilines.report.photos import photos_section
+from omnilines.report.photos import drawn_photos_section
 from omnilines.report.tables import table
 
 SHOWN_LINES = 300
@@ -178,7 +178,8 @@ def line_photos_section(
     title: str = "Lines over the photos",
 ) -> Section:
     """The photos with the observed arcs as points and the images of the lines as curves (`line_curves`), as `photos_section`."""
-    return photos_section(photo_folder, line_curves(lines, segments, poses, cameras), images=images, title=title)
+    curves = _LineCurves(lines, segments, poses, cameras)
+    return drawn_photos_section(photo_folder, curves.images if images is None else images, curves.of, title=title)
 
 
 def line_curves(lines: Lines, segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> list[Polyline]:
@@ -187,28 +188,49 @@ def line_curves(lines: Lines, segments: Segments, poses: ImagePoses, cameras: Ma
     Both are images of great arcs. Curves break where the camera does not see, and where the image closes around the sphere.
     Raises InputError where a photo has no camera.
     """
-    row = {name: k for k, name in enumerate(poses.images)}
-    track = {name: k for k, name in enumerate(lines.tracks)}
-    line_of = np.array([track.get(name, -1) for name in segments.tracks] + [-1])[segments.track]
-    known = np.append(lines.known, False)
-    curves = []
-    for k, image in enumerate(segments.images):
-        if image not in row:
-            continue
-        name = next(iter(cameras)) if poses.cameras is None else poses.cameras[row[image]]
-        if name not in cameras:
-            raise InputError(f"The camera of {image} was expected to be one of {', '.join(cameras)}, found '{name}'; correct it.")
-        model, own = cameras[name], np.flatnonzero((segments.image == k) & (segments.track >= 0))
+    curves = _LineCurves(lines, segments, poses, cameras)
+    return [curve for image in curves.images for curve in curves.of(image)]
+
+
+class _LineCurves:
+    """The curves of each photo, drawn where they are asked for. Raises InputError where a photo has no camera."""
+
+    def __init__(self, lines: Lines, segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> None:
+        self._lines, self._segments, self._poses, self._cameras = lines, segments, poses, cameras
+        track = {name: k for k, name in enumerate(lines.tracks)}
+        self._line_of = np.array([track.get(name, -1) for name in segments.tracks] + [-1])[segments.track]
+        self._row = {name: k for k, name in enumerate(poses.images)}
+        self._place = {name: k for k, name in enumerate(segments.images)}
+        for image in segments.images:
+            if image in self._row and self._camera(image) not in cameras:
+                known = ", ".join(cameras)
+                raise InputError(
+                    f"The camera of {image} was expected to be one of {known}, found '{self._camera(image)}'; correct it."
+                )
+        matched = np.unique(segments.image[segments.track >= 0])
+        self.images = tuple(segments.images[k] for k in matched if segments.images[k] in self._row)
+        """Photos that have a pose and a matched arc."""
+
+    def _camera(self, image: str) -> str:
+        of_photos = self._poses.cameras
+        return next(iter(self._cameras)) if of_photos is None else of_photos[self._row[image]]
+
+    def of(self, image: str) -> list[Polyline]:
+        """Those of one photo; none where it has no pose."""
+        if image not in self._row or image not in self._place:
+            return []
+        lines, segments, model = self._lines, self._segments, self._cameras[self._camera(image)]
+        own = np.flatnonzero((segments.image == self._place[image]) & (segments.track >= 0))
+        line = self._line_of[own]
         with torch.no_grad():
             ends, valid = model.unproject(torch.from_numpy(segments.endpoints_px[own]))
             arcs = _imaged(model, torch.where(valid[..., None], ends, torch.nan), ARC_POINTS)
-            shown = np.unique(line_of[own][known[line_of[own]]])
-            seen = poses.cam_from_world[row[image]].transform(torch.from_numpy(lines.ends_m[shown]))
+            shown = np.unique(line[np.append(lines.known, False)[line]])
+            seen = self._poses.cam_from_world[self._row[image]].transform(torch.from_numpy(lines.ends_m[shown]))
             images = _imaged(model, torch.nn.functional.normalize(seen, dim=-1), CURVE_POINTS)
         labels = [segments.tracks[t] for t in segments.track[own]]
-        curves += [Polyline(image, arc, label, "observed") for arc, label in zip(arcs, labels, strict=True)]
-        curves += [Polyline(image, curve, lines.tracks[t], "model") for curve, t in zip(images, shown.tolist(), strict=True)]
-    return curves
+        observed = [Polyline(image, arc, label, "observed") for arc, label in zip(arcs, labels, strict=True)]
+        return observed + [Polyline(image, curve, lines.tracks[t], "model") for curve, t in zip(images, shown, strict=True)]
 
 
 def _imaged(model: CameraModel, ends: Float[Tensor, "n 2 3"], count: int) -> Float[np.ndarray, "n k 2"]:

@@ -53,8 +53,15 @@ def photos_section(
     for curve in curves:
         if curve.image in by_image:
             by_image[curve.image].append(curve)
+    return drawn_photos_section(photo_folder, names, by_image.__getitem__, title=title)
+
+
+def drawn_photos_section(
+    photo_folder: str | os.PathLike[str], names: Sequence[str], curves: Callable[[str], Sequence[Polyline]], *, title: str
+) -> Section:
+    """As `photos_section`, with the curves of a photo asked for where it is shown: of many photos a page has room for some."""
     folder = pathlib.Path(photo_folder)
-    return Section(title, lambda allowed_bytes: _render(lambda name: _read(folder / name), by_image, allowed_bytes))
+    return Section(title, lambda allowed_bytes: _render(lambda name: _read(folder / name), names, curves, allowed_bytes))
 
 
 def pictures_section(
@@ -62,16 +69,16 @@ def pictures_section(
 ) -> Section:
     """Photos with what was found drawn over them already, under a sentence that says what is to be seen; `drawn` makes that of a
     photo. They are scaled and compressed to the page's limit, as those of `photos_section`."""
-    return Section(title, lambda allowed_bytes: _render(drawn, {name: [] for name in names}, allowed_bytes, said))
+    return Section(title, lambda allowed_bytes: _render(drawn, list(dict.fromkeys(names)), lambda name: (), allowed_bytes, said))
 
 
 def _render(
     read: Callable[[str], UInt8[np.ndarray, "h w 3"] | None],
-    by_image: dict[str, list[Polyline]],
+    names: Sequence[str],
+    curves: Callable[[str], Sequence[Polyline]],
     allowed_bytes: int,
     said: str | None = None,
 ) -> Markup:
-    names = list(by_image)
     places = max(1, allowed_bytes // _SMALLEST_SHARE_BYTES)
     chosen = names if len(names) <= places else [names[k] for k in np.linspace(0, len(names) - 1, places).round().astype(int)]
     left_out = dict.fromkeys(set(names) - set(chosen), "no room in the page")
@@ -82,7 +89,7 @@ def _render(
         if pixels is None:
             left_out[name] = "it cannot be read"
             continue
-        photo = _embed(name, pixels, by_image[name], left // (len(chosen) - k))
+        photo = _embed(name, pixels, curves(name), left // (len(chosen) - k))
         if photo is None:
             left_out[name] = "no room in the page"
             continue
