@@ -18,7 +18,7 @@ from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.arcs import calibration_of, check_mask
 from omnilines.pipelines.check_options import CheckOptions
-from omnilines.pipelines.line_camera import held_camera
+from omnilines.pipelines.line_camera import asked_camera
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail
 
@@ -109,12 +109,9 @@ def check(
     least_rad = 0.0 if estimate is None else math.radians(estimate.min_angle_deg)
     lines = options.lines
     chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, least_angle_rad=least_rad, progress=progress)
-    weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
+    asked = asked_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
-    members = int((families.of_chain[weighted.weight > 0] >= 0).sum())
-    found = line_check(
-        model, weighted, scores, basis, known, significance=options.significance, members=members, frames=families.frames
-    )
+    found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
     return CheckResult(found, holds, options, chains.images, skipped, inputs)

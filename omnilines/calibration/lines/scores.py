@@ -49,8 +49,8 @@ class LineScores:
     """Of the square of each chain's score by the camera, for what the fit hides of its errors (`leverage.py`)."""
 
     @staticmethod
-    def of(problem: LineProblem, state: CameraAndCircles, *, held: bool = False) -> "LineScores":
-        """Of a state in which the normals are fitted, with the camera `held` there or fitted too."""
+    def of(problem: LineProblem, state: CameraAndCircles) -> "LineScores":
+        """Of a state in which camera and normals are fitted."""
         at, structure = problem.linearise(state), problem.structure
         equations = normal_equations(structure, at, torch.ones(len(at.residual), dtype=torch.float64))
         information = reduce(normal_equations(structure, at, problem.curvature), 0.0).matrix
@@ -81,7 +81,6 @@ class LineScores:
             following=following,
             of_camera=pseudo_inverse(following.mT @ information @ following),
             directions=bool(problem.families.frames) + bool(problem.families.lone),
-            held=held,
         )
         return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull, correction)
 
@@ -115,6 +114,16 @@ class LineScores:
         own = self.prior.clone()
         own[: self.camera, : self.camera] = 0.0
         return self._following.mT @ own @ self._following
+
+    @property
+    def information_of_lines(self) -> Float[Tensor, "q q"]:
+        """Without what was known of the camera itself."""
+        return self.camera_information - self.known_before + self.angles_before
+
+    @property
+    def covariance_of_lines(self) -> Float[Tensor, "q q"]:
+        """Of the score, without what was known of the camera itself."""
+        return self._of_chains * max(1.0, self.photo_factor) + self.angles_before
 
     @cached_property
     def by_photo(self) -> Float[Tensor, "v q"]:
