@@ -45,7 +45,8 @@ class CheckResult:
     def verdict(self) -> str:
         """One sentence."""
         found = self.found
-        chance = f"chi-square {found.statistic:.0f} with {found.freedom} degrees of freedom, probability {found.probability:.1g}"
+        freedom = f"{found.freedom} and {found.samples:.0f} degrees of freedom"
+        chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
         drift = (
             f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px, at least "
             f"{found.least_drift_px:.2g} px"

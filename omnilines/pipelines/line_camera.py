@@ -94,10 +94,14 @@ def asked_camera(
     weighted, prior = weighted_chains(model, readings, options), _prior(model, basis, readings, options)
     _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
-    first = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
-    weighted = weighed(first.model, weighted.blocks, options)
-    families = with_strays(first.model, weighted, replace(families, direction=first.state.direction), options)
-    return _solved(first.model, weighted, families, _angles(first), prior, options, CHECK_TOLERANCE)
+    asked = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
+    for _ in range(options.rounds - 1):
+        weighted = weighed(asked.model, weighted.blocks, options)
+        families = with_strays(asked.model, weighted, replace(families, direction=asked.state.direction), options)
+        asked = _solved(asked.model, weighted, families, _angles(asked), prior, options, CHECK_TOLERANCE)
+        if asked.settled:
+            break
+    return asked
 
 
 def _solved(

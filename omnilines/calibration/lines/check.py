@@ -7,10 +7,11 @@ of its own. With q parameters
 
     s' V^-1 s
 
-is chi-square with q degrees of freedom. V, the weights of chains and the strays of lines are those of the fitted camera (as in
-the test of A. Wald, 1943): under a wrong one lines are neither straight nor meet, and if that counted as noise it would hide
-what is wrong. What lines ask for moves the image by a field of drift. A camera is refused where chance makes such a score too
-seldom, and the drift is more than nobody minds; or even the least drift that chance leaves open (`least_drift.py`) is.
+is Hotelling's T^2 with q degrees of freedom, and those n by which chains tell V: (n - q + 1) / (n q) of it is F-distributed with
+q and n - q + 1. V, the weights of chains and the strays of lines are those of the fitted camera (as in the test of A. Wald,
+1943): under a wrong one lines are neither straight nor meet, and if that counted as noise it would hide what is wrong. What
+lines ask for moves the image by a field of drift. A camera is refused where chance makes such a score too seldom, and the drift
+is more than nobody minds; or even the least drift that chance leaves open (`least_drift.py`) is.
 """
 
 import math
@@ -54,6 +55,8 @@ class LineCheck:
     model: CameraModel
     statistic: float
     freedom: int
+    samples: float
+    """Of normal samples, which would tell the covariance of the score as well as the chains do."""
     probability: float
     """Of so large a statistic where the camera is right."""
     drift_px: float
@@ -102,12 +105,16 @@ def line_check(
     noise = float(spread[valid].mean())
     moving = jacobian[valid] @ basis
     moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving)
-    limit = float(stats.chi2.isf(significance, freedom))
+    samples = max(scores.freedom_of_lines(precision), float(freedom))
+    # Of Hotelling's T^2 over that of F.
+    scale, rest = samples * freedom / (samples - freedom + 1.0), samples - freedom + 1.0
+    limit = float(stats.f.isf(significance, freedom, rest)) * scale
     return LineCheck(
         model=model,
         statistic=statistic,
         freedom=freedom,
-        probability=float(stats.chi2.sf(statistic, freedom)),
+        samples=samples,
+        probability=float(stats.f.sf(statistic / scale, freedom, rest)),
         drift_px=math.sqrt(max(float(squares[valid].mean()) - noise, 0.0)),
         least_drift_px=least_drift(total, precision, information, moved, limit),
         sigma_px=math.sqrt(max(noise, 0.0)),
