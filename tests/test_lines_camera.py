@@ -15,7 +15,7 @@ import omnilines as ol
 from camera_models import MODELS, CameraModel, OpenCVFisheye, model_class
 from camera_models.pose import rotation_from_vector
 from omnilines.calibration.lines.camera import LineCamera, in_mirror, line_camera
-from omnilines.calibration.lines.check import line_check
+from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
@@ -30,7 +30,7 @@ from omnilines.geometry.chains import Chains
 from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart
-from omnilines.pipelines.line_camera import adjusted_camera, held_camera, prior_with_boards
+from omnilines.pipelines.line_camera import adjusted_camera, asked_camera, prior_with_boards
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import scaled, with_scale_of_all
 from omnilines.structure.options import DirectionsOptions
@@ -254,16 +254,37 @@ def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
 )
 def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], refused: bool) -> None:
     chains, model = true_chains(FISHEYE, 1, photos=8), disturbed(FISHEYE, **changes)
-    weighted, families, scores, basis = held_camera(model, chains, OPTIONS, DirectionsOptions())
-    counts = {"significance": 0.001, "members": 0, "frames": families.frames}
-    found = line_check(model, weighted, scores, basis, None, **counts)
+    asked = asked_camera(model, chains, OPTIONS, DirectionsOptions())
+    found = line_check(model, asked, None, significance=0.001)
     assert found.refused(0.001, 0.1) is refused
     assert (found.least_drift_px > 0.0) is (found.probability < 0.001)
     assert found.least_drift_px <= math.hypot(found.drift_px, found.sigma_px) * (1 + 1e-9)
     assert found.freedom == 8
     # A camera that is known no better than that is not contradicted.
     wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
-    assert not line_check(model, weighted, scores, basis, wide, **counts).refused(0.001, 0.1)
+    assert not line_check(model, asked, wide, significance=0.001).refused(0.001, 0.1)
+
+
+def checked(model: CameraModel, chains: Chains) -> LineCheck:
+    """By chains alone."""
+    return line_check(model, asked_camera(model, chains, OPTIONS, DirectionsOptions()), None, significance=0.001)
+
+
+def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> None:
+    """A focal length off by 2 percent: lines do not meet by many times their noise, and what they ask for is as certain as under
+    the right camera."""
+    chains, off = true_chains(FISHEYE, 1), {"fx": 4.6, "fy": 4.616}
+    right, wrong = checked(FISHEYE, chains), checked(disturbed(FISHEYE, **off), chains)
+    assert wrong.sigma_px < 1.5 * right.sigma_px
+    # To first order: families are those that the wrong camera shows.
+    np.testing.assert_allclose(wrong.change[:2], [-value for value in off.values()], rtol=0.2)
+
+
+@pytest.mark.full
+def test_the_right_camera_is_refused_as_often_as_stated() -> None:
+    """Of 200 sets: probabilities are even between 0 and 1 (Kolmogorov and Smirnov, once in 1e4), and few are small."""
+    found = np.sort([checked(FISHEYE, true_chains(FISHEYE, 100 + seed, photos=4)).probability for seed in range(200)])
+    assert float((np.arange(1, 201) / 200 - found).max()) < 0.15 and int((found < 0.01).sum()) <= 8
 
 
 def status_of(*arguments: str) -> int:

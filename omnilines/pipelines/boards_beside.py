@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import InputError
-from omnilines.calibration.lines.check import LineCheck, line_check
+from omnilines.calibration.lines.check import line_check
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.check_options import CheckOptions
-from omnilines.pipelines.line_camera import held_camera, prior_with_boards
+from omnilines.pipelines.line_camera import asked_camera, prior_with_boards
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback
 
@@ -70,11 +70,10 @@ def prior_of_boards(boards: CalibrationResult, chains: Chains, lines: LinesOptio
 
 def contradiction(boards: CalibrationResult, chains: Chains, lines: LinesOptions, progress: ProgressCallback) -> tuple[str, ...]:
     """One sentence where lines refuse the camera of the boards, beyond what its covariance allows."""
-    weighted, families, scores, basis = held_camera(boards.camera, chains, lines.adjustment, lines.directions, progress)
-    known, limits = torch.as_tensor(boards.covariance), CheckOptions()
-    found: LineCheck = line_check(
-        boards.camera, weighted, scores, basis, known, significance=limits.significance, members=0, frames=families.frames
-    )
+    asked = asked_camera(boards.camera, chains, lines.adjustment, lines.directions, progress)
+    limits = CheckOptions()
+    model, known = boards.camera.calibrated_form(), torch.as_tensor(boards.covariance)
+    found = line_check(model, asked, known, significance=limits.significance)
     if not found.refused(limits.significance, limits.tolerance_px):
         return ()
     return (

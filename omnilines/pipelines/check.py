@@ -1,6 +1,5 @@
 """Is a calibration still right? Photos of anything with straight lines say it: `check`."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.arcs import calibration_of, check_mask, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
-from omnilines.pipelines.line_camera import held_camera
+from omnilines.pipelines.line_camera import asked_camera
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail
 
@@ -45,7 +44,8 @@ class CheckResult:
     def verdict(self) -> str:
         """One sentence."""
         found = self.found
-        chance = f"chi-square {found.statistic:.0f} with {found.freedom} degrees of freedom, probability {found.probability:.1g}"
+        freedom = f"{found.freedom} and {found.samples:.0f} degrees of freedom"
+        chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
         drift = (
             f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px, at least "
             f"{found.least_drift_px:.2g} px"
@@ -108,12 +108,9 @@ def check(
     refs, estimate = photos_of(photos), cameras.estimates.get(name)
     lines = options.lines
     chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_angles_rad(estimate), progress=progress)
-    weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
+    asked = asked_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
-    members = int((families.of_chain[weighted.weight > 0] >= 0).sum())
-    found = line_check(
-        model, weighted, scores, basis, known, significance=options.significance, members=members, frames=families.frames
-    )
+    found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
     return CheckResult(found, holds, options, chains.images, skipped, inputs)

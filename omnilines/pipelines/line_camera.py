@@ -14,18 +14,18 @@ from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, o
 from omnilines.calibration.lines.right_angles import angle_sigmas
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.select import SEEN_SHARE
-from omnilines.calibration.lines.weighting import WeightedChains, longest, weighted_chains
+from omnilines.calibration.lines.weighting import WeightedChains, longest, weighed, weighted_chains
 from omnilines.geometry.chains import Chains
 from omnilines.least_squares import Outcome, solve
-from omnilines.pipelines.line_families import families_of
+from omnilines.pipelines.line_families import families_of, with_strays
 from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
 
 MOST_ITERATIONS = 30
-ANGLE_ROUNDS = 3
-"""In which right angles and by how much they are off are found in turn."""
 TOLERANCE = 1e-9
 """Of the cost, in a round; families and weights change it by more."""
+CHECK_TOLERANCE = 1e-6
+"""Of the cost, in a check: what is left of the way to the minimum is in the scores."""
 
 
 def adjusted_camera(
@@ -47,23 +47,16 @@ def adjusted_camera(
     if prior is None:
         prior = _prior(model, basis, readings, options)
     angles: AngleSigmas | None = None
-    for done in range(options.rounds):
-        progress("adjusting the camera to lines", done, options.rounds)
+    for number in range(options.rounds):
+        progress("adjusting the camera to lines", number, options.rounds)
         weighted = weighted_chains(model, readings, options)
         _require(int((weighted.weight > 0).sum()), options)
         families = families_of(model, weighted, options, directions, progress)
-        problem = LineProblem(weighted, families, basis, angles or AngleSigmas.of_strays(families), prior)
-        begin = CameraAndCircles.right(model, weighted.normal, families)
-        solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
-        scores = LineScores.of(problem, solution.state)
-        # Where no photo shows a frame, nothing is known of right angles; the next round may find one.
-        angles = angle_sigmas(problem, solution.state, scores) if families.frames else None
-        step = basis.mT @ (solution.state.model.parameters - model.parameters)
-        model = solution.state.model
-        settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
-        if settled:
+        done = _solved(model, weighted, families, angles, prior, options)
+        model, angles = done.model, _angles(done)
+        if done.settled:
             break
-    return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+    return done
 
 
 def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOptions) -> LineAdjustment:
@@ -86,29 +79,54 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     return LineAdjustment(moved, like.families, problem, solution.state, scores, prior, settled)
 
 
-def held_camera(
+def asked_camera(
     model: CameraModel,
     chains: Chains,
     options: LineOptions,
     directions: DirectionsOptions,
     progress: ProgressCallback = silent,
-) -> tuple[WeightedChains, Families, LineScores, Float[Tensor, "p q"]]:
-    """Lines fitted with the camera as it is, and how they pull at it along a basis of its parameters."""
-    model = model.calibrated_form()
+) -> LineAdjustment:
+    """The camera that lines ask for in the place of a given one, with the families that are found under that one. How straight
+    chains are and how far lines stray is by the camera that is asked for: what a wrong one makes of them is no noise."""
+    model, basis = model.calibrated_form(), model.calibration_basis()
     _require(chains.count, options)
-    weighted = weighted_chains(model, longest(EdgeReadings.of(chains), options.most_chains), options)
+    readings = longest(EdgeReadings.of(chains), options.most_chains)
+    weighted, prior = weighted_chains(model, readings, options), _prior(model, basis, readings, options)
     _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
-    basis = model.calibration_basis()
-    state, angles = CameraAndCircles.right(model, weighted.normal, families), AngleSigmas.of_strays(families)
-    for _ in range(ANGLE_ROUNDS):
-        held, free = (LineProblem(weighted, families, columns, angles) for columns in (basis[:, :0], basis))
-        state = solve(held, state, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE).state
-        scores = LineScores.of(free, state, held=True)
-        # With the camera free: what a wrong one makes of right angles is not put down to the building.
-        angles = angle_sigmas(free, state, scores)
-    moved = replace(weighted, normal=state.normal, at=offsets(model, weighted.blocks, state.normal))
-    return moved, families, scores, basis
+    asked = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
+    for _ in range(options.rounds - 1):
+        weighted = weighed(asked.model, weighted.blocks, options)
+        families = with_strays(asked.model, weighted, replace(families, direction=asked.state.direction), options)
+        asked = _solved(asked.model, weighted, families, _angles(asked), prior, options, CHECK_TOLERANCE)
+        if asked.settled:
+            break
+    return asked
+
+
+def _solved(
+    model: CameraModel,
+    weighted: WeightedChains,
+    families: Families,
+    angles: AngleSigmas | None,
+    prior: CameraPrior,
+    options: LineOptions,
+    tolerance: float = TOLERANCE,
+) -> LineAdjustment:
+    """Least squares from `model`, with weights and families as they are."""
+    basis = prior.basis
+    problem = LineProblem(weighted, families, basis, angles or AngleSigmas.of_strays(families), prior)
+    begin = CameraAndCircles.right(model, weighted.normal, families)
+    solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=tolerance)
+    scores = LineScores.of(problem, solution.state)
+    step = basis.mT @ (solution.state.model.parameters - model.parameters)
+    settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
+    return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+
+
+def _angles(done: LineAdjustment) -> AngleSigmas | None:
+    """By how much right angles are off; where no photo shows a frame, nothing is known of them."""
+    return angle_sigmas(done.problem, done.state, done.scores) if done.families.frames else None
 
 
 def prior_with_boards(model: CameraModel, covariance: Float[Tensor, "p p"], chains: Chains, options: LineOptions) -> CameraPrior:

@@ -1,6 +1,7 @@
 """The directions in which the lines of photos meet, as the adjustment of a camera to them takes them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -69,12 +70,12 @@ def families_of(
 
     found = on_all_cores(look, rows, "finding directions", progress)
     of_chain = np.full(len(counted), -1)
-    direction, photo, groups, frames = [np.zeros((0, 3))], list[int](), list[int](), 0
+    direction, photo, frames = [np.zeros((0, 3))], list[int](), 0
     for k, (frame, _) in enumerate(found):
         if frame is not None:
             of_chain[rows[k]] = np.where(frame.direction_of >= 0, 3 * frames + frame.direction_of, -1)
             direction.append(frame.direction)
-            photo, groups, frames = photo + 3 * [k], groups + 3 * [len(photo)], frames + 1
+            photo, frames = photo + 3 * [k], frames + 1
     for k, (frame, meeting) in enumerate(found):
         others = np.arange(len(meeting))
         if frame is not None:
@@ -86,14 +87,29 @@ def families_of(
                 continue
             of_chain[members] = len(photo)
             direction.append(meeting.direction[[one]])
-            photo, groups = [*photo, k], [*groups, len(photo)]
+            photo = [*photo, k]
     of, axes = torch.as_tensor(of_chain), torch.as_tensor(np.concatenate(direction))
-    stray, share = _strays(circles, axes.numpy(), of_chain, np.array(groups, dtype=np.int64), options)
+    of_photo = torch.tensor(photo, dtype=torch.long)
+    return _strayed(Families(axes, frames, of_photo, torch.ones(len(of), dtype=torch.float64), of), circles, options)
+
+
+def with_strays(model: CameraModel, chains: WeightedChains, families: Families, options: LineOptions) -> Families:
+    """Families of another camera with the strays that their lines have under this one; chains that do not count leave them."""
+    left = torch.where(chains.weight > 0, families.of_chain, -1)
+    with torch.no_grad():
+        return _strayed(replace(families, of_chain=left), chain_circles(model, chains), options)
+
+
+def _strayed(families: Families, circles: Circles, options: LineOptions) -> Families:
+    """With the strays of its lines, those of a frame in one."""
+    of_chain, number = families.of_chain.numpy(), np.arange(len(families.direction))
+    group = np.where(number < 3 * families.frames, number // 3 * 3, number)
+    stray, share = _strays(circles, families.direction.numpy(), of_chain, group, options)
     # Of Student's t with v degrees of freedom, w = (v + 1) / (v + x^2): the mean second derivative over the mean of w.
     told = share[of_chain >= 0]
     curvature = 2.0 * options.freedom / (options.freedom + 1.0) * float((told**2).sum() / told.sum()) - 1.0 if len(told) else 1.0
     curvature = max(curvature, least_curvature(options.freedom))
-    return Families(axes, frames, torch.tensor(photo, dtype=torch.long), torch.as_tensor(stray), of, curvature)
+    return replace(families, stray_rad=torch.as_tensor(stray), curvature=curvature)
 
 
 def _strays(

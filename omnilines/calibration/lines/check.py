@@ -1,14 +1,17 @@
-"""Whether lines bear out a camera that is given: a score test (C. R. Rao, 1948; Lagrange multipliers).
+"""Whether lines bear out a camera that is given: a score test (C. R. Rao, 1948) with the noise that the right camera leaves.
 
-Circles and directions are fitted with the camera held; the score s of the camera, the derivative of half the sum of squares, then
-has the mean 0 if the camera is right. Its covariance V is that of chains that err as they like, raised by what photos have in
-common (`scores.py`), plus S C S where the camera has a covariance C of its own. With q parameters
+Camera, circles and directions are fitted. Where that moves the camera by e, the score of the given one, the derivative of half
+the sum of squares, is s = -S e with the information S; it has the mean 0 if that camera is right. Its covariance V is that of
+chains that err as they like, raised by what photos have in common (`scores.py`), plus S C S where the camera has a covariance C
+of its own. With q parameters
 
     s' V^-1 s
 
-is chi-square with q degrees of freedom. What the lines would change of the camera is d = -S^-1 s, which moves the image by a
-field of drift. A camera is refused where chance makes such a score too seldom, and the drift is more than nobody
-minds; or even the least drift that chance leaves open (`least_drift.py`) is.
+is Hotelling's T^2 with q degrees of freedom, and those n by which chains tell V: (n - q + 1) / (n q) of it is F-distributed with
+q and n - q + 1. V, the weights of chains and the strays of lines are those of the fitted camera (as in the test of A. Wald,
+1943): under a wrong one lines are neither straight nor meet, and if that counted as noise it would hide what is wrong. What
+lines ask for moves the image by a field of drift. A camera is refused where chance makes such a score too seldom, and the drift
+is more than nobody minds; or even the least drift that chance leaves open (`least_drift.py`) is.
 """
 
 import math
@@ -22,10 +25,9 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
-from omnilines.calibration.lines.camera import counted
+from omnilines.calibration.lines.camera import LineAdjustment, counted
 from omnilines.calibration.lines.least_drift import least_drift
-from omnilines.calibration.lines.scores import LineScores, pseudo_inverse
-from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.calibration.lines.scores import pseudo_inverse
 from omnilines.calibration.uncertainty import projection_jacobian, supported_grid
 
 COLUMNS, ROWS = ("left", "middle", "right"), ("top", "middle", "bottom")
@@ -53,6 +55,8 @@ class LineCheck:
     model: CameraModel
     statistic: float
     freedom: int
+    samples: float
+    """Of normal samples, which would tell the covariance of the score as well as the chains do."""
     probability: float
     """Of so large a statistic where the camera is right."""
     drift_px: float
@@ -77,21 +81,14 @@ class LineCheck:
 
 
 def line_check(
-    model: CameraModel,
-    chains: WeightedChains,
-    scores: LineScores,
-    basis: Float[Tensor, "p q"],
-    known: Float[Tensor, "p p"] | None,
-    *,
-    significance: float,
-    members: int,
-    frames: int,
+    model: CameraModel, asked: LineAdjustment, known: Float[Tensor, "p p"] | None, *, significance: float
 ) -> LineCheck:
-    """From scores with the camera held at `model`; `known` is its covariance, where it has one. Chance leaves open what it makes
-    more often than `significance`."""
-    information, inverse = scores.camera_information, pseudo_inverse(scores.camera_information)
-    total = scores.total
-    variance = scores.score_covariance
+    """Of `model` by the camera `asked` for, which was adjusted from it; `known` is the covariance of `model`, where it has one.
+    Chance leaves open what it makes more often than `significance`."""
+    basis, chains, scores = asked.problem.basis, asked.chains, asked.scores
+    information, variance = scores.information_of_lines, scores.covariance_of_lines
+    inverse = pseudo_inverse(information)
+    total = scores.total - scores.camera_information @ basis.mT @ (asked.model.parameters - model.parameters)
     if known is not None:
         pulled = information @ torch.linalg.pinv(basis)
         variance = variance + pulled @ known @ pulled.mT
@@ -108,12 +105,16 @@ def line_check(
     noise = float(spread[valid].mean())
     moving = jacobian[valid] @ basis
     moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving)
-    limit = float(stats.chi2.isf(significance, freedom))
+    samples = max(scores.freedom_of_lines(precision), float(freedom))
+    # Of Hotelling's T^2 over that of F.
+    scale, rest = samples * freedom / (samples - freedom + 1.0), samples - freedom + 1.0
+    limit = float(stats.f.isf(significance, freedom, rest)) * scale
     return LineCheck(
         model=model,
         statistic=statistic,
         freedom=freedom,
-        probability=float(stats.chi2.sf(statistic, freedom)),
+        samples=samples,
+        probability=float(stats.f.sf(statistic / scale, freedom, rest)),
         drift_px=math.sqrt(max(float(squares[valid].mean()) - noise, 0.0)),
         least_drift_px=least_drift(total, precision, information, moved, limit),
         sigma_px=math.sqrt(max(noise, 0.0)),
@@ -122,8 +123,8 @@ def line_check(
         regions=_regions(model, grid[valid], torch.stack([squares, spread], -1)[valid], pixels, chains.at.px[own]),
         photo_factor=scores.photo_factor,
         edges=int((chains.weight > 0).sum()),
-        members=members,
-        frames=frames,
+        members=int((asked.families.of_chain >= 0).sum()),
+        frames=asked.families.frames,
     )
 
 

@@ -32,11 +32,10 @@ def correction(
     following: Float[Tensor, "k q"],
     of_camera: Float[Tensor, "q q"],
     directions: int,
-    held: bool,
-) -> Float[Tensor, " c"]:
-    """1 / (1 - share) of each chain. `information` is S, `of_camera` W; with the camera `held`, it takes up nothing. Of each
-    chain the columns of the camera and of its direction count, which are the kept groups after it, `directions` of them; right
-    angles, which all chains tell, take up next to nothing of one.
+) -> tuple[Float[Tensor, " c"], Float[Tensor, "c q q"]]:
+    """1 / (1 - share) of each chain, and its I_c. `information` is S, `of_camera` W. Of each chain the columns of the camera and
+    of its direction count, which are the kept groups after it, `directions` of them; right angles, which all chains tell, take
+    up next to nothing of one.
     """
     q = following.shape[1]
     columns, local = _local(structure, at, q, directions)
@@ -49,16 +48,16 @@ def correction(
     left = local - (e[:, None] @ gain[chain])[:, 0]
     values, vectors = torch.linalg.eigh(of_camera)
     root = vectors * values.clamp_min(0.0).sqrt()
-    padded = torch.cat([following @ root, root.new_zeros(1, q)])
-    score = (left[:, None] @ padded[columns][chain])[:, 0]
+    padded = torch.cat([following, root.new_zeros(1, q)])
+    by_camera = (left[:, None] @ padded[columns][chain])[:, 0]
+    score = by_camera @ root
     whole = by_chain(score.square().sum(-1))
     mixed = by_chain(left[:, :, None] * score[:, None])
-    first = q if held else 0
     inverse = torch.zeros(len(following) + 1, len(following) + 1, dtype=score.dtype)
-    inverse[first:-1, first:-1] = torch.linalg.pinv(information[first:, first:], hermitian=True)
+    inverse[:-1, :-1] = torch.linalg.pinv(information, hermitian=True)
     taken = torch.einsum("cij,cik,ckj->c", mixed, inverse[columns[:, :, None], columns[:, None]], mixed)
     share = torch.where(whole > 0, taken / whole.clamp_min(1e-300), 0.0)
-    return 1.0 / (1.0 - share.clamp(0.0, MOST))
+    return 1.0 / (1.0 - share.clamp(0.0, MOST)), by_chain(by_camera[:, :, None] * by_camera[:, None])
 
 
 def _local(structure: Structure, at: Linearisation, q: int, directions: int) -> tuple[Int[Tensor, "c w"], Float[Tensor, "n w"]]:

@@ -47,10 +47,12 @@ class LineScores:
     prior_score: Float[Tensor, " k"]
     correction: Float[Tensor, " c"]
     """Of the square of each chain's score by the camera, for what the fit hides of its errors (`leverage.py`)."""
+    told: Float[Tensor, "c q q"]
+    """Information of each chain on the camera, as its points state it."""
 
     @staticmethod
-    def of(problem: LineProblem, state: CameraAndCircles, *, held: bool = False) -> "LineScores":
-        """Of a state in which the normals are fitted, with the camera `held` there or fitted too."""
+    def of(problem: LineProblem, state: CameraAndCircles) -> "LineScores":
+        """Of a state in which camera and normals are fitted."""
         at, structure = problem.linearise(state), problem.structure
         equations = normal_equations(structure, at, torch.ones(len(at.residual), dtype=torch.float64))
         information = reduce(normal_equations(structure, at, problem.curvature), 0.0).matrix
@@ -73,7 +75,7 @@ class LineScores:
         else:
             prior, pull = at.prior.by_kept.mT @ at.prior.by_kept, at.prior.by_kept.mT @ at.prior.residual
         following = _following(information, q)
-        correction = leverage_correction(
+        correction, told = leverage_correction(
             structure,
             at,
             equations.eliminated,
@@ -81,9 +83,8 @@ class LineScores:
             following=following,
             of_camera=pseudo_inverse(following.mT @ information @ following),
             directions=bool(problem.families.frames) + bool(problem.families.lone),
-            held=held,
         )
-        return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull, correction)
+        return LineScores(scores, information, q, readings.photo, readings.photos, readings.times, prior, pull, correction, told)
 
     @cached_property
     def _following(self) -> Float[Tensor, "k q"]:
@@ -115,6 +116,27 @@ class LineScores:
         own = self.prior.clone()
         own[: self.camera, : self.camera] = 0.0
         return self._following.mT @ own @ self._following
+
+    @property
+    def information_of_lines(self) -> Float[Tensor, "q q"]:
+        """Without what was known of the camera itself."""
+        return self.camera_information - self.known_before + self.angles_before
+
+    @property
+    def covariance_of_lines(self) -> Float[Tensor, "q q"]:
+        """Of the score, without what was known of the camera itself."""
+        return self._of_chains * max(1.0, self.photo_factor) + self.angles_before
+
+    def freedom_of_lines(self, precision: Float[Tensor, "q q"]) -> float:
+        """By which the scatter of chains tells the covariance of the score, whose inverse is `precision`. With the share A_c of
+        each chain in it, as its points state it, entries of the sum scatter by sum tr(A_c)^2 + tr(A_c^2), and those of a Wishart
+        matrix of n degrees of freedom by q (q + 1) / n (J. E. Pustejovsky and E. Tipton, 2018)."""
+        share = precision @ self.told * self.times[:, None, None]
+        trace = share.diagonal(dim1=-2, dim2=-1).sum(-1)
+        scatter = (self.times * (trace.square() + (share * share.mT).sum((-2, -1)))).sum()
+        # Points state their noise too small or too large; by how much, chains tell.
+        scatter *= ((precision * self._of_chains).sum() * max(1.0, self.photo_factor) / trace.sum().clamp_min(1e-300)).square()
+        return self.camera * (self.camera + 1) / max(float(scatter), 1e-12)
 
     @cached_property
     def by_photo(self) -> Float[Tensor, "v q"]:

@@ -52,10 +52,14 @@ def weighted_chains(model: CameraModel, readings: EdgeReadings, options: LineOpt
     """
     blocks = in_blocks(model, readings, options.block_px)
     sigma = torch.sqrt(blocks.sigma_px**2 + options.edge_sigma_px**2)
-    blocks = replace(blocks, sigma_px=sigma)
+    return weighed(model, replace(blocks, sigma_px=sigma), options)
+
+
+def weighed(model: CameraModel, blocks: EdgeReadings, options: LineOptions) -> WeightedChains:
+    """`weighted_chains` of chains that are in blocks already."""
     normal, at = fitted_circles(model, blocks)
     freedom = (blocks.sum_by_chain(at.valid.double()) - 2.0).clamp_min(0.0)
-    squares = blocks.sum_by_chain(torch.square(at.px / sigma))
+    squares = blocks.sum_by_chain(torch.square(at.px / blocks.sigma_px))
     variance = _median_variance(squares, freedom)
     share = (options.freedom + freedom) / (options.freedom + squares / variance)
     share = torch.where((share >= options.least_weight) & (freedom > 0), share.clamp(max=1.0), 0.0)
