@@ -149,7 +149,7 @@ def calibrate_lines(
     followed = chains_of(refs, options=lines.chains, progress=progress)
     chains, skipped = followed.chains, followed.skipped
     candidates = candidates_of(options.model, options.of_model, mirror=options.mirror)
-    guide = Candidate(GUIDE, {}) if options.model == AUTO else candidates[len(candidates) // 2]
+    guide = _guide(candidates, options.model)
     start, done = _started(followed, guide, lines, progress)
     images = chains.images
     for _ in range(max(1, lines.adjustment.searches)):
@@ -167,6 +167,12 @@ def calibrate_lines(
         fit = in_mirror(fit)
     inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}
     return LineResult(fit, line_record(fit, inputs, options.mirror), selection, skipped, _folder(refs))
+
+
+def _guide(candidates: Sequence[Candidate], model: str) -> Candidate:
+    """The camera that edges are found, weighed and put together by: of the variants of a model the middle one, of two the
+    smaller. Where its terms make up for one another it does not settle, and a comparison with others begins in its favour."""
+    return Candidate(GUIDE, {}) if model == AUTO else candidates[(len(candidates) - 1) // 2]
 
 
 def _require_mirror(options: CalibrationOptions, boards: CalibrationResult | None) -> None:
