@@ -40,6 +40,8 @@ class Adjusted:
     """Of the parameters of each camera that was refined, in the order of `state.models`."""
     rig_covariance: Float[Tensor, "cameras 6 6"] | None = None
     """Of the left perturbation of `cam_from_rig`, where it was refined; zero for the first."""
+    line_factor: Float[Tensor, " t"] | None = None
+    """Times the covariance of each line, for its own noise, which `line_covariance` holds; None where all have the same."""
 
     @property
     def noise_factor(self) -> float:
@@ -49,7 +51,11 @@ class Adjusted:
 
     def joint_line_covariance(self, tracks: Int[Tensor, " k"]) -> Float[Tensor, "k4 k4"]:
         """Covariance of some lines together, four rows a line: the poses make the errors of all lines depend on each other."""
-        return self.whitened.joint_eliminated_covariance(tracks) * (self.scale * self.noise.widening(4))
+        joint = self.whitened.joint_eliminated_covariance(tracks) * (self.scale * self.noise.widening(4))
+        if self.line_factor is None:
+            return joint
+        times = self.line_factor[tracks].sqrt().repeat_interleave(4)
+        return times[:, None] * joint * times
 
 
 def described(done: Uncertain) -> Adjusted:

@@ -16,6 +16,7 @@ from omnilines.adjustment.engine import is_compiled
 from omnilines.adjustment.memory import laid_out_to_fit
 from omnilines.adjustment.minimum import line_minimum
 from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.adjustment.own_noise import with_own_noise
 from omnilines.adjustment.parts import require_divisible, why_in_one_piece
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.prior import PosePrior
@@ -69,7 +70,8 @@ def adjust_lines(
     the solution are found in turn.
 
     With `cautious` it is the noise that all residuals show, also those of arcs that stand out and whatever is stated: for arcs of
-    photos, of which those that stand out are mostly of near edges, and pull at the lines.
+    photos, of which those that stand out are mostly of near edges, and pull at the lines. Covariances of lines are then for what
+    each line shows of its own noise, too (`own_noise.py`).
 
     With the device `cuda` the iterations run on a GPU, whose free memory must hold the problem; what is given and returned lies
     on the processor, which also works out the covariances. Cameras are refined on the processor only.
@@ -113,8 +115,10 @@ def adjust_lines(
         return line_minimum(task, start, weighed, max_iterations, callback, place=place)
 
     if prior is None or bool(fixed.all()):
-        return described(uncertainty(task, minimum(state, None)))
-    return described(_with_prior(task, state, prior, minimum))
+        found = described(uncertainty(task, minimum(state, None)))
+    else:
+        found = described(_with_prior(task, state, prior, minimum))
+    return with_own_noise(found, task.seen_by(found.state).arcs) if cautious else found
 
 
 def _held_frames(
