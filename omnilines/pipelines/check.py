@@ -1,6 +1,7 @@
 """Is a calibration still right? Photos of anything with straight lines say it: `check`."""
 
 from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
