@@ -40,7 +40,8 @@ def check_output_folder(out: str | Path) -> None:
         Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=there)).rmdir()
     except OSError as error:
         raise InputError(
-            f"A folder to write to was expected at {out}, found that none can be made in {there} ({error.strerror}); name another."
+            f"A folder to write to was expected at {out}, found that none can be made in {there} ({error.strerror}); name "
+            "another."
         ) from None
 
 

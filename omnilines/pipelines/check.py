@@ -1,7 +1,7 @@
 """Is a calibration still right? Photos of anything with straight lines say it: `check`."""
 
-from collections.abc import Mapping
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,7 +108,8 @@ def check(
         check_mask(mask, [model])
     refs, estimate = photos_of(photos), cameras.estimates.get(name)
     lines = options.lines
-    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_angles_rad(estimate), progress=progress)
+    known_rad = known_angles_rad(estimate)
+    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_rad, progress=progress)
     asked = asked_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
