@@ -83,7 +83,8 @@ def frame_row(name: str, source: CameraModel, camera: CameraModel | None, turned
         worst.append(math.degrees(math.acos(min(1.0, float(cosine.min())))))
     error = np.array(worst)
     shares = [f"{(error < limit).mean():.1%}" for limit in (2, 5)]
-    return [name, f"{np.median(error):.2f}", f"{error.mean():.2f}", f"{np.quantile(error, 0.9):.2f}", *shares, f"{np.mean(seconds):.2f}"]
+    typical = [f"{one:.2f}" for one in (np.median(error), error.mean(), np.quantile(error, 0.9))]
+    return [name, *typical, *shares, f"{np.mean(seconds):.2f}"]
 
 
 class Covered(NamedTuple):
