@@ -279,7 +279,7 @@ def test_photos_without_edges_have_no_chains() -> None:
 
 def test_photos_of_another_size_are_left_out(tmp_path: Path) -> None:
     photo = step_photo(FISHEYE, unit(np.array([0.1, 1.0, 0.5])), 3.2)
-    found = chains_of({"a.png": photo, "b.png": photo, "c.png": photo[:-1]})
+    found = chains_of({"a.png": photo, "b.png": np.ascontiguousarray(photo[:, ::-1]), "c.png": photo[:-1]})
     assert found.chains.images == ("a.png", "b.png") and found.chains.image_size == SIZE
     assert [one.photo for one in found.skipped] == ["c.png"]
     assert np.array_equal(np.unique(found.chains.image), [0, 1])

@@ -11,6 +11,7 @@ from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL
 from omnilines.pipelines.chains import joined_chains
+from omnilines.pipelines.copies import copies
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Detail
 
@@ -24,8 +25,8 @@ def arc_chains_of(
     known_rad: tuple[float, float] = EVERYWHERE,
     progress: ProgressCallback = silent,
 ) -> tuple[Chains, tuple[Detail, ...]]:
-    """The chains of all photos, and those that are left out with the reason: they cannot be read, or have not the size of the
-    camera. Raises InputError where there is no photo, or none can be used."""
+    """The chains of all photos, and those that are left out with the reason: they cannot be read, have not the size of the
+    camera, or are copies. Raises InputError where there is no photo, or none can be used."""
     refs = photos_of(photos)
 
     def look(photo: Photo) -> Chains | str:
@@ -36,6 +37,9 @@ def arc_chains_of(
             return str(error)
 
     found = on_all_cores(look, refs, "extracting arcs", progress, photos_at_once(refs, BYTES_PER_PIXEL))
+    empty = np.zeros((0, 2))
+    alike = copies([photo.name for photo in refs], [empty if isinstance(one, str) else one.pixels for one in found])
+    found = [one if why is None else why for one, why in zip(found, alike, strict=True)]
     used = [(photo.name, one) for photo, one in zip(refs, found, strict=True) if isinstance(one, Chains)]
     left_out = tuple(
         Detail(photo.name, f"{photo.name} is skipped: {one}")

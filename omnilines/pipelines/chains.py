@@ -13,6 +13,7 @@ from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
 from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.pipelines.copies import copies
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Detail
 
@@ -37,7 +38,7 @@ def chains_of(
 ) -> PhotoChains:
     """The smooth curves of edge points in photos of one camera (a folder, files, or names with arrays), on all cores, one photo
     per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size than most,
-    are left out.
+    and copies, are left out.
 
     Raises InputError where there is no photo, or none can be used, or the mask is of another size.
     """
@@ -53,6 +54,9 @@ def chains_of(
         return size, smooth_chains(image, mask if mask is not None and mask.shape == image.shape[:2] else None, options)
 
     found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
+    empty = np.zeros((0, 2))
+    alike = copies([photo.name for photo in refs], [empty if isinstance(one, str) else one[1].pixels for one in found])
+    found = [one if why is None else why for one, why in zip(found, alike, strict=True)]
     sizes = Counter(one[0] for one in found if not isinstance(one, str))
     if not sizes:
         raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos.")

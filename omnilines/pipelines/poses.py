@@ -21,6 +21,7 @@ from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
+from omnilines.pipelines.copies import without_copies
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -105,6 +106,7 @@ def estimate_poses(
         (6, {}, 'metres')
     """
     source, cameras = str(source), calibration_of(camera)
+    photos = without_copies(photos) if isinstance(photos, PhotoArcs) and from_photos(source) else photos
     arcs = photos if isinstance(photos, PhotoArcs) else None
     if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):
         arcs = extract(photos, cameras, work=work, progress=progress)

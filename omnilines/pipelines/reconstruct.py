@@ -19,6 +19,7 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import PhotoArcs, calibration_of
 from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
@@ -94,6 +95,7 @@ def reconstruct(
             raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
         return adjust(arcs, poses, camera, options, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
+    arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     check_options(options, cameras)
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
     if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
