@@ -29,6 +29,7 @@ class Dropped(NamedTuple):
     weak: int
     unsupported: int
     by_chance: int
+    hardly_shown: int
 
 
 class PassingLines(NamedTuple):
@@ -68,9 +69,13 @@ def passing_lines(
     progress("comparing lines with chance", 0, 0)
     camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
     stretches, shown_share = _evident(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
-    unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
+    enough = np.flatnonzero(shown_share >= limits.min_shown_share)
+    shown, shown_share = stretches.rows(enough), shown_share[enough]
+    left = [len(kept), *(len(np.unique(some.line)) for some in (seen, stretches, shown))]
+    unsupported, by_chance, hardly_shown = (-np.diff(left)).tolist()
+    stretches = shown
     table, row = _table(lines, scene, kept, stretches, shown_share, limits.min_length_sigmas)
-    dropped = Dropped(int(far.sum()), int(weak.sum()), int(unsupported), int(by_chance))
+    dropped = Dropped(int(far.sum()), int(weak.sum()), unsupported, by_chance, hardly_shown)
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
     return PassingLines(table, kept[stretches.line[row]], supported, limit_px, dropped)
 
@@ -112,8 +117,7 @@ def _evident(
     found = line_evidence(
         arcs, lines, stretches.positions_m, own, cameras, neighbours=matched.hypotheses.neighbours, options=options.matching
     )
-    limits = options.kept_lines
-    rows = np.flatnonzero((found.chance <= limits.max_chance) & (found.shown_share >= limits.min_shown_share))
+    rows = np.flatnonzero(found.chance <= options.kept_lines.max_chance)
     return stretches.rows(rows), found.shown_share[rows]
 
 
