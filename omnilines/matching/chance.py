@@ -60,13 +60,41 @@ def line_evidence(
     """
     if not len(lines):
         return LineEvidence(np.zeros(0), np.zeros(0))
+    rows = np.flatnonzero(own >= 0)
+    asked = AskedLines.every(arcs.images, len(lines))
+    if neighbours is not None:
+        asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
+    width_px, beside_px = _compared(arcs, lines, positions_m, own, asked, options)
+    # Line by line from here on, those of each line photo by photo.
+    by_line = np.argsort(asked.lines, kind="stable")
+    line, photo = asked.lines[by_line], asked.photos[by_line]
+    width_px, beside_px = width_px[by_line], beside_px[by_line]
+    shown = ~np.isnan(width_px)
+    times = np.bincount(line, shown, minlength=len(lines)).astype(np.int64)
+    # One arc more than there are, as wide as those that show the line: no chance is 0.
+    one_px = (np.bincount(line, np.nan_to_num(width_px), minlength=len(lines)) / np.maximum(times, 1))[line]
+    chance = np.minimum((beside_px + one_px) / (2.0 * options.chance.reach_px + one_px), 1.0)
+    seen_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
+    near = _near(arcs, lines, positions_m, line, photo, shown, options.chance.farther)
+    looks = shown | (near & (seen_px >= options.chance.min_length_px))
+    covered = _covered_share(arcs, lines, positions_m, rows, own[rows])
+    photos = np.bincount(line, looks, minlength=len(lines))
+    return LineEvidence(at_least(chance[looks], line[looks], times), np.minimum(covered / np.maximum(photos, 1.0), 1.0))
+
+
+def _compared(
+    arcs: ViewedArcs,
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    own: Int[np.ndarray, " n"],
+    asked: AskedLines,
+    options: MatchingOptions,
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """As `shown_and_beside`, of all photos."""
     direction, moment = lines.direction.numpy(), lines.moment.numpy()
     rows = np.flatnonzero(own >= 0)
     against = ((arcs.packed[rows, 3:6] - arcs.packed[rows, :3]) * direction[own[rows]]).sum(-1) < 0
     colours = mean_colours(arcs, rows, own[rows], against, len(lines))
-    asked = AskedLines.every(arcs.images, len(lines))
-    if neighbours is not None:
-        asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
     least_share = options.chance.as_much * _least_share(arcs, lines, positions_m, rows, own[rows])
 
     def compare(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
@@ -93,21 +121,7 @@ def line_evidence(
 
     compared = _by_photos(compare, arcs.images)
     width_px, beside_px = (np.concatenate(column) for column in zip(*compared, strict=True))
-    # Line by line from here on, those of each line photo by photo.
-    by_line = np.argsort(asked.lines, kind="stable")
-    line, photo = asked.lines[by_line], asked.photos[by_line]
-    width_px, beside_px = width_px[by_line], beside_px[by_line]
-    shown = ~np.isnan(width_px)
-    times = np.bincount(line, shown, minlength=len(lines)).astype(np.int64)
-    # One arc more than there are, as wide as those that show the line: no chance is 0.
-    one_px = (np.bincount(line, np.nan_to_num(width_px), minlength=len(lines)) / np.maximum(times, 1))[line]
-    chance = np.minimum((beside_px + one_px) / (2.0 * options.chance.reach_px + one_px), 1.0)
-    seen_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
-    near = _near(arcs, lines, positions_m, line, photo, shown, options.chance.farther)
-    looks = shown | (near & (seen_px >= options.chance.min_length_px))
-    covered = _covered_share(arcs, lines, positions_m, rows, own[rows])
-    photos = np.bincount(line, looks, minlength=len(lines))
-    return LineEvidence(at_least(chance[looks], line[looks], times), np.minimum(covered / np.maximum(photos, 1.0), 1.0))
+    return width_px, beside_px
 
 
 def _near(
