@@ -173,6 +173,9 @@ class Lines:
     chart_scale_m: Float[np.ndarray, " n"] | None = None
     unit: LengthUnit = LengthUnit.METRES
     """Of all lengths; where the scale is open, names in `_m` hold units too."""
+    shown_share: Float[np.ndarray, " n"] | None = None
+    """Share of each line that its arcs cover, the mean over all photos that look where it is, hidden or not; None where segments
+    were matched by others."""
 
     def __len__(self) -> int:
         return len(self.tracks)

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from matching_scenes import camera_named, looking, viewed
 
@@ -12,7 +13,7 @@ from camera_models import Pinhole
 from camera_models.equirectangular import Equirectangular
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
-from omnilines.matching.chance import chance_of_lines
+from omnilines.matching.chance import line_evidence
 from omnilines.matching.kernels.chance import at_least, shown_and_beside
 from omnilines.matching.known_lines import mean_colours
 from omnilines.matching.options import MatchingOptions
@@ -103,7 +104,7 @@ def test_bars_of_a_fence_are_there_and_lines_between_arcs_of_different_bars_are_
     arcs = viewed(cameras[0], poses, photo, pixels, SIGMA_PX, np.full((len(bar), 2, 3), math.log(90.0)))
     truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
     spans = (ends * truth.direction[:, None]).sum(-1).numpy()
-    assert np.all(chance_of_lines(arcs, truth, spans, bar, cameras) < 1e-8)
+    assert np.all(line_evidence(arcs, truth, spans, bar, cameras).chance < 1e-8)
     # Planes of two bars in two photos meet in a line before or behind the fence; other photos show it where a bar lies there.
     false = []
     for shift in (1, 2, -1, -2):
@@ -116,7 +117,7 @@ def test_bars_of_a_fence_are_there_and_lines_between_arcs_of_different_bars_are_
     lines = PlueckerLines(lines.direction * torch.sign(lines.direction[:, 2:]), lines.moment * torch.sign(lines.direction[:, 2:]))
     spans = np.tile([-0.4, 0.4], (len(lines), 1))
     nobody = np.full(len(bar), -1)
-    chance = chance_of_lines(arcs, lines, spans, nobody, cameras)
+    chance = line_evidence(arcs, lines, spans, nobody, cameras).chance
     assert len(chance) > 30 and np.mean(chance > 1e-3) > 0.9
 
 
@@ -129,8 +130,33 @@ def test_photos_that_look_at_a_line_and_do_not_show_it_count_against_it() -> Non
         arcs = viewed(cameras[0], poses, photo[kept], pixels[torch.as_tensor(kept)], SIGMA_PX, np.full((len(kept), 2, 3), 4.0))
         truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[[middle]]
         span = (ends[[middle]] * truth.direction[:, None]).sum(-1).numpy()
-        chances.append(float(chance_of_lines(arcs, truth, span, np.where(bar[kept] == middle, 0, -1), cameras)[0]))
+        chances.append(float(line_evidence(arcs, truth, span, np.where(bar[kept] == middle, 0, -1), cameras).chance[0]))
     assert chances[0] < 1e-8 and chances[1] > 1e4 * chances[0]
+
+
+def test_the_share_that_photos_show_is_of_all_that_look_there() -> None:
+    """Whole arcs in 8 of 12 photos; in 4 more two arcs of the first 0.4, and from 0.3 to 0.7, which overlap."""
+    cameras, poses, ends, photo, bar, pixels = fence(SIGMA_PX)
+    middle = BARS // 2
+    rows = np.flatnonzero(bar == middle)
+    assert len(rows) == PHOTOS
+    span = ends[middle, 1] - ends[middle, 0]
+    pieces = [(view, low, high) for view in range(8, PHOTOS) for low, high in ((0.0, 0.4), (0.3, 0.7))]
+    points = torch.stack([torch.stack([ends[middle, 0] + at * span for at in (low, high)]) for _, low, high in pieces])
+    views = np.array([view for view, _, _ in pieces])
+    short = torch.stack([cameras[0].project(poses[view].transform(own))[0] for view, own in zip(views, points, strict=True)])
+    whole = rows[photo[rows] < 8]
+    image = np.append(photo[whole], views)
+    arcs = viewed(
+        cameras[0], poses, image, torch.cat([pixels[torch.as_tensor(whole)], short]), SIGMA_PX, np.full((16, 2, 3), 4.0)
+    )
+    truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[[middle]]
+    place = (ends[[middle]] * truth.direction[:, None]).sum(-1).numpy()
+    found = line_evidence(arcs, truth, place, np.zeros(16, dtype=np.int64), cameras)
+    assert found.shown_share[0] == pytest.approx((8 + 4 * 0.7) / PHOTOS, abs=0.01)
+    # Photos that look there and show nothing count as those that show it.
+    eight = line_evidence(arcs, truth, place, np.where(image < 8, 0, -1), cameras)
+    assert eight.shown_share[0] == pytest.approx(8 / PHOTOS, abs=0.01)
 
 
 def test_photos_much_farther_away_than_those_that_show_a_line_are_not_asked() -> None:
@@ -142,10 +168,11 @@ def test_photos_much_farther_away_than_those_that_show_a_line_are_not_asked() ->
     truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
     spans = (ends * truth.direction[:, None]).sum(-1).numpy()
     alone, together = (
-        chance_of_lines(viewed(cameras[0], those, photo, pixels, SIGMA_PX, colours), truth, spans, bar, cameras * times)
+        line_evidence(viewed(cameras[0], those, photo, pixels, SIGMA_PX, colours), truth, spans, bar, cameras * times)
         for those, times in ((poses, 1), (both, 2))
     )
-    np.testing.assert_allclose(together, alone)
+    np.testing.assert_allclose(together.chance, alone.chance)
+    np.testing.assert_allclose(together.shown_share, alone.shown_share)
 
 
 def test_a_line_across_the_seam_of_a_panorama_and_no_lines_at_all() -> None:
@@ -157,13 +184,16 @@ def test_a_line_across_the_seam_of_a_panorama_and_no_lines_at_all() -> None:
     arcs = viewed(camera, poses, np.zeros(1, dtype=np.int64), pixels, SIGMA_PX, np.full((1, 2, 3), 4.0))
     span = (points * line.direction[:, None]).sum(-1).numpy()
     own_px = 2.0 * SIGMA_PX * math.sqrt(MOST_CHI_SQUARE / 2.0)
-    found = chance_of_lines(arcs, line, span, np.zeros(1, dtype=np.int64), [camera])
-    np.testing.assert_allclose(found, own_px / (2.0 * REACH_PX + own_px), rtol=0.02)
+    found = line_evidence(arcs, line, span, np.zeros(1, dtype=np.int64), [camera])
+    assert found.shown_share == pytest.approx(1.0)
+    np.testing.assert_allclose(found.chance, own_px / (2.0 * REACH_PX + own_px), rtol=0.02)
     # An arc that fits shows the line, whether it was given to it or not; a line that no arc shows is one that chance gives.
-    np.testing.assert_allclose(chance_of_lines(arcs, line, span, np.full(1, -1), [camera]), found)
+    nobody = line_evidence(arcs, line, span, np.full(1, -1), [camera])
+    np.testing.assert_allclose(nobody.chance, found.chance)
+    assert nobody.shown_share[0] == 0.0
     raised = PlueckerLines.through(points[:, 0] + torch.tensor([0.0, 1.0, 0.0]), line.direction)
-    assert chance_of_lines(arcs, raised, span, np.full(1, -1), [camera])[0] == 1.0
-    assert chance_of_lines(arcs, line[[]], span[:0], np.full(1, -1), [camera]).shape == (0,)
+    assert line_evidence(arcs, raised, span, np.full(1, -1), [camera]).chance[0] == 1.0
+    assert [column.shape for column in line_evidence(arcs, line[[]], span[:0], np.full(1, -1), [camera])] == [(0,), (0,)]
 
 
 def test_short_edges_beside_a_long_line_do_not_speak_against_it() -> None:
@@ -182,5 +212,5 @@ def test_short_edges_beside_a_long_line_do_not_speak_against_it() -> None:
     chances = []
     for as_much in (0.0, OPTIONS.chance.as_much):
         options = replace(OPTIONS, chance=OPTIONS.chance._replace(as_much=as_much))
-        chances.append(float(chance_of_lines(arcs, line, span, own, cameras, options=options)[0]))
+        chances.append(float(line_evidence(arcs, line, span, own, cameras, options=options).chance[0]))
     assert chances[0] > 1e-3 > chances[1]

@@ -165,6 +165,25 @@ def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebui
     assert scores(room, lines).precision[2] > scores(room, without).precision[2] - 0.01
 
 
+def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room, rebuilt, tmp_path, capsys):
+    """All others stay as they are; without guidance, which lines that are left out would change."""
+    held = [f"scene.kept_lines.{what}" for what in ("guided_by_families=false", "guided_by_corners=false", "min_meeting=1")]
+    found = []
+    for least in (0.0, 0.6):
+        out = tmp_path / f"{least}"
+        shutil.copytree(rebuilt / "work", out / "work")
+        options = [word for one in (*held, f"scene.kept_lines.min_shown_share={least}") for word in ("--set", one)]
+        assert call(room / "photos", room, out, *options, "--json") == 0
+        found.append((read_lines(out / "lines.csv"), json.loads(capsys.readouterr().out)["stages"][-1]))
+    (every, _), (some, stage) = found
+    assert (every.shown_share > 0).all() and (every.shown_share <= 1).all()
+    kept = every.shown_share >= 0.6
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(some.ends_m, every.ends_m[kept])
+    np.testing.assert_array_equal(some.shown_share, every.shown_share[kept])
+    assert "photos that look there show too little of them" in json.dumps(stage)
+
+
 def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     model = tmp_path / "colmap"

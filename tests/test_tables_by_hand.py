@@ -17,6 +17,7 @@ CORNERS = "view,image,board_x_m,board_y_m,u_px,v_px\n0,a.jpg,0,0,1.5,2\n0,a.jpg,
 SEGMENTS = "image,track,u1_px,v1_px,u2_px,v2_px\na.jpg,t1,1,2,3,4\na.jpg,,5,6,7,8\nb.jpg,t1,9,10,11,12\n"
 POSES = "image,camera,qw,qx,qy,qz,tx,ty,tz\na.jpg,cam0,1,0,0,0,1,2,3\nb.jpg,cam0,0,2,0,0,4,5,6\n"
 LINES = "track,x1_m,y1_m,z1_m,x2_m,y2_m,z2_m,views,rms_px,sigma_m,status\nt1,0,0,0,1,0,0,3,0.2,0.01,ok\nt2,,,,,,,2,,,two_views\n"
+SHOWN = LINES.replace("status\n", "status,shown_share\n").replace("ok\n", "ok,0.75\n").replace("two_views\n", "two_views,\n")
 
 
 def written(folder: Path, text: str | bytes) -> Path:
@@ -57,6 +58,15 @@ def test_lines_as_they_are_written(tmp_path: Path) -> None:
     rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
     assert rows[0]["x2_m"] == "1.0" and rows[1]["x1_m"] == rows[1]["rms_px"] == "" and rows[1]["status"] == "two_views"
     assert ",".join(rows[0]) == LINES.splitlines()[0] and b"\r" not in (tmp_path / "out.csv").read_bytes()
+
+
+def test_the_share_that_photos_show_of_a_line(tmp_path: Path) -> None:
+    assert read_lines(written(tmp_path, LINES)).shown_share is None
+    lines = read_lines(written(tmp_path, SHOWN))
+    assert lines.shown_share is not None and lines.shown_share[0] == 0.75 and np.isnan(lines.shown_share[1])
+    write_lines(tmp_path / "out.csv", lines)
+    rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
+    assert [row["shown_share"] for row in rows] == ["0.75", ""]
 
 
 @pytest.mark.parametrize(
@@ -186,6 +196,7 @@ ERRORS: list[tuple[Reader, str, str]] = [
     ),
     (read_lines, LINES.replace("0.2", "nan"), "line 2, column rms_px: expected a finite number or nothing, found 'nan'"),
     (read_lines, LINES.replace("3,0.2", "-3,0.2"), "line 2, column views: expected a number of views, not negative, found '-3'"),
+    (read_lines, SHOWN.replace("0.75", "1.5"), "line 2, column shown_share: expected a share between 0 and 1, found '1.5'"),
     (read_lines, LINES.replace("3,0.2", ",0.2"), "line 2, column views: expected a whole number, found an empty cell"),
 ]
 

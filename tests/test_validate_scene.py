@@ -153,8 +153,10 @@ def test_a_wrong_focal_length_is_seen_by_the_arcs(done: Done) -> None:
 def test_photos_in_memory_give_what_files_do(done: Done, tmp_path: Path) -> None:
     checked = validate(done.truth)
     assert isinstance(checked, SceneValidation) and checked.holds == done.result.holds
+    # An end of a line that lies at the border of its interval may be counted as inside or not: poses of files are rounded.
+    one_end = 1.0 / (2 * int(checked.own.sum()))
     for mine, of_files in zip(checked.checks, done.result.checks, strict=True):
-        assert mine.name == of_files.name and mine.value == pytest.approx(of_files.value, rel=1e-6)
+        assert mine.name == of_files.name and mine.value == pytest.approx(of_files.value, rel=1e-6, abs=1.01 * one_end)
     # A page without the photos, which are no files.
     page = checked.report(tmp_path / "report.html").read_text()
     assert "Precision and recall" in page and "Lines over the photos" not in page

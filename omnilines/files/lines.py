@@ -12,6 +12,8 @@ from omnilines.records import LINE_STATUSES, ImagePoses, Lines
 
 ENDS = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 COLUMNS = ("track", *ENDS, "views", "rms_px", "sigma_m", "status")
+SHARE = "shown_share"
+"""Of lines that were found in photos."""
 
 
 def read_lines(path: str | Path) -> Lines:
@@ -20,7 +22,7 @@ def read_lines(path: str | Path) -> Lines:
     Raises InputError naming file, line and column where a track stands twice, a status is not one of `LINE_STATUSES`, the
     coordinates are not there for `ok` and `weak` or are there for others, or a number is none.
     """
-    table = read_table(path, COLUMNS, may_be_empty=True)
+    table = read_table(path, COLUMNS, (SHARE,), may_be_empty=True)
     track, tracks = table.names("track")
     _, first = np.unique(track, return_index=True)
     once = np.zeros(len(table), dtype=bool)
@@ -37,7 +39,12 @@ def read_lines(path: str | Path) -> Lines:
     views = table.whole_numbers("views")
     table.require(views >= 0, "views", "a number of views, not negative")
     rms, sigma = table.numbers_or_nan("rms_px", "sigma_m").T
-    return Lines(tracks, ends.reshape(-1, 2, 3), views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status)
+    share = None
+    if SHARE in table.columns:
+        share = table.numbers_or_nan(SHARE)[:, 0].copy()
+        table.require(~((share < 0.0) | (share > 1.0)), SHARE, "a share between 0 and 1")
+    ends = ends.reshape(-1, 2, 3)
+    return Lines(tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status, shown_share=share)
 
 
 def write_lines(path: str | Path, lines: Lines) -> None:
@@ -51,6 +58,8 @@ def write_lines(path: str | Path, lines: Lines) -> None:
     columns["rms_px"] = number_cells(lines.rms_px, path, "rms_px", may_be_nan=True)
     columns["sigma_m"] = number_cells(lines.sigma_m, path, "sigma_m", may_be_nan=True)
     columns["status"] = list(lines.status)
+    if lines.shown_share is not None:
+        columns[SHARE] = number_cells(lines.shown_share, path, SHARE, may_be_nan=True)
     write_table(path, columns)
 
 

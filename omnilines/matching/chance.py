@@ -5,10 +5,12 @@ from true ones is that as many photos would show a line anywhere else: in each p
 share of the places where an arc would show it is the chance that the photo shows a line that is not there. Short arcs beside a
 long line, of which every photo shows most by one arc, are no such chance. Photos that look where the line is and do not show it
 count against it, the more the fewer arcs they have there.
+
+The same photos tell how much of a line a photo shows that looks where it is: what it is worth in a photo that had no part in it.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -30,7 +32,16 @@ PHOTOS_AT_ONCE = 10
 T = TypeVar("T")
 
 
-def chance_of_lines(
+class LineEvidence(NamedTuple):
+    """What photos say of each of l lines."""
+
+    chance: Float[np.ndarray, " l"]
+    """Probability that as many photos would show it if it were not there, between 0 and 1."""
+    shown_share: Float[np.ndarray, " l"]
+    """Share of its length that its own arcs cover, the mean over all photos that look where it is, between 0 and 1."""
+
+
+def line_evidence(
     arcs: ViewedArcs,
     lines: PlueckerLines,
     positions_m: Float[np.ndarray, "l 2"],
@@ -39,22 +50,51 @@ def chance_of_lines(
     *,
     neighbours: Bool[np.ndarray, "m m"] | None = None,
     options: MatchingOptions = MatchingOptions(),
-) -> Float[np.ndarray, " l"]:
-    """Probability that as many photos would show each of l lines if it were not there, between 0 and 1.
+) -> LineEvidence:
+    """What photos say of each of l lines.
 
     `positions_m` are the ends of each line along it, `own` is the line of every arc, -1 for none, and `cameras` has one for each
     photo. A photo shows a line where one of its own arcs lies there, or another that fits and looks like it. Asked are the photos
-    that show a line by its own arcs and their `neighbours`, all without these.
+    that show a line by its own arcs and their `neighbours`, all without these. They look where a line is that have
+    `options.chance.min_length_px` of it in their field, hidden or not, and are not `options.chance.farther` from it.
     """
     if not len(lines):
-        return np.zeros(0)
+        return LineEvidence(np.zeros(0), np.zeros(0))
+    rows = np.flatnonzero(own >= 0)
+    asked = AskedLines.every(arcs.images, len(lines))
+    if neighbours is not None:
+        asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
+    width_px, beside_px = _compared(arcs, lines, positions_m, own, asked, options)
+    # Line by line from here on, those of each line photo by photo.
+    by_line = np.argsort(asked.lines, kind="stable")
+    line, photo = asked.lines[by_line], asked.photos[by_line]
+    width_px, beside_px = width_px[by_line], beside_px[by_line]
+    shown = ~np.isnan(width_px)
+    times = np.bincount(line, shown, minlength=len(lines)).astype(np.int64)
+    # One arc more than there are, as wide as those that show the line: no chance is 0.
+    one_px = (np.bincount(line, np.nan_to_num(width_px), minlength=len(lines)) / np.maximum(times, 1))[line]
+    chance = np.minimum((beside_px + one_px) / (2.0 * options.chance.reach_px + one_px), 1.0)
+    seen_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
+    near = _near(arcs, lines, positions_m, line, photo, shown, options.chance.farther)
+    looks = shown | (near & (seen_px >= options.chance.min_length_px))
+    covered = _covered_share(arcs, lines, positions_m, rows, own[rows])
+    photos = np.bincount(line, looks, minlength=len(lines))
+    return LineEvidence(at_least(chance[looks], line[looks], times), np.minimum(covered / np.maximum(photos, 1.0), 1.0))
+
+
+def _compared(
+    arcs: ViewedArcs,
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    own: Int[np.ndarray, " n"],
+    asked: AskedLines,
+    options: MatchingOptions,
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """As `shown_and_beside`, of all photos."""
     direction, moment = lines.direction.numpy(), lines.moment.numpy()
     rows = np.flatnonzero(own >= 0)
     against = ((arcs.packed[rows, 3:6] - arcs.packed[rows, :3]) * direction[own[rows]]).sum(-1) < 0
     colours = mean_colours(arcs, rows, own[rows], against, len(lines))
-    asked = AskedLines.every(arcs.images, len(lines))
-    if neighbours is not None:
-        asked = AskedLines.near(neighbours, arcs.image, own, len(lines))
     least_share = options.chance.as_much * _least_share(arcs, lines, positions_m, rows, own[rows])
 
     def compare(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
@@ -81,23 +121,47 @@ def chance_of_lines(
 
     compared = _by_photos(compare, arcs.images)
     width_px, beside_px = (np.concatenate(column) for column in zip(*compared, strict=True))
-    # Line by line from here on, those of each line photo by photo.
-    by_line = np.argsort(asked.lines, kind="stable")
-    line, photo = asked.lines[by_line], asked.photos[by_line]
-    width_px, beside_px = width_px[by_line], beside_px[by_line]
-    shown = ~np.isnan(width_px)
-    times = np.bincount(line, shown, minlength=len(lines)).astype(np.int64)
-    # One arc more than there are, as wide as those that show the line: no chance is 0.
-    one_px = (np.bincount(line, np.nan_to_num(width_px), minlength=len(lines)) / np.maximum(times, 1))[line]
-    chance = np.minimum((beside_px + one_px) / (2.0 * options.chance.reach_px + one_px), 1.0)
+    return width_px, beside_px
+
+
+def _near(
+    arcs: ViewedArcs,
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    line: Int[np.ndarray, " k"],
+    photo: Int[np.ndarray, " k"],
+    shown: Bool[np.ndarray, " k"],
+    farther: float,
+) -> Bool[np.ndarray, " k"]:
+    """Of pairs of a line and a photo, those of photos that are not so many times as far from it as the farthest that shows it."""
     middle = lines.point_at(torch.as_tensor(positions_m.mean(1))).numpy()
     distance_m = np.linalg.norm(middle[line] - arcs.poses.centre.numpy()[photo], axis=-1)
     farthest_m = np.zeros(len(lines))
     np.maximum.at(farthest_m, line[shown], distance_m[shown])
-    near = distance_m <= options.chance.farther * farthest_m[line]
-    lengths_px = _lengths_px(lines, positions_m, arcs, cameras, asked)[by_line]
-    could = shown | (near & (lengths_px >= options.chance.min_length_px))
-    return at_least(chance[could], line[could], times)
+    near: Bool[np.ndarray, " k"] = distance_m <= farther * farthest_m[line]
+    return near
+
+
+def _covered_share(
+    arcs: ViewedArcs,
+    lines: PlueckerLines,
+    positions_m: Float[np.ndarray, "l 2"],
+    rows: Int[np.ndarray, " m"],
+    line: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, " l"]:
+    """Share of each line that arcs of its own cover, the sum over all photos; arcs of one photo that overlap count once."""
+    places, usable = arcs.positions(lines, rows, line)
+    low, high = positions_m[line].T
+    begin, end = np.clip((places - low[:, None]) / (high - low)[:, None], 0.0, 1.0)[usable].T
+    pair = (line * arcs.images + arcs.image[rows])[usable]
+    order = np.lexsort((begin, pair))
+    # The lines of all photos one after another, so that what is behind an arc is behind all that begin before it.
+    number = np.unique(pair[order], return_inverse=True)[1]
+    first, last = 2.0 * number + begin[order], 2.0 * number + end[order]
+    before = np.append(-1.0, np.maximum.accumulate(last)[:-1]) if len(last) else last
+    own = np.maximum(last - np.maximum(first, before), 0.0)
+    # np.bincount gives integers where there is nothing to add.
+    return np.bincount(line[usable][order], own, minlength=len(lines)).astype(np.float64)
 
 
 def _least_share(

@@ -60,8 +60,8 @@ def kept_lines(
         none = f"{int((~known).sum())} have no line in space, {dropped.far} lie more than {own.limit_px:.1f} px from their arcs"
         raise GeometryError(
             f"No line was left: of {len(known)} triangulated, {none}, {dropped.weak} are too uncertain, {dropped.unsupported} "
-            f"are nowhere shown by {options.min_views} photos, and {dropped.by_chance} by chance alone; give photos from more "
-            "places."
+            f"are nowhere shown by {options.min_views} photos, {dropped.by_chance} by chance alone, and photos "
+            f"show too little of {dropped.hardly_shown} (`min_shown_share`); give photos from more places."
         )
     filtered = (
         *((f"status {status}", n) for status, n in Counter(scene.lines.status).items() if status not in ("ok", "weak")),
@@ -69,6 +69,7 @@ def kept_lines(
         ("weak: too uncertain for their distance", dropped.weak),
         ("nowhere supported by enough photos", dropped.unsupported),
         ("by chance as many photos would show them", dropped.by_chance),
+        ("photos that look there show too little of them", dropped.hardly_shown),
     )
     stages = (*arc_stages(found, segments, matched, options.min_views), StageCount("lines", len(table), counted(filtered)))
     segments = replace(segments, track=own.row, tracks=table.tracks)

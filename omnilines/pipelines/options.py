@@ -42,6 +42,9 @@ class KeptLineOptions(NamedTuple):
     """A line whose arcs lie nearer to it (RMS) is never dropped for that."""
     max_chance: float = 1e-3
     """A line is dropped that photos would show with a larger probability if it were not there."""
+    min_shown_share: float = 0.0
+    """A line is dropped of which the photos that look where it is show a smaller share (`shown_share` in `lines.csv`): about what
+    a photo that had no part in it shows, or more."""
     min_length_sigmas: float = 3.0
     """A line shorter than so many standard deviations of its ends across it has no direction."""
     guided_by_families: bool = True

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from camera_models import CameraModel
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.matching.chance import chance_of_lines
+from omnilines.matching.chance import line_evidence
 from omnilines.matching.match import Matched
 from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.options import SceneOptions
@@ -29,6 +29,7 @@ class Dropped(NamedTuple):
     weak: int
     unsupported: int
     by_chance: int
+    hardly_shown: int
 
 
 class PassingLines(NamedTuple):
@@ -67,10 +68,14 @@ def passing_lines(
     seen = _supported(matched, kept, scene, options)
     progress("comparing lines with chance", 0, 0)
     camera_of = {arcs.photo.name: cameras[arcs.camera] for arcs in found}
-    stretches = _beyond_chance(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
-    unsupported, by_chance = -np.diff([len(kept), len(np.unique(seen.line)), len(np.unique(stretches.line))])
-    table, row = _table(lines, scene, kept, stretches, limits.min_length_sigmas)
-    dropped = Dropped(int(far.sum()), int(weak.sum()), int(unsupported), int(by_chance))
+    stretches, shown_share = _evident(matched, kept, scene, seen, [camera_of[name] for name in scene.poses.images], options)
+    enough = np.flatnonzero(shown_share >= limits.min_shown_share)
+    shown, shown_share = stretches.rows(enough), shown_share[enough]
+    left = [len(kept), *(len(np.unique(some.line)) for some in (seen, stretches, shown))]
+    unsupported, by_chance, hardly_shown = (-np.diff(left)).tolist()
+    stretches = shown
+    table, row = _table(lines, scene, kept, stretches, shown_share, limits.min_length_sigmas)
+    dropped = Dropped(int(far.sum()), int(weak.sum()), unsupported, by_chance, hardly_shown)
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
     return PassingLines(table, kept[stretches.line[row]], supported, limit_px, dropped)
 
@@ -96,26 +101,33 @@ def _supported(matched: Matched, kept: Int[np.ndarray, " k"], scene: AdjustedSce
     )
 
 
-def _beyond_chance(
+def _evident(
     matched: Matched,
     kept: Int[np.ndarray, " k"],
     scene: AdjustedScene,
     stretches: Stretches,
     cameras: Sequence[CameraModel],
     options: SceneOptions,
-) -> Stretches:
-    """The stretches that more photos show than would by chance; `cameras` has one for each photo."""
+) -> tuple[Stretches, Float[np.ndarray, " s"]]:
+    """The stretches that more photos show than would by chance, and the share of each that photos show (`line_evidence`);
+    `cameras` has one for each photo."""
     own = _arcs_of_stretches(matched, kept, scene, stretches, np.arange(len(stretches.line)))
     lines = _lines_of(scene, kept)[torch.as_tensor(stretches.line)]
     arcs = matched.arcs.with_poses(scene.poses.cam_from_world)
-    chance = chance_of_lines(
+    found = line_evidence(
         arcs, lines, stretches.positions_m, own, cameras, neighbours=matched.hypotheses.neighbours, options=options.matching
     )
-    return stretches.rows(np.flatnonzero(chance <= options.kept_lines.max_chance))
+    rows = np.flatnonzero(found.chance <= options.kept_lines.max_chance)
+    return stretches.rows(rows), found.shown_share[rows]
 
 
 def _table(
-    lines: Lines, scene: AdjustedScene, kept: Int[np.ndarray, " k"], stretches: Stretches, min_length_sigmas: float
+    lines: Lines,
+    scene: AdjustedScene,
+    kept: Int[np.ndarray, " k"],
+    stretches: Stretches,
+    shown_share: Float[np.ndarray, " s"],
+    min_length_sigmas: float,
 ) -> tuple[Lines, Int[np.ndarray, " s"]]:
     """One row for each stretch, and which stretch it is; stretches too short for their uncertainty are left out."""
     track = kept[stretches.line]
@@ -137,6 +149,7 @@ def _table(
             None if lines.covariance is None else lines.covariance[track],
             None if lines.chart_centre_m is None else lines.chart_centre_m[track],
             None if lines.chart_scale_m is None else lines.chart_scale_m[track],
+            shown_share=shown_share[row],
         ),
         row,
     )
