@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import omnilines as ol
-from camera_models import MODELS, CameraModel, OpenCVFisheye, model_class
+from camera_models import MODELS, CameraModel, OpenCVFisheye, Pinhole, model_class
 from camera_models.pose import rotation_from_vector
 from omnilines.calibration.lines.camera import LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.check import LineCheck, line_check
@@ -20,17 +20,19 @@ from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
 from omnilines.calibration.lines.scores import LineScores
+from omnilines.calibration.lines.select import candidates_of, chosen_trial, trial_of
 from omnilines.calibration.lines.start import ShapeStart
 from omnilines.calibration.lines.straight import RadialShape
 from omnilines.calibration.lines.weighting import WeightedChains
 from omnilines.calibration.select import Candidate
+from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.cli import main
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart
-from omnilines.pipelines.line_camera import adjusted_camera, asked_camera, prior_with_boards
+from omnilines.pipelines.line_camera import adjusted_camera, asked_camera, prior_with_boards, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import scaled, with_scale_of_all
 from omnilines.structure.options import DirectionsOptions
@@ -211,6 +213,23 @@ def test_without_right_angles_the_scale_stays_open_and_is_said() -> None:
     assert any("fx" in names and "fy" in names for names in fit.open_terms)
     assert "focal length" in fit.notes[0]
     assert fit.sigma["fx"] > 5.0
+
+
+WIDE = Pinhole([320.0, 320.5, 322.5, 238.0, 0.0, -0.22, 0.05, 4e-4, -3e-4, -0.004, 0, 0, 0], (640, 480))
+RATIONAL = Pinhole([320.0, 320.5, 322.5, 238.0, 0.0, 0.9, 0.05, -1e-4, 2e-4, 0.001, 1.2, 0.22, 0.01], (640, 480), 8)
+
+
+@pytest.mark.parametrize(("lens", "taken"), [(WIDE, 5), pytest.param(RATIONAL, 8, marks=pytest.mark.full)])
+def test_the_larger_variant_is_taken_where_the_lens_has_it(lens: Pinhole, taken: int) -> None:
+    chains = true_chains(lens, 0, photos=8, lines=90)
+    plain, thresholds = [320.0, 320.0, 322.0, 239.0, 0.0, -0.2, 0.03], HeldOutThresholds()
+    done = adjusted_camera(Pinhole([*plain, *([0.0] * 6)], lens.image_size), chains)
+    near = Pinhole(disturbed(lens, fx=3.0, fy=3.0).parameters, lens.image_size, 8)
+    both = zip(candidates_of("pinhole", {}), (done, readjusted_camera(near, done, OPTIONS)), strict=True)
+    selection = chosen_trial([trial_of(candidate, one, thresholds.beyond_factor) for candidate, one in both], thresholds)
+    assert selection.chosen.candidate.options == {"coefficients": taken}
+    assert selection.chosen.model is not None
+    assert bearing_error_deg(selection.chosen.model, lens, math.radians(40.0))[0] < 0.1
 
 
 @pytest.mark.full

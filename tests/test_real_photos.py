@@ -1,5 +1,6 @@
 """Arcs and lines of photos that are not ours: a surveyed courtyard, round photos of a fisheye, a street seen by a rig."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -8,9 +9,11 @@ import pytest
 from courtyard import read_courtyard, write_courtyard
 from held_out import NEAR_PX, held_out
 
+import omnilines as ol
 from camera_models import OpenCVFisheye, save
 from camera_models.formats import read as read_calibration
 from omnilines.cli import main
+from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.extraction import extract_arcs
 from omnilines.extraction.image_circle import image_circle
 from omnilines.files import read_lines, read_photo, read_poses
@@ -64,6 +67,19 @@ def test_lines_of_a_courtyard_lie_where_a_photo_left_out_shows_edges(shared_data
     place, beside = held_out(lines.ends_m[lines.known], pose, camera, segments.reshape(-1, 2, 2).astype(np.float64))
     assert len(place) > 30
     assert (place < NEAR_PX).mean() > 0.25 + (beside < NEAR_PX).mean()
+
+
+@pytest.mark.full
+def test_lines_of_a_courtyard_calibrate_its_camera(shared_data: Path) -> None:
+    """It was surveyed without distortion: the rational variant, whose terms cancel, neither leads nor is taken."""
+    data = shared_data / "lines" / "castle30"
+    poses, camera = read_courtyard(data)
+    found = ol.calibrate([str(data / "images" / name) for name in poses.images[::3]], "lines", model="pinhole")
+    assert found.selection.chosen.candidate.options == {"coefficients": 5}
+    assert not any("settled" in note for note in found.notes)
+    assert bearing_error_deg(found.camera, camera, math.radians(found.fit.max_angle_deg))[0] < 0.15
+    fx = camera.named_parameters()["fx"]
+    assert abs(found.camera.named_parameters()["fx"] - fx) < 0.01 * fx < 4.0 * found.sigma["fx"]
 
 
 def test_lines_of_three_cameras_of_a_rig_lie_where_the_fourth_shows_edges(shared_data: Path, tmp_path: Path) -> None:
