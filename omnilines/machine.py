@@ -11,6 +11,9 @@ THREADS = "OMNILINES_THREADS"
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """How torch, the linear algebra of NumPy and SciPy, and OpenCV are told a number of threads before they are imported."""
 
+WAITING = "OMP_WAIT_POLICY"
+"""Whether threads of torch sleep while they wait for each other."""
+
 
 def cores() -> int:
     """Cores that the process may run on: of the machine, of its affinity (`taskset`), of its control group's quota and of
@@ -33,10 +36,14 @@ def _seen() -> int:
 def agree_on_threads(wanted: int | None = None) -> None:
     """All pools of threads of this process, and of those that it starts, get one number: `wanted`, at most `cores()`.
 
+    Torch's threads sleep while they wait, unless the user has set OMP_WAIT_POLICY.
+
     To be called before torch, NumPy and OpenCV are imported, which read the environment then; where torch and OpenCV are there
     already they are told. Without `wanted` that is done where the process may use fewer cores than it sees (a container's
     quota), which these pools do not ask for, and numbers that the user has set stay as they are.
     """
+    # Torch's threads would turn in a loop between two products, each on a core that others could use.
+    os.environ.setdefault(WAITING, "PASSIVE")
     if wanted is None and (any(os.environ.get(name) for name in POOLS) or cores() == _seen()):
         return
     if wanted is not None:

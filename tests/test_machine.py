@@ -67,8 +67,13 @@ def test_numbers_that_the_user_has_set_stay(monkeypatch: pytest.MonkeyPatch) -> 
     for name in (*machine.POOLS, machine.THREADS):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.setenv(machine.WAITING, "ACTIVE")
     machine.agree_on_threads()
     assert os.environ["OMP_NUM_THREADS"] == "3" and machine.POOLS[1] not in os.environ
+    assert os.environ[machine.WAITING] == "ACTIVE"
+    monkeypatch.delenv(machine.WAITING)
+    machine.agree_on_threads()
+    assert os.environ[machine.WAITING] == "PASSIVE"
     monkeypatch.setenv(machine.THREADS, "1")
     assert machine.cores() == 1
 

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from omnilines.matching.kernels import hypothesis as kernel
 from omnilines.matching.kernels import voting as voting_kernel
 from omnilines.matching.kernels.epipolar import arcs_across, arcs_by_angle
 from omnilines.matching.kernels.place import agreeing
+from omnilines.matching.kernels.supporters import free_supporters, photos_of_tracks, supporting_photos
 from omnilines.matching.kernels.track import claim, near_lines, needed, united
 from omnilines.matching.options import MatchingOptions
 
@@ -318,6 +320,44 @@ def test_hypotheses_do_not_depend_on_cores_or_portions(monkeypatch: pytest.Monke
     rows = np.array([3, 77, 401])
     for name, one in vars(find_hypotheses(arcs, near, rows=rows)).items():
         np.testing.assert_array_equal(one, near if name == "neighbours" else getattr(every, name)[rows])
+
+
+def test_hypotheses_of_tasks_that_travel_are_those_of_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each task has the arcs of its photos and of their neighbours alone."""
+    arcs = some(room("fisheye").arcs(0.3, 1), 500)
+    ring = np.abs(np.arange(arcs.images)[:, None] - np.arange(arcs.images))
+    near = (ring > 0) & (np.minimum(ring, arcs.images - ring) <= 2)
+    here, sent = find_hypotheses(arcs, near), []
+
+    def elsewhere(work, items):
+        sent.extend(pickle.loads(pickle.dumps(item)) for item in items)
+        return [pickle.loads(pickle.dumps(work(item))) for item in sent]
+
+    for photos in (1, 3, 100):
+        monkeypatch.setattr(hypotheses, "PHOTOS_A_TASK", photos)
+        sent.clear()
+        found = find_hypotheses(arcs, near, workers=elsewhere)
+        for name, one in vars(here).items():
+            np.testing.assert_array_equal(one, getattr(found, name))
+        assert len(sent) == math.ceil(arcs.images / photos)
+        assert max(len(task.neighbours) for task in sent) == min(photos + 4, arcs.images)
+    assert (here.support >= 0).any()
+
+
+def test_supporters_are_counted_and_thinned_out_as_in_sets() -> None:
+    rng = np.random.default_rng(4)
+    arcs, images = 60, 7
+    image, track = np.sort(rng.integers(0, images, arcs)), rng.integers(-1, 9, arcs)
+    support = np.full((arcs, 12), -1, dtype=np.int32)
+    for k, many in enumerate(rng.integers(0, 13, arcs)):
+        support[k, :many] = rng.permutation(arcs)[:many]
+    rows = np.flatnonzero(track >= 0)
+    own = [{image[j] for j in support[k] if j >= 0 and track[j] == track[k]} for k in rows]
+    assert supporting_photos(rows, support, track, image, images).tolist() == list(map(len, own)) and any(own)
+    free = [[j for j in row if j >= 0 and track[j] < 0] for row in support.tolist()]
+    assert [[j for j in row if j >= 0] for row in free_supporters(support, track).tolist()] == free and any(free)
+    seen = [len(set(image[track == t].tolist())) for t in range(9)]
+    assert photos_of_tracks(track, image, 9).tolist() == seen and max(seen) > 1
 
 
 @pytest.mark.parametrize("name", CAMERAS)

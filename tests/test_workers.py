@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from board_views import board_corners, board_views
 from logged_work import DISK_IS_FULL, Logged
+from matching_scenes import room
 
 import omnilines as ol
 from calib_patterns import Detection
@@ -29,10 +30,13 @@ from omnilines.commands.cluster import workers
 from omnilines.commands.render_scene import render_scene
 from omnilines.commands.render_targets import render_targets
 from omnilines.commands.slurm import SlurmJobs, is_slurm
+from omnilines.matching import hypotheses
+from omnilines.matching.match import match_arcs
 from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines import batches
 from omnilines.pipelines.arcs import PhotoArcs
 from omnilines.pipelines.batches import one_by_one
+from omnilines.pipelines.part_workers import matching_workers
 from omnilines.pipelines.render import MODEL, RenderOptions
 
 SIZE, VIEWS, PATTERN = (320, 240), 5, "checkerboard:8x6:30mm"
@@ -167,6 +171,24 @@ def test_what_came_back_is_kept_where_a_worker_is_lost(scene: Scene, tmp_path: P
     again = Pickled()
     scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=again, work=tmp_path / "work"))
     assert again.count == 1
+
+
+def test_arcs_compared_by_workers_make_the_same_tracks_and_a_lost_worker_costs_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hypotheses, "PHOTOS_A_TASK", 4)
+    arcs = room("fisheye").arcs(0.3, 3)
+    here = match_arcs(arcs, tolerance_px=0.3)
+    tasks = -(-arcs.images // 4)
+    assert tasks > 2
+    for before, count in ((lambda count: None, tasks), (fails(2, error=MemoryError()), tasks + 1)):
+        pickled = Pickled(before)
+        found = match_arcs(arcs, tolerance_px=0.3, workers=matching_workers(pickled))
+        assert pickled.count == count
+        np.testing.assert_array_equal(found.tracks.track, here.tracks.track)
+        np.testing.assert_array_equal(found.hypotheses.inverse_depth, here.hypotheses.inverse_depth)
+        np.testing.assert_array_equal(found.tracks.lines.covariance.numpy(), here.tracks.lines.covariance.numpy())
+    gone = matching_workers(Pickled(fails(3, error=BrokenExecutor("a process was terminated abruptly"))))
+    with pytest.raises(InputError, match="tasks of matching 3 to 3 could not be worked on: BrokenExecutor"):
+        match_arcs(arcs, tolerance_px=0.3, workers=gone)
 
 
 def test_a_batch_whose_worker_has_no_disk_or_memory_left_is_tried_again_and_then_named(scene: Scene) -> None:

@@ -24,6 +24,9 @@ ANSWER_S, WORKER_S = 30, 60
 MORE_TRIES = 2
 """Times that a batch is worked on again of which a worker died."""
 
+LARGE_TASK = "1GB"
+"""What Dask sends without a warning."""
+
 
 @contextmanager
 def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: float = WORKER_S) -> Iterator[Executor | None]:
@@ -46,7 +49,7 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
         return
     progress("waiting for workers", 0, 0)
     if jobs is not None:
-        with _failures_allowed(), slurm_cluster(jobs) as cluster, distributed.Client(cluster) as client:
+        with _settings(), slurm_cluster(jobs) as cluster, distributed.Client(cluster) as client:
             look = "look at `squeue` and at the slurm-*.out of the jobs, or wait longer with wait=2h after slurm:"
             _wait(client, "of Slurm", jobs.wait_s, look)
             yield client.get_executor(pure=False)
@@ -58,7 +61,7 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
             f"A Dask scheduler was expected at {where}, found none that answers within {ANSWER_S} seconds "
             f"({type(error).__name__}); start one with `dask scheduler`, or check host and port."
         ) from None
-    with client:
+    with _settings(), client:
         _wait(client, f"at the scheduler {where}", wait_s, f"start workers with `dask worker {where} --nthreads 1`")
         yield client.get_executor(pure=False)
 
@@ -87,7 +90,7 @@ def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
     import dask
 
     with (
-        _failures_allowed(),
+        _settings(),
         dask.config.set({"distributed.nanny.pre-spawn-environ": {name: "1" for name in (THREADS, *POOLS)}}),
         distributed.LocalCluster(
             n_workers=cores(),
@@ -101,12 +104,13 @@ def _on_this_machine(distributed: ModuleType) -> Iterator[Any]:
         yield cluster
 
 
-def _failures_allowed() -> AbstractContextManager[Any]:
-    """The setting of a scheduler in this process."""
+def _settings() -> AbstractContextManager[Any]:
+    """Of a scheduler in this process, and of what is sent: tasks of photos full of edges hold more than Dask warns of."""
     import dask
 
-    setting: AbstractContextManager[Any] = dask.config.set({"distributed.scheduler.allowed-failures": MORE_TRIES})
-    return setting
+    set_to = {"distributed.scheduler.allowed-failures": MORE_TRIES, "distributed.admin.large-graph-warning-threshold": LARGE_TASK}
+    settings: AbstractContextManager[Any] = dask.config.set(set_to)
+    return settings
 
 
 def _address(where: str) -> str:
