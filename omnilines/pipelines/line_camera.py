@@ -24,7 +24,7 @@ from omnilines.structure.options import DirectionsOptions
 MOST_ITERATIONS = 30
 TOLERANCE = 1e-9
 """Of the cost, in a round; families and weights change it by more."""
-CHECK_TOLERANCE = 1e-6
+CHECK_TOLERANCE = 1e-5
 """Of the cost, in a check: what is left of the way to the minimum is in the scores."""
 
 
@@ -94,14 +94,10 @@ def asked_camera(
     weighted, prior = weighted_chains(model, readings, options), _prior(model, basis, readings, options)
     _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
-    asked = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
-    for _ in range(options.rounds - 1):
-        weighted = weighed(asked.model, weighted.blocks, options)
-        families = with_strays(asked.model, weighted, replace(families, direction=asked.state.direction), options)
-        asked = _solved(asked.model, weighted, families, _angles(asked), prior, options, CHECK_TOLERANCE)
-        if asked.settled:
-            break
-    return asked
+    first = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
+    weighted = weighed(first.model, weighted.blocks, options)
+    families = with_strays(first.model, weighted, replace(families, direction=first.state.direction), options)
+    return _solved(first.model, weighted, families, _angles(first), prior, options, CHECK_TOLERANCE)
 
 
 def _solved(
