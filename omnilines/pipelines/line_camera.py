@@ -69,7 +69,7 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
     prior = _prior(model, basis, chains.blocks, options)
-    problem = LineProblem(chains, like.families, basis, like.problem.angles, prior)
+    problem = LineProblem(replace(chains, at=at), like.families, basis, like.problem.angles, prior)
     begin = CameraAndCircles.right(model, normal, like.families)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
     at = offsets(solution.state.model, chains.blocks, solution.state.normal)
@@ -96,6 +96,7 @@ def asked_camera(
     families = families_of(model, weighted, options, directions, progress)
     first = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
     weighted = weighed(first.model, weighted.blocks, options)
+    _require(int((weighted.weight > 0).sum()), options)
     families = with_strays(first.model, weighted, replace(families, direction=first.state.direction), options)
     return _solved(first.model, weighted, families, _angles(first), prior, options, CHECK_TOLERANCE)
 
