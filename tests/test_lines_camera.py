@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -290,20 +291,35 @@ def checked(model: CameraModel, chains: Chains) -> LineCheck:
 
 
 def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> None:
-    """A focal length off by 2 percent: lines do not meet by many times their noise, and what they ask for is as certain as under
-    the right camera."""
-    chains, off = true_chains(FISHEYE, 1), {"fx": 4.6, "fy": 4.616}
-    right, wrong = checked(FISHEYE, chains), checked(disturbed(FISHEYE, **off), chains)
-    assert wrong.sigma_px < 1.5 * right.sigma_px
-    # To first order: families are those that the wrong camera shows.
-    np.testing.assert_allclose(wrong.change[:2], [-value for value in off.values()], rtol=0.2)
+    """A focal length off by half a percent: lines do not meet by many times their noise; what they ask for is as certain as under
+    the right camera, within a factor of two."""
+    chains, off = true_chains(FISHEYE, 1), np.array([1.15, 1.154])
+    right, wrong = checked(FISHEYE, chains), checked(disturbed(FISHEYE, fx=1.15, fy=1.154), chains)
+    assert wrong.sigma_px < 2.0 * right.sigma_px
+    assert (np.abs(wrong.change[:2] + off) < 4.0 * wrong.change_sigma[:2]).all()
+    assert (off > 5.0 * wrong.change_sigma[:2]).all()
 
 
 @pytest.mark.full
-def test_the_right_camera_is_refused_as_often_as_stated() -> None:
-    """Of 200 sets: probabilities are even between 0 and 1 (Kolmogorov and Smirnov, once in 1e4), and few are small."""
-    found = np.sort([checked(FISHEYE, true_chains(FISHEYE, 100 + seed, photos=4)).probability for seed in range(200)])
-    assert float((np.arange(1, 201) / 200 - found).max()) < 0.15 and int((found < 0.01).sum()) <= 8
+def test_the_right_camera_is_refused_no_more_often_than_stated() -> None:
+    """Of 100 sets of few edges: probabilities are not smaller than even ones (Kolmogorov and Smirnov, once in 1e4)."""
+    found = np.sort([checked(FISHEYE, true_chains(FISHEYE, 100 + seed, photos=4)).probability for seed in range(100)])
+    assert float((np.arange(1, 101) / 100 - found).max()) < 0.21 and int((found < 0.01).sum()) <= 5
+
+
+@pytest.mark.full
+def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_percent() -> None:
+    """JPEG of quality 75, which makes edges err by several times as much, and alike over many pixels."""
+    made = ol.render("room", "opencv-fisheye", fov_deg=190.0, views=10, size_px=(640, 480), seed=201)
+    photos = {}
+    for name in made.photos:
+        saved = cv2.imencode(".jpg", np.asarray(made.photos[name])[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
+        photos[name] = np.ascontiguousarray(cv2.imdecode(saved, cv2.IMREAD_COLOR)[..., ::-1])
+    value = made.camera.named_parameters()
+    off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
+    right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
+    assert right.holds and right.found.probability > 0.01
+    assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px
 
 
 def status_of(*arguments: str) -> int:

@@ -24,7 +24,7 @@ from omnilines.structure.options import DirectionsOptions
 MOST_ITERATIONS = 30
 TOLERANCE = 1e-9
 """Of the cost, in a round; families and weights change it by more."""
-CHECK_TOLERANCE = 1e-6
+CHECK_TOLERANCE = 1e-5
 """Of the cost, in a check: what is left of the way to the minimum is in the scores."""
 
 
@@ -69,7 +69,7 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
     prior = _prior(model, basis, chains.blocks, options)
-    problem = LineProblem(chains, like.families, basis, like.problem.angles, prior)
+    problem = LineProblem(replace(chains, at=at), like.families, basis, like.problem.angles, prior)
     begin = CameraAndCircles.right(model, normal, like.families)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
     at = offsets(solution.state.model, chains.blocks, solution.state.normal)
@@ -94,14 +94,11 @@ def asked_camera(
     weighted, prior = weighted_chains(model, readings, options), _prior(model, basis, readings, options)
     _require(int((weighted.weight > 0).sum()), options)
     families = families_of(model, weighted, options, directions, progress)
-    asked = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
-    for _ in range(options.rounds - 1):
-        weighted = weighed(asked.model, weighted.blocks, options)
-        families = with_strays(asked.model, weighted, replace(families, direction=asked.state.direction), options)
-        asked = _solved(asked.model, weighted, families, _angles(asked), prior, options, CHECK_TOLERANCE)
-        if asked.settled:
-            break
-    return asked
+    first = _solved(model, weighted, families, None, prior, options, CHECK_TOLERANCE)
+    weighted = weighed(first.model, weighted.blocks, options)
+    _require(int((weighted.weight > 0).sum()), options)
+    families = with_strays(first.model, weighted, replace(families, direction=first.state.direction), options)
+    return _solved(first.model, weighted, families, _angles(first), prior, options, CHECK_TOLERANCE)
 
 
 def _solved(

@@ -62,6 +62,8 @@ class Families:
         return len(self.direction) - 3 * self.frames
 
 
+LOST_SIGMAS = 3.0
+"""A point that a camera no longer sees is taken to be off by so much: none gains by not seeing edges."""
 PAIRS = ((1, 2), (0, 2), (0, 1))
 """Axes of a frame between which right angles may be off, in the order of their deviations."""
 
@@ -156,7 +158,8 @@ class LineProblem:
         # Strays are stated as they are, however noisy edges turn out to be.
         per = (weight * self.chains.scale / self.families.stray_rad)[self.members]
         d, n = state.direction[self._of_member], state.normal[self.members]
-        residual = torch.cat([points.px * scale, (n * d).sum(-1) * per])
+        lost = self.chains.at.valid & ~points.valid
+        residual = torch.cat([torch.where(lost, LOST_SIGMAS * weight[chain], points.px * scale), (n * d).sum(-1) * per])
         by_member = (d[:, None] @ basis[self.members])[:, 0] * per[:, None]
         by_kept = []
         if self.basis.shape[1]:
