@@ -144,8 +144,8 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
     kept &= stands_out(photo, fitted, options.clutter)
     arcs = fitted.arcs.keep(kept)
     known = profiled(photo, arcs, noise, options.neighbours)
-    blur_px = photo_blur(photo.model, known, fitted.contrast[kept], options)
-    known = _with_hidden(photo, known, blur_px, noise, options)
+    blur_px, beside = photo_blur(photo.model, known, fitted.contrast[kept], options)
+    known = _with_hidden(photo, known, blur_px, max(noise, beside), options)
     arcs = fit_together(photo.model, known, blur_px, options.neighbours, options.refit)
     length_px = lengths_px(photo.model, arcs)
     rate = spans(photo.model, arcs)[1]

@@ -57,7 +57,7 @@ def within_rim(
 
 
 def _centre(model: CameraModel) -> Float[np.ndarray, "2"]:
-    centre: Float[np.ndarray, "2"] = model.centre_px.detach().numpy()
+    centre: Float[np.ndarray, 2] = model.centre_px.detach().numpy()
     return centre
 
 

@@ -107,7 +107,9 @@ def check(
         check_mask(mask, [model])
     refs, estimate = photos_of(photos), cameras.estimates.get(name)
     lines = options.lines
-    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_angles_rad(estimate), progress=progress)
+    chains, skipped = arc_chains_of(
+        refs, model, lines.extraction, mask=mask, known_rad=known_angles_rad(estimate), progress=progress
+    )
     weighted, families, scores, basis = held_camera(model, chains, lines.adjustment, lines.directions, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     members = int((families.of_chain[weighted.weight > 0] >= 0).sum())
