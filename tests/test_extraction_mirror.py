@@ -39,7 +39,7 @@ def edge_points(share: float) -> np.ndarray:
 @pytest.mark.parametrize(("model", "share", "found"), [(MIRROR, 1.0, True), (MIRROR, 0.6, False), (LENS, 1.0, False)])
 def test_nothing_is_of_the_scene_beyond_the_rim_of_a_mirror(model: Scaramuzza, share: float, found: bool) -> None:
     points = edge_points(share)
-    inside = within_rim(model, points, known_rad(model), ExtractionOptions())
+    inside = within_rim(model, points, known_rad(model)[1], ExtractionOptions())
     off = np.linalg.norm(points[:, :2] - model.centre_px.numpy(), axis=-1)
     assert inside[off < RIM_PX - 12.0].all()
     assert (not inside[off > RIM_PX - 2.0].any()) if found else inside.all()
