@@ -162,7 +162,8 @@ def _left(cells: Bool[np.ndarray, "h w"], place: Float[np.ndarray, "n 2"]) -> fl
 def _chart(
     model: CameraModel, side: int, reach: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]], between: float
 ) -> tuple[Float[np.ndarray, "h w 8"], Bool[np.ndarray, "h w"], Float[np.ndarray, "2"]]:
-    """The `chart_table` of one half sphere around places from the one of `reach` to the other, the good cells, and the place of the first node."""
+    """The `chart_table` of one half sphere from the one place of `reach` to the other and around, the good cells, and the place
+    of the first node."""
     low, high = reach[0] - _BEYOND * between, reach[1] + _BEYOND * between
     count = ((high - low) / between + 1.0).astype(np.int64)
     beside = np.stack(np.meshgrid(*(low[k] + between * np.arange(count[k]) for k in (0, 1)), indexing="ij"), -1)

@@ -29,6 +29,7 @@ from omnilines.extraction.options import ExtractionOptions
 from omnilines.extraction.refit import Photo, Refitted, joined, refit
 
 EVERYWHERE = (0.0, math.inf)
+"""Angles between which a calibration is known that says nothing of that."""
 LEAST_NOISE = 0.3
 """Grey levels: rounding to whole ones."""
 
@@ -127,9 +128,8 @@ def _begun(
     if circle is not None:
         scene = ~follows_rim(image, circle, points.astype(np.float64), options.support.min_cosine, options.image_circle)
         cells, points = cells[scene], points[scene]
-    for shown in (within_rim, off_mount):
-        scene = shown(model, points, known_rad, options)
-        cells, points = cells[scene], points[scene]
+    scene = within_rim(model, points, known_rad[1], options) & off_mount(model, points, known_rad[0])
+    cells, points = cells[scene], points[scene]
     edgels = numbered(model.image_size, model.PERIODIC, cells, points)
     photo = Photo(image.reshape(height, width, -1), model, edgels)
     order, starts = chains(links(edgels, cells, options.chains.min_cosine))
@@ -144,8 +144,8 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
     kept &= stands_out(photo, fitted, options.clutter)
     arcs = fitted.arcs.keep(kept)
     known = profiled(photo, arcs, noise, options.neighbours)
-    blur_px = photo_blur(photo.model, known, fitted.contrast[kept], options)
-    known = _with_hidden(photo, known, blur_px, noise, options)
+    blur_px, beside = photo_blur(photo.model, known, fitted.contrast[kept], options)
+    known = _with_hidden(photo, known, blur_px, max(noise, beside), options)
     arcs = fit_together(photo.model, known, blur_px, options.neighbours, options.refit)
     length_px = lengths_px(photo.model, arcs)
     rate = spans(photo.model, arcs)[1]

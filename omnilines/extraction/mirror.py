@@ -1,4 +1,4 @@
-"""What a photo of a mirror shows beside the scene: its mount in the middle, and around it all that the camera sees past its rim."""
+"""What a photo of a mirror shows beside the scene: its mount in the middle, and around it what the camera sees past its rim."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -14,32 +14,30 @@ _BEYOND = 1.1
 """So many times as far off the centre as a cone is, a pixel is outside it, whichever way the sensor is tilted."""
 
 
-def off_mount(
-    model: CameraModel, points: Float32[np.ndarray, "n 4"], known_rad: tuple[float, float], options: ExtractionOptions
-) -> Bool[np.ndarray, " n"]:
-    """Which edge points lie at least `known_rad[0]` off the bearing of the centre pixel."""
+def off_mount(model: CameraModel, points: Float32[np.ndarray, "n 4"], least_rad: float) -> Bool[np.ndarray, " n"]:
+    """Which edge points lie at least so far off the bearing of the centre pixel."""
     result = np.ones(len(points), dtype=bool)
-    if known_rad[0] > 0.0:
+    if least_rad > 0.0:
         off = np.linalg.norm(points[:, :2] - _centre(model), axis=-1)
-        near = np.flatnonzero(off < _BEYOND * _cone_px(model, known_rad[0]).max())
-        result[near] = bearings_at(model, points[near, :2].astype(np.float64))[0] @ axis_of(model) < np.cos(known_rad[0])
+        near = np.flatnonzero(off < _BEYOND * _cone_px(model, least_rad).max())
+        result[near] = bearings_at(model, points[near, :2].astype(np.float64))[0] @ axis_of(model) < np.cos(least_rad)
     return result
 
 
 def within_rim(
-    model: CameraModel, points: Float32[np.ndarray, "n 4"], known_rad: tuple[float, float], options: ExtractionOptions
+    model: CameraModel, points: Float32[np.ndarray, "n 4"], most_rad: float, options: ExtractionOptions
 ) -> Bool[np.ndarray, " n"]:
     """Which edge points lie inside the rim of a mirror: all where none is found, and for a camera that looks forwards.
 
-    Beyond `known_rad[1]` off the bearing of the centre pixel, the innermost circle around that pixel on which edge points that
+    Beyond `most_rad` off the bearing of the centre pixel, the innermost circle around that pixel on which edge points that
     follow it lie in nearly all directions, as far as the image goes: a line of the world is on it in few.
     """
     result = np.ones(len(points), dtype=bool)
-    if axis_of(model)[2] >= 0.0 or not known_rad[1] < model.max_angle:
+    if axis_of(model)[2] >= 0.0 or not most_rad < model.max_angle:
         return result
     circle, way = options.image_circle, points[:, :2] - _centre(model)
     off = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
-    begin = float(_cone_px(model, known_rad[1]).min())
+    begin = float(_cone_px(model, most_rad).min())
     follows = np.abs((way * points[:, 2:]).sum(-1)) > options.support.min_cosine * off
     rows = np.flatnonzero(follows & (off > begin))
     if not len(rows):
@@ -57,7 +55,7 @@ def within_rim(
 
 
 def _centre(model: CameraModel) -> Float[np.ndarray, "2"]:
-    centre: Float[np.ndarray, "2"] = model.centre_px.detach().numpy()
+    centre: Float[np.ndarray, 2] = model.centre_px.detach().numpy()
     return centre
 
 

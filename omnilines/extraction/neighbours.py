@@ -5,6 +5,7 @@ A single step fitted to such a profile lies between both edges, or is pulled fro
 an arc is fitted with one blurred step for each arc that crosses it.
 """
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.special import stdtrit
 
 from camera_models import CameraModel
 from omnilines.extraction.arcs import Arcs
-from omnilines.extraction.blocks import Blocks, Profiled, StepFit, fit_places
+from omnilines.extraction.blocks import LEAST_WEIGHT, Blocks, Profiled, StepFit, fit_places, window_weights
 from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.step_edge import ROUNDS
 from omnilines.extraction.kernels.tables import Places
@@ -25,8 +26,12 @@ BLUR_ARCS, BLUR_STRIDE = 40, 3
 """The longest arcs tell the blur; blurs that are skipped at first."""
 
 
-def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"], options: ExtractionOptions) -> float:
-    """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them."""
+def photo_blur(
+    model: CameraModel, known: Profiled, contrast: Float[np.ndarray, " n"], options: ExtractionOptions
+) -> tuple[float, float]:
+    """Standard deviation (px) of the blurred steps that explain the photo's sharp, lone arcs best: the median of them; and that
+    of what these steps leave of a profile one pixel wide, in grey levels of 255, 0 where no arc tells it. Where a camera has
+    taken noise out of the flats, sharpened, or made a JPEG of it, that is more than the noise in the flats."""
     beside = options.neighbours
     strong = np.flatnonzero((contrast >= options.blur.min_grey) & (np.diff(known.blocks.starts) >= beside.min_blocks))
     blocks = known.crossed(model, strong, beside.min_cosine)
@@ -34,7 +39,7 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
     # Longest first.
     lone = np.sort(lone[np.argsort(-np.diff(blocks.starts)[lone], kind="stable")[:BLUR_ARCS]])
     if not len(lone):
-        return options.blur.typical_px
+        return options.blur.typical_px, 0.0
     blocks = known.blocks.keep(strong[lone])
     left = np.full((len(BLURS_PX), len(lone)), np.inf)
     # Some blurs first; then those around the median of the best, on which alone it depends.
@@ -47,7 +52,12 @@ def photo_blur(model: CameraModel, known: Profiled, contrast: Float[np.ndarray, 
         middle = round(float(np.median(left.argmin(0))))
         near = np.arange(max(middle - BLUR_STRIDE, 0), min(middle + BLUR_STRIDE + 1, len(BLURS_PX)))
         tried = near[np.isinf(left[near, 0])]
-    return float(np.median(BLURS_PX[left.argmin(0)]))
+    weight = np.square(window_weights(options.refit.taper_px))
+    weight = weight[weight >= LEAST_WEIGHT**2]
+    # A level, a step and its place are fitted to each channel's values.
+    freedom = blocks.profile.shape[1] * float(weight.sum()) * (1.0 - 3.0 / len(weight))
+    rest = float(np.median(left.min(0))) * float(np.mean(blocks.length)) / freedom
+    return float(np.median(BLURS_PX[left.argmin(0)])), math.sqrt(rest)
 
 
 def step_fit(options: NeighbourOptions, taper_px: float, blur_px: float, rounds: int = ROUNDS) -> StepFit:

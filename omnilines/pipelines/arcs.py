@@ -147,7 +147,13 @@ def extract(
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
     turned = by_camera(refs, camera_of)
     items = [_Item(photo, camera_of[photo.name], turned.get(photo.name)) for photo in refs]
-    look = _Look(dict(cameras.cameras), {name: known_angles_rad(cameras.estimates.get(name)) for name in cameras}, mask, options, appearance)
+    look = _Look(
+        dict(cameras.cameras),
+        {name: known_angles_rad(cameras.estimates.get(name)) for name in cameras},
+        mask,
+        options,
+        appearance,
+    )
     kept = None if work is None else _Kept(look, output_folder(work_folder(work) / "arcs"))
     known = [] if kept is None else on_all_cores(kept.known, items, "looking for kept arcs", progress)
     found = {k: arcs for k, (_, arcs) in enumerate(known) if arcs is not None}

@@ -2,12 +2,12 @@
 
     python tests/bench/bench_compressed.py [--scene room] [--model opencv-fisheye] [--views 20] [--seeds 0] [--small]
 
-The same photos (noise of 2 grey levels, blur 0.5 px) as they are drawn, as JPEG of quality 90 and 75, and as phones make them: noise taken
-out where colours differ little (bilateral), sharpened (0.8 of what a Gaussian of 1 px takes away), JPEG of quality 85. Colours are at
-half the resolution in all JPEGs, as in most cameras. Arcs are those of `extract`, of 25 px and more; lines those of `reconstruct`
-with exact poses, scored by omnilines.evaluation and omnilines.studies.scene_validation. "chi2" is the median over ends of arcs
-of their squared distance from the true great circle over its variance, 1 where variances are right (over 0.455, that of chi-square
-of one degree of freedom).
+The same photos (noise of 2 grey levels, blur 0.5 px) as they are drawn, as JPEG of quality 90 and 75, and as phones make them:
+noise taken out where colours differ little (bilateral), sharpened (0.8 of what a Gaussian of 1 px takes away), JPEG of quality
+85. Colours are at half the resolution in all JPEGs, as in most cameras. Arcs are those of `extract`, of 25 px and more; lines
+those of `reconstruct` with exact poses, scored by omnilines.evaluation and omnilines.studies.scene_validation. "chi2" is the
+median over ends of arcs of their squared distance from the true great circle over its variance, 1 where variances are right
+(over 0.455, that of chi-square of one degree of freedom).
 """
 
 import argparse
@@ -98,7 +98,6 @@ def tables(scene: str, model: str, views: int, seeds: list[int], size: tuple[int
             arcs, label = ol.extract(photos, truth.camera), f"{scene} {seed}, {name}"
             arcs_of.append(arc_row(label, truth, arcs))
             lines_of.append(line_row(label, truth, arcs))
-            print(arcs_of[-1], lines_of[-1], flush=True)
     header = [
         "photos",
         "covered",

@@ -76,7 +76,7 @@ class Move(NamedTuple):
 @njit(cache=True, nogil=True, **REORDERED, **BORROWED)
 @no_type_check
 def _exponential(x: float) -> float:
-    """exp of -700 to 700, to 1e-11 of it, in instructions for several lanes at once; that of the library takes them one by one."""
+    """exp of -700 to 700, to 1e-11 of it, in instructions for several lanes at once; the library takes them one by one."""
     power = math.floor(x * 1.4426950408889634 + 0.5)
     r = x - power * 0.6931471805599453
     total = 1.0 + r / 9.0
