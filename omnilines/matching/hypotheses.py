@@ -93,7 +93,7 @@ class _Compared:
     def of_photos(self, first: int, last: int) -> "_Compared":
         """Those of the photos from `first` up to `last`, with their neighbours: a task that travels. Photos and arcs keep their
         order, on which results depend."""
-        wanted = self.neighbours[first:last].any(0)
+        wanted = np.asarray(self.neighbours[first:last].any(0))
         wanted[first:last] = True
         photos = np.flatnonzero(wanted)
         kept = np.flatnonzero(np.isin(self.image, photos))
