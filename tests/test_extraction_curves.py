@@ -60,6 +60,17 @@ def test_few_rays_of_a_mirror_are_asked_of_the_model() -> None:
     assert np.abs(found - asked)[read].max() < 3.0 * MOST_CHART_ERROR_PX
 
 
+def test_charts_of_both_half_spheres_meet() -> None:
+    """Of the same mirror, whose second chart is finer than the nodes of the image: rays at a right angle to the axis."""
+    radial = [-192.7, 0.29404, -0.010135898, 1.594857149e-4, -1.384587017e-6, 6.8718701986e-9, -1.831616701e-11, 2.03910864e-14]
+    model = Scaramuzza([324.5, 247.5, 1.0, 0.0, 0.0, *radial], (640, 480))
+    angle, around = np.radians(np.random.default_rng(0).uniform([89.98, 0.0], [90.02, 360.0], (5000, 2))).T
+    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), -np.cos(angle)], -1)
+    found, read = read_pixels(_charts(model), rays)
+    assert read.mean() > 0.98
+    assert np.abs(found - model.project(rays)[0])[read].max() < 3.0 * MOST_CHART_ERROR_PX
+
+
 @pytest.mark.parametrize("model", EXAMPLES)
 def test_samples_lie_where_the_model_says(model: CameraModel) -> None:
     """Arcs between random pixels, short ones and long ones, and beyond their ends."""
