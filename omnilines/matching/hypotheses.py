@@ -93,9 +93,8 @@ class _Compared:
     def of_photos(self, first: int, last: int) -> "_Compared":
         """Those of the photos from `first` up to `last`, with their neighbours: a task that travels. Photos and arcs keep their
         order, on which results depend."""
-        wanted = np.asarray(self.neighbours[first:last].any(0))
-        wanted[first:last] = True
-        photos = np.flatnonzero(wanted)
+        own = np.arange(first, min(last, len(self.neighbours)))
+        photos = np.union1d(own, np.nonzero(self.neighbours[own])[1])
         kept = np.flatnonzero(np.isin(self.image, photos))
         low, high = self.starts[[first, min(last, len(self.starts) - 1)]]
         image = np.searchsorted(photos, self.image[kept])
