@@ -14,6 +14,7 @@ ENDS = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 COLUMNS = ("track", *ENDS, "views", "rms_px", "sigma_m", "status")
 SHARE = "shown_share"
 """Of lines that were found in photos."""
+OPTIONAL = (SHARE,)
 
 
 def read_lines(path: str | Path) -> Lines:
@@ -22,7 +23,7 @@ def read_lines(path: str | Path) -> Lines:
     Raises InputError naming file, line and column where a track stands twice, a status is not one of `LINE_STATUSES`, the
     coordinates are not there for `ok` and `weak` or are there for others, or a number is none.
     """
-    table = read_table(path, COLUMNS, (SHARE,), may_be_empty=True)
+    table = read_table(path, COLUMNS, OPTIONAL, may_be_empty=True)
     track, tracks = table.names("track")
     _, first = np.unique(track, return_index=True)
     once = np.zeros(len(table), dtype=bool)
