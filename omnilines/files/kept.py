@@ -6,6 +6,7 @@ another has no such seal: it is made anew.
 
 import hashlib
 import io
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from camera_models import InputError
 from camera_models.formats.disk import read_bytes, write_atomically
 
 SEAL_BYTES = 32
+_ONE_HEADER = threading.Lock()
+"""NumPy parses headers as Python; CPython before 3.11.8 and 3.12.2 raises SystemError where two threads parse at a time
+(github.com/python/cpython/issues/106905)."""
 
 
 def write_kept(path: Path, inputs: str, arrays: Mapping[str, np.ndarray]) -> None:
@@ -33,7 +37,7 @@ def read_kept(path: Path, inputs: str) -> dict[str, np.ndarray] | None:
     archive = content[:-SEAL_BYTES]
     if content[-SEAL_BYTES:] != _seal(archive, inputs):
         return None
-    with np.load(io.BytesIO(archive)) as file:
+    with _ONE_HEADER, np.load(io.BytesIO(archive)) as file:
         return dict(file)
 
 
