@@ -309,17 +309,22 @@ def test_the_right_camera_is_refused_no_more_often_than_stated() -> None:
 
 @pytest.mark.full
 def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_percent() -> None:
-    """JPEG of quality 75, which makes edges err by several times as much, and alike over many pixels."""
-    made = ol.render("room", "opencv-fisheye", fov_deg=190.0, views=10, size_px=(640, 480), seed=201)
-    photos = {}
-    for name in made.photos:
-        saved = cv2.imencode(".jpg", np.asarray(made.photos[name])[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
-        photos[name] = np.ascontiguousarray(cv2.imdecode(saved, cv2.IMREAD_COLOR)[..., ::-1])
-    value = made.camera.named_parameters()
-    off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
-    right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
-    assert right.holds and right.found.probability > 0.01
-    assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px
+    """JPEG of quality 75, which makes edges err by several times as much, and alike over many pixels. Five of six small sets
+    tell it, and the right camera is refused in none: 0.7 px is then four to seven times the noise of the drift."""
+    told = 0
+    for seed in range(201, 207):
+        made = ol.render("room", "opencv-fisheye", fov_deg=190.0, views=10, size_px=(640, 480), seed=seed)
+        photos = {}
+        for name in made.photos:
+            saved = cv2.imencode(".jpg", np.asarray(made.photos[name])[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
+            photos[name] = np.ascontiguousarray(cv2.imdecode(saved, cv2.IMREAD_COLOR)[..., ::-1])
+        value = made.camera.named_parameters()
+        off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
+        right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
+        assert right.holds and right.found.probability > 0.01
+        assert wrong.found.probability < 0.01 and wrong.found.sigma_px < 2.0 * right.found.sigma_px
+        told += not wrong.holds
+    assert told >= 5
 
 
 def status_of(*arguments: str) -> int:
