@@ -14,10 +14,10 @@ from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration, RigMember
-from omnilines.calibration.single import CameraCalibration
 from omnilines.pages.calibration import board_curves, calibration_verdict, line_delay_data, projection_curve, supported_circle_px
 from omnilines.pages.limits import rig_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary

@@ -16,8 +16,9 @@ from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record
+from omnilines.calibration.result import CameraCalibration, with_remarks
 from omnilines.calibration.select import Selection, select_model
-from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
+from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresholds
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress

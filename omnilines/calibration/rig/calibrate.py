@@ -13,6 +13,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.options import AUTO
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.adopt import adopted_views, renumbered
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
 from omnilines.calibration.rig.clocks import with_clocks
@@ -37,7 +38,7 @@ from omnilines.calibration.rig.start import (
 from omnilines.calibration.rig.terms import without_unsupported_terms
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.select import select_model
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.views import corner_weights
 from omnilines.least_squares import Progress
