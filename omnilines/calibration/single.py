@@ -11,10 +11,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from omnilines.calibration.board_shape import BoardShape
-from omnilines.calibration.diagnose import (
-    angles_off_axis,
-    refuse_parallel_boards,
-)
+from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.finish import LastFit, camera_result
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
