@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
     from omnilines.pipelines.rectify import RectifiedViews, rectify
-    from omnilines.pipelines.render import RenderedScene, RenderedTargets, RenderOptions, render
+    from omnilines.pipelines.render import RenderOptions, render
+    from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
     from omnilines.pipelines.scene import Scene
     from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
@@ -102,7 +103,8 @@ _HOMES = {
     "omnilines.pipelines.export": ("export", "SceneExport"),
     "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
     # A known truth -> photos, and what becomes of them.
-    "omnilines.pipelines.render": ("render", "RenderOptions", "RenderedTargets", "RenderedScene"),
+    "omnilines.pipelines.render": ("render", "RenderOptions"),
+    "omnilines.pipelines.rendered": ("RenderedTargets", "RenderedScene"),
     "omnilines.studies.validate": ("validate",),
     "omnilines.studies.validation": ("Validation",),
     "omnilines.studies.scene_validation": ("SceneValidation",),
