@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.check import CheckResult, check
     from omnilines.pipelines.check_options import CheckOptions
     from omnilines.pipelines.convert import ConversionResult, convert
-    from omnilines.pipelines.detect import PhotoCorners, detect
+    from omnilines.pipelines.detect import detect
     from omnilines.pipelines.detect_rig import RigCorners, detect_rig
     from omnilines.pipelines.directions import PhotoDirections, directions
     from omnilines.pipelines.export import SceneExport, export
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.line_options import LinesOptions
     from omnilines.pipelines.options import SceneOptions
+    from omnilines.pipelines.photo_corners import PhotoCorners
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
     from omnilines.pipelines.rectify import RectifiedViews, rectify
@@ -74,7 +75,8 @@ _HOMES = {
     # Videos -> frames; photos of a target -> cameras.
     "omnilines.pipelines.frames": ("frames", "ChosenFrames"),
     "omnilines.footage.options": ("FrameOptions",),
-    "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
+    "omnilines.pipelines.detect": ("detect",),
+    "omnilines.pipelines.photo_corners": ("PhotoCorners",),
     "calib_patterns.options": ("DetectionOptions",),
     "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
     "omnilines.pipelines.calibrate_one": ("calibrate",),

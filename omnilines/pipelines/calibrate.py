@@ -23,10 +23,11 @@ from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresh
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
 from omnilines.pipelines.batches import one_by_one
-from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
+from omnilines.pipelines.detect import search_again
 from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.photo_corners import CORNERS, PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
 

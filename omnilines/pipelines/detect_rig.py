@@ -22,7 +22,8 @@ from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_fold
 from omnilines.files.frames import times_of
 from omnilines.files.sets import claimed
 from omnilines.files.videos import find_videos
-from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
+from omnilines.pipelines.detect import detect
+from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners
 from omnilines.pipelines.recognise import as_printed
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult

@@ -21,8 +21,8 @@ from omnilines.files.split import Split
 from omnilines.files.videos import open_videos, together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, Look, spaced, stillest
-from omnilines.pipelines.detect import corner_table
 from omnilines.pipelines.instants import Lens, instants_of, lenses_of
+from omnilines.pipelines.photo_corners import corner_table
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.rolling_frames import moving_runs, rolling_note
 from omnilines.progress import ProgressCallback, on_all_cores, silent

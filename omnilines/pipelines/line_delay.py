@@ -15,7 +15,7 @@ from omnilines.calibration.rig.rolling import follow_closely, not_closely
 from omnilines.calibration.thresholds import ClockThresholds
 from omnilines.files.frames import times_of
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback
 from omnilines.records import Corners
 

@@ -23,7 +23,8 @@ from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
 from omnilines.files import read_corners, read_photo
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners, detect
+from omnilines.pipelines.detect import detect
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 from omnilines.studies.board_figures import BoardExperiment, measure
