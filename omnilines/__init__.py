@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.check_options import CheckOptions
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import detect
-    from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+    from omnilines.pipelines.detect_rig import detect_rig
     from omnilines.pipelines.directions import PhotoDirections, directions
     from omnilines.pipelines.export import SceneExport, export
     from omnilines.pipelines.frames import ChosenFrames, frames
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.rectify import RectifiedViews, rectify
     from omnilines.pipelines.render import RenderOptions, render
     from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
+    from omnilines.pipelines.rig_corners import RigCorners
     from omnilines.pipelines.scene import Scene
     from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
@@ -78,7 +79,8 @@ _HOMES = {
     "omnilines.pipelines.detect": ("detect",),
     "omnilines.pipelines.photo_corners": ("PhotoCorners",),
     "calib_patterns.options": ("DetectionOptions",),
-    "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
+    "omnilines.pipelines.detect_rig": ("detect_rig",),
+    "omnilines.pipelines.rig_corners": ("RigCorners",),
     "omnilines.pipelines.calibrate_one": ("calibrate",),
     "omnilines.pipelines.calibrate": ("CalibrationResult",),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),

@@ -13,7 +13,8 @@ from omnilines.files.sets import claimed
 from omnilines.pages.rig import rig_data, rig_summaries
 from omnilines.pipelines.calibrate import view_details
 from omnilines.pipelines.calibrate_rig import RIG_FILES, RigSetup, calibrate_rig
-from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+from omnilines.pipelines.detect_rig import detect_rig
+from omnilines.pipelines.rig_corners import RigCorners
 from omnilines.progress import ProgressCallback, silent
 
 

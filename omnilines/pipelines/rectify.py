@@ -27,7 +27,7 @@ from omnilines.files.folders import written
 from omnilines.files.levels import LevelRow, read_levels, write_levels
 from omnilines.files.sets import claimed, settle
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos
-from omnilines.pipelines.detect_rig import frame_of
+from omnilines.pipelines.rig_corners import frame_of
 from omnilines.pipelines.upright import Level, Levels, levels_of
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
