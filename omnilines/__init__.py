@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from omnilines.footage.options import FrameOptions
     from omnilines.matching.options import MatchingOptions
     from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
-    from omnilines.pipelines.arcs import PhotoArcs, extract
+    from omnilines.pipelines.arcs import extract
     from omnilines.pipelines.calibrate import CalibrationResult
     from omnilines.pipelines.calibrate_lines import LineResult
     from omnilines.pipelines.calibrate_one import calibrate
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.line_options import LinesOptions
     from omnilines.pipelines.options import SceneOptions
+    from omnilines.pipelines.photo_arcs import PhotoArcs
     from omnilines.pipelines.photo_corners import PhotoCorners
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
@@ -91,7 +92,8 @@ _HOMES = {
     "omnilines.calibration.options": ("CalibrationOptions",),
     "omnilines.pipelines.convert": ("convert", "ConversionResult"),
     # Photos and cameras -> arcs, poses, lines.
-    "omnilines.pipelines.arcs": ("extract", "PhotoArcs"),
+    "omnilines.pipelines.arcs": ("extract",),
+    "omnilines.pipelines.photo_arcs": ("PhotoArcs",),
     "omnilines.pipelines.given_arcs": ("given_arcs",),
     "omnilines.extraction": ("ExtractionOptions",),
     "omnilines.pipelines.directions": ("directions", "PhotoDirections"),

@@ -34,9 +34,9 @@ from omnilines.matching import hypotheses
 from omnilines.matching.match import match_arcs
 from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines import batches
-from omnilines.pipelines.arcs import PhotoArcs
 from omnilines.pipelines.batches import one_by_one
 from omnilines.pipelines.part_workers import matching_workers
+from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.render import MODEL, RenderOptions
 
 SIZE, VIEWS, PATTERN = (320, 240), 5, "checkerboard:8x6:30mm"

@@ -20,8 +20,9 @@ from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.scene_folder import UNIT_KEY
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
+from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import without_copies
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap

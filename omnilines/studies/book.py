@@ -21,7 +21,8 @@ from omnilines.costs import COSTS
 from omnilines.evaluation.arcs import arc_scores
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pipelines.arcs import extract, in_order, segments_of
+from omnilines.pipelines.arcs import extract
+from omnilines.pipelines.photo_arcs import in_order, segments_of
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.rendered import RenderedScene
 from omnilines.posing.from_corners import poses_from_corners
