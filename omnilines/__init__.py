@@ -56,7 +56,8 @@ if TYPE_CHECKING:
     from omnilines.pipelines.photo_corners import PhotoCorners
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
-    from omnilines.pipelines.rectify import RectifiedViews, rectify
+    from omnilines.pipelines.rectified import RectifiedViews
+    from omnilines.pipelines.rectify import rectify
     from omnilines.pipelines.render import RenderOptions, render
     from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
     from omnilines.pipelines.rig_corners import RigCorners
@@ -107,7 +108,8 @@ _HOMES = {
     "omnilines.matching.options": ("MatchingOptions",),
     "omnilines.pipelines.adjust": ("adjust", "triangulate", "segments_of_arrays"),
     "omnilines.pipelines.export": ("export", "SceneExport"),
-    "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
+    "omnilines.pipelines.rectify": ("rectify",),
+    "omnilines.pipelines.rectified": ("RectifiedViews",),
     # A known truth -> photos, and what becomes of them.
     "omnilines.pipelines.render": ("render", "RenderOptions"),
     "omnilines.pipelines.rendered": ("RenderedTargets", "RenderedScene"),
