@@ -43,12 +43,13 @@ if TYPE_CHECKING:
     from omnilines.pipelines.calibrate_rig import RigResult, calibrate_rig
     from omnilines.pipelines.check import CheckResult, check
     from omnilines.pipelines.check_options import CheckOptions
+    from omnilines.pipelines.chosen_frames import ChosenFrames
     from omnilines.pipelines.convert import ConversionResult, convert
     from omnilines.pipelines.detect import detect
     from omnilines.pipelines.detect_rig import detect_rig
     from omnilines.pipelines.directions import PhotoDirections, directions
     from omnilines.pipelines.export import SceneExport, export
-    from omnilines.pipelines.frames import ChosenFrames, frames
+    from omnilines.pipelines.frames import frames
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.line_options import LinesOptions
     from omnilines.pipelines.options import SceneOptions
@@ -76,7 +77,8 @@ _provide_cache()
 
 _HOMES = {
     # Videos -> frames; photos of a target -> cameras.
-    "omnilines.pipelines.frames": ("frames", "ChosenFrames"),
+    "omnilines.pipelines.frames": ("frames",),
+    "omnilines.pipelines.chosen_frames": ("ChosenFrames",),
     "omnilines.footage.options": ("FrameOptions",),
     "omnilines.pipelines.detect": ("detect",),
     "omnilines.pipelines.photo_corners": ("PhotoCorners",),
