@@ -18,7 +18,7 @@ from calib_patterns.rendering import graded_background, render_target
 from camera_models import InputError, OpenCVFisheye, load, save
 from camera_models.pose import Pose
 from omnilines.cli import main
-from omnilines.cli._shared import parse_each
+from omnilines.cli.values import parse_each
 from omnilines.files import is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.pipelines.detect_rig import is_rig
 from omnilines.pipelines.rig_corners import frame_of
