@@ -104,10 +104,6 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
 
 
-LARGEST_SIDE_PX, LARGEST_PX = 100_000, 2**28
-"""Of an image that is asked for: OpenCV's own limits are little above."""
-
-
 LONGEST_SENTENCE = 1400
 
 

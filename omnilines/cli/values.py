@@ -3,7 +3,9 @@
 import math
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import LARGEST_PX, LARGEST_SIDE_PX
+
+LARGEST_SIDE_PX, LARGEST_PX = 100_000, 2**28
+"""Of an image that is asked for: OpenCV's own limits are little above."""
 
 
 def parse_size(text: str, option: str) -> tuple[int, int]:
