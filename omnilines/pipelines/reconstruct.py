@@ -30,7 +30,8 @@ from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
 from omnilines.pipelines.photo_arcs import PhotoArcs
-from omnilines.pipelines.poses import estimate_poses, given_poses
+from omnilines.pipelines.pose_tables import given_poses
+from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.options import PosingOptions
