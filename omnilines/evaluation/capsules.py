@@ -1,4 +1,8 @@
-"""The parts of lines near other lines, in closed form, and the lengths of their unions."""
+"""The parts of lines near other lines, and the lengths of their unions, in closed form.
+
+The points within a distance of a straight edge fill a capsule, which is convex. So the part of a line near an edge, and of an
+edge near a line, is one interval, and every measure is the length of a union of intervals: nothing is sampled.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +15,13 @@ _PAIRS = 1 << 20
 
 
 def lengths(ends: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, " n"]:
+    """From the first to the second end."""
     return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+
+
+def directions(ends: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit vectors from the first to the second end."""
+    return (ends[:, 1] - ends[:, 0]) / lengths(ends)[:, None]
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,7 @@ def covered_lengths(owners: int, spans: Spans) -> Float[np.ndarray, " owners"]:
 
 
 def portions(rows: int, columns: int) -> Iterator[slice]:
+    """Rows a few at a time, so that with all columns they are at most _PAIRS."""
     step = max(1, _PAIRS // max(columns, 1))
     return (slice(first, first + step) for first in range(0, rows, step))
 
@@ -143,7 +154,3 @@ def _between(
     inside = (start >= 0) & (start <= top)
     pair[level] = np.where(inside[level, None], [-np.inf, np.inf], [np.inf, -np.inf])
     return pair
-
-
-def directions(ends: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 3"]:
-    return (ends[:, 1] - ends[:, 0]) / lengths(ends)[:, None]

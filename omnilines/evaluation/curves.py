@@ -13,12 +13,9 @@ from camera_models import CameraModel
 from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
 
 SPACING_PX = 0.5
-
 WITHIN_PX = 1.0
-
 PARALLEL_DEG = 10.0
 """Arcs that cross an edge do not lie on it."""
-
 _COARSE = 64
 """Points of a curve from which its length in pixels is estimated first."""
 
@@ -39,6 +36,7 @@ def on_arrays(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.
 
 
 def normalised(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Brought to length one."""
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
 
 

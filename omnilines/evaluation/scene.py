@@ -1,8 +1,4 @@
-"""Reconstructed lines against the edges of a rendered scene: recall, precision, errors and duplicates.
-
-The points within a distance of a straight edge fill a capsule, which is convex. So the part of a line near an edge, and of an
-edge near a line, is one interval in closed form, and every measure is the length of a union of intervals: nothing is sampled.
-"""
+"""Reconstructed lines against the edges of a rendered scene: recall, precision, errors and duplicates."""
 
 import math
 from collections.abc import Sequence

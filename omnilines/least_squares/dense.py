@@ -25,7 +25,6 @@ from omnilines.least_squares.structure import Structure
 
 LEAST_EIGENVALUE = 1e-13
 """Of the scaled reduced system; below it the observations do not determine everything."""
-
 UNDAMPED_SHARE = 1e-9
 """Of the cost, that an undamped step may promise at the end: a ten thousandth of a variance with 100,000 residuals."""
 

@@ -123,6 +123,7 @@ def _millimetres(place_m: Sequence[float], sigma_m: Sequence[float]) -> str:
 
 
 def link_row(result: RigCalibration, link: Link) -> tuple[str, str]:
+    """The two cameras, and what ties them together."""
     turn = figure(link.rotation_sigma_deg, ".2g", "degrees")
     apart = with_sigma(1e3 * link.baseline_m, 1e3 * link.baseline_sigma_m, "mm")
     text = (

@@ -24,7 +24,6 @@ from omnilines.records import Corners
 
 GUIDE = "scaramuzza"
 """The model by which views are compared: it fits lenses of every width."""
-
 BESIDE = "it shows how the board moves beside one that tells much"
 
 

@@ -17,7 +17,6 @@ from omnilines.files.sets import claimed
 from omnilines.records import Corners, ViewResult
 
 CORNERS = "corners.csv"
-
 IN_MEMORY = "in memory"
 """In the place of a file in the provenance."""
 
@@ -147,6 +146,7 @@ def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
 
 
 def blur_of_corners(kept: Sequence[tuple[Photo, Detection]]) -> Float[np.ndarray, "n 2"] | None:
+    """Of all corners of the photos in one table; None where it is not known of every photo."""
     blurs = [detection.blur_px for _, detection in kept if detection.blur_px is not None]
     return np.concatenate(blurs) if len(blurs) == len(kept) else None
 

@@ -25,7 +25,6 @@ from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses
 
 LEVELS = "upright.csv"
-
 COLMAP_VIEWS = ("perspective", "cube")
 """Of which a COLMAP model is written."""
 

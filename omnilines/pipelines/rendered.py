@@ -26,7 +26,6 @@ Photo = UInt8[np.ndarray, "h w *channels"]
 
 TRUE_CORNERS = "true_corners.csv"
 """Not `corners.csv`: the name of detected corners, which other commands would take instead of the photos."""
-
 TRUTH, VISIBILITY = "truth.csv", "visibility.csv"
 
 

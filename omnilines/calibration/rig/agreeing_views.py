@@ -19,11 +19,11 @@ from omnilines.calibration.views import corner_weights
 from omnilines.least_squares import Progress
 
 ELSEWHERE = "its board is not where the other cameras see it (wrong frame, detection or numbering)"
-
 MISFIT = "more than half of its corners do not fit the rig (wrong frame, detection or numbering)"
 
 
 def rig_data(views: RigViews, start: RigStart, alone: Mapping[int, AloneCamera]) -> RigData:
+    """The corners of the members as the joint fit takes them, numbered as the start says and weighed by their stated noise."""
     corners = views.corners
     relative = np.ones(len(corners))
     for c in start.cameras:
