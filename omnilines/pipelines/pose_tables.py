@@ -25,7 +25,7 @@ def instants(names: Sequence[str]) -> dict[str, str]:
 def from_table(
     path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], options: PosingOptions
 ) -> PhotoPoses:
-    """The poses of photos from a file: a corners.csv of points of known place, or a poses.csv. Raises as what they are read with."""
+    """The poses of photos from a file: a corners.csv of points of known place, or a poses.csv. Raises as those are read."""
     if is_corners_table(path):
         return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names}, options)
     return given_poses(read_poses(path), names, cameras, camera_of, path=str(path), options=options)

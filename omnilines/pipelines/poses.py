@@ -231,11 +231,8 @@ def _made_from(asked: _Asked) -> str:
         if not isinstance(photo, PhotoRef):
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
     options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, known, rig, seen.hexdigest()))
-    return fingerprint(
-        [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)],
-        options,
-        revision(*MADE_BY, __name__, instants.__module__),
-    )
+    files = [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)]
+    return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__))
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
