@@ -16,6 +16,7 @@ import torch
 from report_page import (
     SIZE,
     camera_ring,
+    curves_on_photos,
     every_section,
     residual_case,
     some_lines,
