@@ -173,7 +173,7 @@ def _level_row(one: OneView, level: Level, grids: Grids) -> LevelRow:
     first = one.cameras[0] if grids.distance_m is None else next(iter(grids.cameras.rig))
     turn = one.target.view_from_axis @ level.level_from_axis.T
     covariance = turn @ level.covariance @ turn.T
-    return LevelRow(one.name, turn(grids.cameras[first], one.target), covariance, level.tilt_rad, level.arcs)
+    return LevelRow(one.name, view_from_camera(grids.cameras[first], one.target), covariance, level.tilt_rad, level.arcs)
 
 
 def _rig_grid(cameras: Calibration, one: OneView, distance_m: float) -> BlendedGrid:
@@ -189,9 +189,9 @@ def cam_from_axis(cameras: Calibration) -> Pose:
 
 
 def _grid(camera: CameraModel, target: View) -> SamplingGrid:
-    return sampling_grid(target.camera, camera, turn(camera, target).T)
+    return sampling_grid(target.camera, camera, view_from_camera(camera, target).T)
 
 
-def turn(camera: CameraModel, target: View) -> np.ndarray:
-    """view_from_cam."""
+def view_from_camera(camera: CameraModel, target: View) -> np.ndarray:
+    """Rotation from the frame of a camera to that of a view."""
     return target.view_from_axis @ axis_from_camera(camera)

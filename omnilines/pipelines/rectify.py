@@ -21,7 +21,7 @@ from camera_models.views import View, axis_from_camera, views
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo, Photos, photos_of
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos
-from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, turn
+from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, view_from_camera
 from omnilines.pipelines.rig_corners import frame_of
 from omnilines.pipelines.upright import Level, Levels, levels_of
 from omnilines.posing.photo_poses import PhotoPoses
@@ -162,7 +162,7 @@ def _file_name(photo: str, face: str) -> str:
 def _poses_of_views(view: str, cameras: Calibration, table: ImagePoses, made: Sequence[OneView]) -> ImagePoses:
     row = {image: k for k, image in enumerate(table.images)}
     source = table.cam_from_world[[row[one.photos[0].name] for one in made]]
-    turn = torch.as_tensor(np.stack([turn(cameras[one.cameras[0]], one.target) for one in made]))
+    turn = torch.as_tensor(np.stack([view_from_camera(cameras[one.cameras[0]], one.target) for one in made]))
     turned = Pose(turn @ source.rotation, (turn @ source.translation[..., None])[..., 0])
     frames = None if table.frames is None else tuple(table.frames[row[one.photos[0].name]] for one in made)
     return ImagePoses(tuple(one.name for one in made), turned, (view,) * len(made), None, frames)
