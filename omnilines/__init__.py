@@ -36,26 +36,32 @@ if TYPE_CHECKING:
     from omnilines.footage.options import FrameOptions
     from omnilines.matching.options import MatchingOptions
     from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
-    from omnilines.pipelines.arcs import PhotoArcs, extract
+    from omnilines.pipelines.arcs import extract
     from omnilines.pipelines.calibrate import CalibrationResult
     from omnilines.pipelines.calibrate_lines import LineResult
     from omnilines.pipelines.calibrate_one import calibrate
     from omnilines.pipelines.calibrate_rig import RigResult, calibrate_rig
     from omnilines.pipelines.check import CheckResult, check
     from omnilines.pipelines.check_options import CheckOptions
+    from omnilines.pipelines.chosen_frames import ChosenFrames
     from omnilines.pipelines.convert import ConversionResult, convert
-    from omnilines.pipelines.detect import PhotoCorners, detect
-    from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+    from omnilines.pipelines.detect import detect
+    from omnilines.pipelines.detect_rig import detect_rig
     from omnilines.pipelines.directions import PhotoDirections, directions
     from omnilines.pipelines.export import SceneExport, export
-    from omnilines.pipelines.frames import ChosenFrames, frames
+    from omnilines.pipelines.frames import frames
     from omnilines.pipelines.given_arcs import given_arcs
     from omnilines.pipelines.line_options import LinesOptions
     from omnilines.pipelines.options import SceneOptions
+    from omnilines.pipelines.photo_arcs import PhotoArcs
+    from omnilines.pipelines.photo_corners import PhotoCorners
     from omnilines.pipelines.poses import estimate_poses
     from omnilines.pipelines.reconstruct import reconstruct
-    from omnilines.pipelines.rectify import RectifiedViews, rectify
-    from omnilines.pipelines.render import RenderedScene, RenderedTargets, RenderOptions, render
+    from omnilines.pipelines.rectified import RectifiedViews
+    from omnilines.pipelines.rectify import rectify
+    from omnilines.pipelines.render import RenderOptions, render
+    from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
+    from omnilines.pipelines.rig_corners import RigCorners
     from omnilines.pipelines.scene import Scene
     from omnilines.posing.options import PosingOptions
     from omnilines.posing.photo_poses import PhotoPoses
@@ -71,11 +77,14 @@ _provide_cache()
 
 _HOMES = {
     # Videos -> frames; photos of a target -> cameras.
-    "omnilines.pipelines.frames": ("frames", "ChosenFrames"),
+    "omnilines.pipelines.frames": ("frames",),
+    "omnilines.pipelines.chosen_frames": ("ChosenFrames",),
     "omnilines.footage.options": ("FrameOptions",),
-    "omnilines.pipelines.detect": ("detect", "PhotoCorners"),
+    "omnilines.pipelines.detect": ("detect",),
+    "omnilines.pipelines.photo_corners": ("PhotoCorners",),
     "calib_patterns.options": ("DetectionOptions",),
-    "omnilines.pipelines.detect_rig": ("detect_rig", "RigCorners"),
+    "omnilines.pipelines.detect_rig": ("detect_rig",),
+    "omnilines.pipelines.rig_corners": ("RigCorners",),
     "omnilines.pipelines.calibrate_one": ("calibrate",),
     "omnilines.pipelines.calibrate": ("CalibrationResult",),
     "omnilines.pipelines.calibrate_rig": ("calibrate_rig", "RigResult"),
@@ -86,7 +95,8 @@ _HOMES = {
     "omnilines.calibration.options": ("CalibrationOptions",),
     "omnilines.pipelines.convert": ("convert", "ConversionResult"),
     # Photos and cameras -> arcs, poses, lines.
-    "omnilines.pipelines.arcs": ("extract", "PhotoArcs"),
+    "omnilines.pipelines.arcs": ("extract",),
+    "omnilines.pipelines.photo_arcs": ("PhotoArcs",),
     "omnilines.pipelines.given_arcs": ("given_arcs",),
     "omnilines.extraction": ("ExtractionOptions",),
     "omnilines.pipelines.directions": ("directions", "PhotoDirections"),
@@ -100,9 +110,11 @@ _HOMES = {
     "omnilines.matching.options": ("MatchingOptions",),
     "omnilines.pipelines.adjust": ("adjust", "triangulate", "segments_of_arrays"),
     "omnilines.pipelines.export": ("export", "SceneExport"),
-    "omnilines.pipelines.rectify": ("rectify", "RectifiedViews"),
+    "omnilines.pipelines.rectify": ("rectify",),
+    "omnilines.pipelines.rectified": ("RectifiedViews",),
     # A known truth -> photos, and what becomes of them.
-    "omnilines.pipelines.render": ("render", "RenderOptions", "RenderedTargets", "RenderedScene"),
+    "omnilines.pipelines.render": ("render", "RenderOptions"),
+    "omnilines.pipelines.rendered": ("RenderedTargets", "RenderedScene"),
     "omnilines.studies.validate": ("validate",),
     "omnilines.studies.validation": ("Validation",),
     "omnilines.studies.scene_validation": ("SceneValidation",),

@@ -3,6 +3,7 @@
 import gc
 import os
 import pathlib
+import shutil
 import signal
 from collections.abc import Generator
 
@@ -47,3 +48,14 @@ def shared_data() -> pathlib.Path:
             pytest.fail(f"CI must have the shared data beside the project, at {DATA}; it is absent.")
         pytest.skip("the folder ../shared/data with real photos is absent")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of Debian's Chromium; where it is absent these tests skip, but never in CI."""
+    path = shutil.which("chromium") or "/usr/bin/chromium"
+    if not pathlib.Path(path).exists():
+        if os.environ.get("CI"):
+            pytest.fail("CI must have Debian's chromium (apt-get install chromium); it is absent.")
+        pytest.skip("Debian's chromium is absent; install it to test the report in a browser")
+    return path

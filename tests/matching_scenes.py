@@ -204,3 +204,11 @@ def score(scene: MatchingScene, track: np.ndarray, least_views: int = 4) -> Scor
     eligible = scene.views_of_lines() >= least_views
     largest = table.max(0, initial=0)[eligible] / total[eligible]
     return Score(table.max(1).sum() / max(int(member.sum()), 1), float(largest.mean()), float((largest >= 0.5).mean()), count)
+
+
+CAMERAS = list(VIEWS)
+
+
+def some(arcs: ViewedArcs, count: int, seed: int = 0) -> ViewedArcs:
+    """So many of the arcs, drawn at random, in their order."""
+    return arcs.rows(np.sort(np.random.default_rng(seed).permutation(len(arcs))[:count]))

@@ -12,7 +12,8 @@ from calib_patterns import pattern
 from calib_patterns.rendering import graded_background, pixel_grid, render_target
 from camera_models import CameraModel
 from camera_models.pose import Pose
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.scenes import build_scene, scene_poses
 
 NAMES = ("left", "right")

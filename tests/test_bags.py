@@ -12,10 +12,10 @@ import mcap.writer
 import numpy as np
 import pytest
 import torch
+from bag_messages import ROS, header, packed, raw
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 
 import camera_models
 import omnilines as ol
@@ -25,7 +25,7 @@ from calib_patterns.rendering import graded_background, render_target
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.cli import main
-from omnilines.files.bag_images import _bgr8, image_of
+from omnilines.files.bag_images import _bgr8
 from omnilines.files.bags import is_bag, split_topics
 from omnilines.files.topics import Topic
 from omnilines.files.videos import find_videos, open_videos
@@ -38,28 +38,6 @@ BEGIN_NS = 1_700_000_000_123_456_789
 STEP_NS = 100_000_000
 Shot = tuple[str, int, Any]
 """Topic, stamp (ns) and message."""
-ROS = {"ros1": get_typestore(Stores.ROS1_NOETIC), "cdr": get_typestore(Stores.ROS2_HUMBLE)}
-
-
-def header(store: Any, stamp_ns: int) -> Any:
-    time = store.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
-    more = {"seq": 0} if "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__ else {}
-    return store.types["std_msgs/msg/Header"](stamp=time, frame_id="cam", **more)
-
-
-def raw(store: Any, stamp_ns: int, pixels: np.ndarray, encoding: str, padding: int = 0, big: bool = False) -> Any:
-    """sensor_msgs/Image; `padding` bytes end each row."""
-    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big else "<")).reshape(len(pixels), -1).view(np.uint8)
-    data = np.pad(rows, ((0, 0), (0, padding)))
-    h, w = pixels.shape[:2]
-    kind = store.types["sensor_msgs/msg/Image"]
-    return kind(header(store, stamp_ns), h, w, encoding, int(big), data.shape[1], data.ravel())
-
-
-def packed(store: Any, stamp_ns: int, pixels: np.ndarray, suffix: str, encoding: str) -> Any:
-    """sensor_msgs/CompressedImage."""
-    data = cv2.imencode(suffix, pixels)[1].ravel()
-    return store.types["sensor_msgs/msg/CompressedImage"](header(store, stamp_ns), encoding, data)
 
 
 def write_bag(path: Path, shots: Sequence[Shot], delay_ns: int = 7_000_000, **options: Any) -> Path:
@@ -117,63 +95,6 @@ def test_every_kind_of_bag_gives_its_frames(kind: str, tmp_path: Path) -> None:
         assert np.array_equal(one.pixels, np.repeat(grey(k)[..., None], 3, 2))
     assert [one.index for one in topic.frames([3, 1])] == [1, 3]
     assert topic.doubts(np.array([one.time_s for one in frames])) == ()
-
-
-COLOURS = np.random.default_rng(1).integers(0, 255, (24, 32, 3), dtype=np.uint8)
-
-
-@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "bgra8", "rgba8", "8UC3", "mono8", "8UC1", "bgr16", "rgb16"])
-@pytest.mark.parametrize("big", [False, True])
-def test_encodings(encoding: str, big: bool) -> None:
-    bgr = COLOURS if "bgr" in encoding or encoding == "8UC3" else COLOURS[..., ::-1]
-    stored = bgr if "8" in encoding else bgr.astype(np.uint16) * 257
-    if encoding.endswith("a8"):
-        stored = np.concatenate([stored, np.full((24, 32, 1), 9, np.uint8)], 2)
-    single = encoding in ("mono8", "8UC1")
-    store = ROS["cdr"]
-    message = raw(store, 5, stored[..., 0] if single else stored, encoding, padding=6, big=big)
-    found = image_of(message.__msgtype__, "cdr", bytes(store.serialize_cdr(message, message.__msgtype__)))
-    wanted = np.repeat(stored[..., :1], 3, 2) if single else COLOURS
-    full = "16" in encoding and (COLOURS.min() > 0 or COLOURS.max() < 255)
-    assert found.stamp_ns == 5 and np.abs(found.pixels.astype(int) - wanted).max() <= (3 if full else 0)
-
-
-def test_sixteen_bits_are_stretched() -> None:
-    thermal = np.linspace(7000, 8000, 24 * 32).reshape(24, 32).astype(np.uint16)
-    store = ROS["ros1"]
-    for message in (raw(store, 0, thermal, "mono16"), packed(store, 0, thermal, ".png", "16UC1; png compressed")):
-        found = image_of(message.__msgtype__, "ros1", bytes(store.serialize_ros1(message, message.__msgtype__)))
-        assert found.pixels.min() == 0 and found.pixels.max() == 255
-        assert np.abs(found.pixels[..., 1] - 255 * (thermal - 7000.0) / 1000.0).max() <= 1.0
-
-
-@pytest.mark.parametrize("order", ["rggb", "bggr", "gbrg", "grbg"])
-@pytest.mark.parametrize("how", ["8", "16", "png"])
-def test_mosaics(order: str, how: str) -> None:
-    """Of a plain colour, each place of the mosaic holds the value of its letter."""
-    value = {"r": 200, "g": 120, "b": 40}
-    mosaic = np.tile(np.array([value[letter] for letter in order], np.uint8).reshape(2, 2), (12, 16))
-    store = ROS["cdr"]
-    if how == "png":
-        message = packed(store, 0, mosaic, ".png", f"bayer_{order}8; png compressed ")
-    else:
-        message = raw(store, 0, mosaic if how == "8" else mosaic.astype(np.uint16) * 257, f"bayer_{order}{how}")
-    found = image_of(message.__msgtype__, "cdr", bytes(store.serialize_cdr(message, message.__msgtype__)))
-    colour = found.pixels[8, 8].astype(float)
-    wanted = np.array([40, 120, 200.0])
-    assert np.allclose(colour, wanted if how != "16" else (wanted - 40) * 255 / 160, atol=1.0)
-
-
-def test_packed_yuv_and_jpeg() -> None:
-    store = ROS["cdr"]
-    smooth = cv2.resize(COLOURS[:3, :4], (32, 24), interpolation=cv2.INTER_CUBIC)
-    jpeg = packed(store, 0, smooth, ".jpg", "rgb8; jpeg compressed bgr8")
-    found = image_of(jpeg.__msgtype__, "cdr", bytes(store.serialize_cdr(jpeg, jpeg.__msgtype__)))
-    assert np.abs(found.pixels.astype(int) - smooth).mean() < 4
-    for encoding, conversion in (("yuv422", cv2.COLOR_BGR2YUV_UYVY), ("yuv422_yuy2", cv2.COLOR_BGR2YUV_YUY2)):
-        message = raw(store, 0, cv2.cvtColor(smooth, conversion), encoding)
-        found = image_of(message.__msgtype__, "cdr", bytes(store.serialize_cdr(message, message.__msgtype__)))
-        assert np.abs(found.pixels.astype(int) - smooth).mean() < 4
 
 
 def varint(value: int) -> bytes:

@@ -10,8 +10,9 @@ from board_views import BOARD, COLUMNS, ROWS, board_corners, board_views
 
 from camera_models import CameraModel, OpenCVFisheye, Scaramuzza
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.screening import smooth_corners
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.single import calibrate_camera
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.records import Corners
 

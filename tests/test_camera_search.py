@@ -28,7 +28,8 @@ from omnilines.files import read_corners
 from omnilines.pipelines import calibrate as calibrate_pipeline
 from omnilines.pipelines import calibrate_one
 from omnilines.pipelines.camera_search import completed, resected, searched
-from omnilines.pipelines.detect import PhotoCorners, detect, search_again
+from omnilines.pipelines.detect import detect, search_again
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.records import ViewResult
 
 OPTIONS = DetectionOptions()

@@ -20,7 +20,8 @@ from omnilines.calibration.board_lines import board_lines
 from omnilines.calibration.single import calibrate_camera
 from omnilines.evaluation.cameras import bearing_error_deg, bearing_errors, line_errors, parameter_errors
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pipelines.render import RenderedTargets, RenderOptions, render_targets
+from omnilines.pipelines.render import RenderOptions, render_targets
+from omnilines.pipelines.rendered import RenderedTargets
 from omnilines.records import ImagePoses
 from omnilines.synthetic.targets import board_angle_rad, example_camera, simulate_corners
 

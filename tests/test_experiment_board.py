@@ -20,7 +20,7 @@ from omnilines.calibration.single import calibrate_camera
 from omnilines.commands.experiment_board import experiment_board
 from omnilines.files import read_corners, read_lines, read_poses, read_segments, write_corners
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.records import Corners
 from omnilines.structure import regularity
 from omnilines.studies.board import BoardOptions, board_experiment

@@ -14,9 +14,9 @@ from omnilines.files import Photo, photos_of
 from omnilines.pages.arcs import arcs_summary
 from omnilines.pages.limits import line_advice, unused_advice
 from omnilines.pages.limits_of_lines import arcs_advice, check_advice
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.check_options import CheckOptions
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.records import ViewResult
 from omnilines.report.numbers import with_sigma
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from report_page import every_section
 from test_cli import CORNERS, corner_rows, refused, run, write_csv
-from test_report import every_section
 
 import omnilines as ol
 from camera_models import InputError

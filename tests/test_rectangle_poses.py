@@ -16,7 +16,8 @@ from omnilines.files import read_corners, read_poses
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import estimate_poses, sides_of
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.posing.features import Features
 from omnilines.posing.find_rectangle import BearingArcs, FoundRectangle, find_rectangle
 from omnilines.posing.from_corners import poses_from_corners

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from camera_models import Calibration, load, save
 from omnilines.cli import main
 from omnilines.files import read_poses, write_poses
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.records import ImagePoses
 from omnilines.scenes import eye, render_photo
 

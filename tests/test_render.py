@@ -9,7 +9,8 @@ import torch
 from camera_models import GeometryError, InputError, load
 from omnilines.files import find_photos, read_photo, read_poses
 from omnilines.files.true_edges import read_stretches, read_true_edges
-from omnilines.pipelines.render import RenderedScene, RenderedTargets, RenderOptions, render
+from omnilines.pipelines.render import RenderOptions, render
+from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
 from omnilines.scenes import build_scene
 
 

@@ -1,14 +1,11 @@
-"""The report: figures against closed forms and plotly's own validation, size and privacy of the page, and Chromium's verdict."""
+"""The report: figures against closed forms and plotly's own validation, size and privacy of the page."""
 
 import base64
-import contextlib
 import html
 import json
 import os
 import pathlib
 import re
-import shutil
-from collections.abc import Iterator
 from html.parser import HTMLParser
 
 import cv2
@@ -16,28 +13,24 @@ import numpy as np
 import plotly.graph_objects
 import pytest
 import torch
-from playwright.sync_api import Locator, Page, sync_playwright
+from report_page import (
+    SIZE,
+    camera_ring,
+    curves_on_photos,
+    every_section,
+    residual_case,
+    some_lines,
+    some_segments,
+    write_every_section,
+    write_photos,
+)
 
 from camera_models.errors import InputError
 from camera_models.pose import Pose
 from omnilines import report
-from omnilines.records import Check, ImagePoses, Lines, Polyline, Segments, Summary, ViewResult
+from omnilines.records import Check, ImagePoses, Lines, Polyline, ViewResult
 from omnilines.report import page as report_page
 from omnilines.report import plots, tables
-
-SIZE = (1032, 778)
-CHROMIUM_FLAGS = [
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    # WebGL without a GPU.
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
 
 
 def markup(section: report.Section, allowed_bytes: int = 8_000_000) -> str:
@@ -53,109 +46,14 @@ def text_of(fragment: str) -> str:
     return " ".join(html.unescape(re.sub(r"<script.*?</script>|<[^>]+>", " ", fragment, flags=re.S)).split())
 
 
-def residual_case(n: int = 900, seed: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
-    rng = np.random.default_rng(seed)
-    pixels = rng.uniform(0, 1, (n, 2)) * (np.array(SIZE) - 1)
-    return pixels, 0.3 * rng.normal(size=(n, 2)), rng.integers(0, 5, n), [f"view {k}" for k in range(5)]
-
-
-def uncertainty_case() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A map that grows from 0.01 px in the middle by 1000 times, with unknown corners of the image, and its columns and rows."""
-    u, v = np.linspace(0, SIZE[0] - 1, 44), np.linspace(0, SIZE[1] - 1, 33)
-    radius = np.hypot(*np.meshgrid(u - 515.5, v - 388.5))
-    return np.where(radius < 600, 0.01 * 1000 ** (radius / 600) ** 2, np.nan), u, v
-
-
-def some_lines() -> Lines:
-    ends = np.array([[[0.1 * k, 0.0, 0.0], [0.1 * k, 0.4, 0.0]] for k in range(5)])
-    ends[4] = np.nan
-    status = ("ok", "ok", "ok", "weak", "epipolar")
-    names = tuple(f"track {k}" for k in range(5))
-    return Lines(names, ends, np.full(5, 7), np.full(5, 0.25), np.full(5, 0.0012), status)
-
-
-def some_segments() -> Segments:
-    """Track 2 in the wide photo and in one that cannot be read, track 0 in the small one, and an arc of no track."""
-    tracks = tuple(f"track {k}" for k in range(5))
-    image, track = np.array([0, 2, 1, 1, 0]), np.array([2, 2, 0, -1, 2])
-    return Segments(image, ("wide.jpg", "small.png", "broken.jpg"), track, tracks, np.zeros((5, 2, 2)))
-
-
-def camera_ring(n: int) -> ImagePoses:
-    """Cameras on a circle of radius 1 m at height 1 m that look at the origin."""
-    poses = []
-    for angle in np.linspace(0, 2 * np.pi, n, endpoint=False):
-        centre = np.array([np.cos(angle), np.sin(angle), 1.0])
-        z = -centre / np.linalg.norm(centre)
-        x = np.cross(z, [0.0, 0.0, 1.0])
-        x /= np.linalg.norm(x)
-        rotation = np.stack([x, np.cross(z, x), z])
-        poses.append(Pose.of(rotation, -rotation @ centre))
-    return ImagePoses(tuple(f"photo {k}" for k in range(n)), Pose.stack(poses))
-
-
-def every_section(photo_folder: pathlib.Path, curves: list[Polyline]) -> list[report.Section]:
-    pixels, residuals, view, names = residual_case()
-    theta = np.linspace(0, 95, 96)
-    phase = np.linspace(0, 2 * np.pi, 73)
-    circle = np.stack([515.5 + 380 * np.cos(phase), 388.5 + 380 * np.sin(phase)], 1)
-    board = np.array([[0.0, 0, 0], [0.4, 0, 0], [0.4, 0.5, 0], [0.0, 0.5, 0]])
-    views = [ViewResult("view 0", "a.jpg", True, None, 48, 1, 0.31), ViewResult("view 1", "b.jpg", False, "no board was found.")]
-    return [
-        report.summary_section(Summary("Result", (("rms_px_per_axis", "0.30 px"),), ("A note.",))),
-        report.checks_section((Check("bearing error", 0.0123, 0.02, "degrees", True), Check("photos lost", 2.0, 1.0, "", False))),
-        report.parameters_section("pinhole", ["fx", "k1"], np.array([500.0, -1e-3]), np.array([0.2, 2e-5])),
-        report.views_section(views),
-        report.residual_section(pixels, residuals, SIZE, view, names),
-        report.coverage_section(pixels, SIZE, circle, supported_angle_deg=82.4),
-        report.uncertainty_section(*uncertainty_case(), SIZE, circle, corners_px=pixels, supported_angle_deg=82.4),
-        report.radial_section(theta, 300 * np.deg2rad(theta), supported_angle_deg=82.4),
-        report.histogram_section(
-            "Before and after", {"before": np.abs(residuals[:, 0]) * 9, "after": np.abs(residuals[:, 0])}, "px"
-        ),
-        report.curve_section("Cost", {"sector": (np.arange(5.0), 10.0 ** -np.arange(5))}, "iteration", "cost", logarithmic=True),
-        report.photos_section(photo_folder, curves),
-        report.scene_section(
-            boards=[("board", board)],
-            lines=some_lines(),
-            groups=["rows"] * 3 + ["columns"] * 2,
-            cameras=camera_ring(8),
-            truth_m=some_lines().ends_m[:4],
-            segments=some_segments(),
-        ),
-    ]
-
-
 @pytest.fixture(scope="module")
 def photo_folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
-    """A wide photo with one bright disc, a small one, and a file that is no photo."""
-    folder = tmp_path_factory.mktemp("photos")
-    wide = np.full((2001, 3203, 3), 20, np.uint8)
-    cv2.circle(wide, (2310, 405), 90, (255, 255, 255), -1, cv2.LINE_AA)
-    cv2.imwrite(str(folder / "wide.jpg"), wide)
-    cv2.imwrite(str(folder / "small.png"), np.full((300, 400, 3), 128, np.uint8))
-    (folder / "broken.jpg").write_bytes(b"not a photo")
-    return folder
+    return write_photos(tmp_path_factory.mktemp("photos"))
 
 
 @pytest.fixture(scope="module")
-def photo_curves() -> list[Polyline]:
-    gap = np.array([[10.0, 10.0], [60.0, 12.0], [np.nan, np.nan], [100.0, 14.0], [150.0, 20.0]])
-    return [
-        Polyline("wide.jpg", np.array([[2310.0, 405.0]]), "disc", "observed"),
-        Polyline("wide.jpg", np.array([[2200.0, 405.0], [2420.0, 405.0]]), "across the disc"),
-        Polyline("small.png", gap, "<row & column>"),
-        Polyline("broken.jpg", np.array([[1.0, 1.0]]), "", "observed"),
-        Polyline("absent.jpg", np.array([[1.0, 1.0]]), "", "observed"),
-    ]
-
-
-@pytest.fixture(scope="module")
-def report_file(
-    tmp_path_factory: pytest.TempPathFactory, photo_folder: pathlib.Path, photo_curves: list[Polyline]
-) -> pathlib.Path:
-    path = tmp_path_factory.mktemp("out") / "deep" / "report.html"
-    return report.write_report(path, 'Calibration of "cam0" <test>', every_section(photo_folder, photo_curves))
+def report_file(tmp_path_factory: pytest.TempPathFactory, photo_folder: pathlib.Path) -> pathlib.Path:
+    return write_every_section(tmp_path_factory.mktemp("out") / "deep" / "report.html", photo_folder)
 
 
 class _Addresses(HTMLParser):
@@ -189,12 +87,10 @@ def test_page_is_one_file_that_refers_to_nothing_outside(report_file: pathlib.Pa
     assert "&lt;row &amp; column&gt;" in page
 
 
-def test_same_input_gives_same_page(
-    report_file: pathlib.Path, tmp_path: pathlib.Path, photo_folder: pathlib.Path, photo_curves: list[Polyline]
-) -> None:
+def test_same_input_gives_same_page(report_file: pathlib.Path, tmp_path: pathlib.Path, photo_folder: pathlib.Path) -> None:
     again = tmp_path / "again.html"
     again.write_text("an older report")
-    report.write_report(str(again), 'Calibration of "cam0" <test>', every_section(photo_folder, photo_curves))
+    write_every_section(again, photo_folder)
     assert again.read_bytes() == report_file.read_bytes()
 
 
@@ -215,8 +111,8 @@ def test_failed_write_keeps_the_old_report(tmp_path: pathlib.Path, monkeypatch: 
     assert os.listdir(tmp_path) == ["report.html"] and path.read_text() == "old"
 
 
-def test_figures_are_valid_plotly_with_titled_axes(photo_folder: pathlib.Path, photo_curves: list[Polyline]) -> None:
-    figures = [spec for section in every_section(photo_folder, photo_curves) for spec in specs(section)]
+def test_figures_are_valid_plotly_with_titled_axes(photo_folder: pathlib.Path) -> None:
+    figures = [spec for section in every_section(photo_folder, curves_on_photos()) for spec in specs(section)]
     assert len(figures) == 11
     for spec in figures:
         plotly.graph_objects.Figure(spec)  # raises on an attribute that plotly does not know
@@ -349,15 +245,15 @@ def test_tables_say_what_holds_and_escape() -> None:
     assert "curved valley" in text and "480 to 531" in text and "-inf to 2" in text
 
 
-def test_photos_name_what_is_left_out(photo_folder: pathlib.Path, photo_curves: list[Polyline]) -> None:
-    fragment = markup(report.photos_section(photo_folder, photo_curves))
+def test_photos_name_what_is_left_out(photo_folder: pathlib.Path) -> None:
+    fragment = markup(report.photos_section(photo_folder, curves_on_photos()))
     assert "2 of 4 photos are not shown." in fragment
     assert "broken.jpg: it cannot be read" in fragment and "absent.jpg: it cannot be read" in fragment
     assert "M10.0 10.0L60.0 12.0M100.0 14.0L150.0 20.0" in fragment, "a curve must be lifted over its gap"
     jpegs = [base64.b64decode(data) for data in re.findall(r"data:image/jpeg;base64,([^\"]+)", fragment)]
     shapes = [cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape for jpeg in jpegs]
     assert shapes == [(1000, 1600, 3), (300, 400, 3)]
-    chosen = markup(report.photos_section(photo_folder, photo_curves, images=["small.png"]))
+    chosen = markup(report.photos_section(photo_folder, curves_on_photos(), images=["small.png"]))
     assert chosen.count("<img") == 1 and 'alt="Photo small.png"' in chosen
 
 
@@ -460,122 +356,3 @@ def test_rounding_and_sampling() -> None:
 
 
 # In the browser.
-
-
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    """Path of Debian's Chromium; where it is absent these tests skip, but never in CI."""
-    path = shutil.which("chromium") or "/usr/bin/chromium"
-    if not pathlib.Path(path).exists():
-        if os.environ.get("CI"):
-            pytest.fail("CI must have Debian's chromium (apt-get install chromium); it is absent.")
-        pytest.skip("Debian's chromium is absent; install it to test the report in a browser")
-    return path
-
-
-@contextlib.contextmanager
-def opened(chromium: str, path: pathlib.Path, scheme: str) -> Iterator[tuple[Page, list[str], list[str]]]:
-    """The page with all plots drawn, its messages on the console and the addresses it asked for."""
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
-        context = browser.new_context(viewport={"width": 1280, "height": 900}, color_scheme=scheme)
-        page, messages, requests = context.new_page(), [], []
-        page.on("console", lambda message: messages.append(f"{message.type}: {message.text}"))
-        page.on("pageerror", lambda error: messages.append(f"pageerror: {error}"))
-        page.on("request", lambda request: requests.append(request.url))
-        page.goto(path.as_uri())
-        page.wait_for_selector("html[data-plots=drawn]", timeout=120_000)
-        try:
-            yield page, messages, requests
-        finally:
-            browser.close()
-
-
-def picture(element: Locator) -> np.ndarray:
-    """A screenshot, (h, w, 3)."""
-    return cv2.imdecode(np.frombuffer(element.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-
-
-def settled(page: Page, element: Locator) -> np.ndarray:
-    """The first of two equal screenshots in a row."""
-    last = picture(element)
-    for _ in range(40):
-        page.wait_for_timeout(250)
-        now = picture(element)
-        if np.array_equal(now, last):
-            return now
-        last = now
-    pytest.fail("the 3D view does not come to rest in 10 s")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.full)])
-def test_page_in_chromium(chromium: str, report_file: pathlib.Path, scheme: str) -> None:
-    with opened(chromium, report_file, scheme) as (page, messages, requests):
-        scene = page.locator(".plot", has=page.locator("canvas"))
-        scene.scroll_into_view_if_needed()
-        before = settled(page, scene)
-        background = before[-3, -3]
-        assert (background.mean() > 128) == (scheme == "light")
-        drawn = np.abs(before.astype(int) - background).max(2) > 24
-        assert drawn.mean() > 0.01 and len(np.unique(before.reshape(-1, 3), axis=0)) > 100
-        box = scene.bounding_box()
-        assert box is not None
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 160, y + 40, steps=8)
-        page.mouse.up()
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] - 5)
-        after = settled(page, scene)
-        changed = np.abs(after.astype(int) - before.astype(int)).max(2) > 24
-        assert changed.mean() > 0.01, "dragging must turn the scene"
-        assert page.evaluate("[...document.querySelectorAll('.plot')].every(p => p.querySelector('svg.main-svg'))")
-        widths = page.evaluate("Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))")
-        assert widths == [1600, 400]
-        buttons = page.locator(".modebar-btn").evaluate_all("all => all.map(b => b.getAttribute('data-title'))")
-        assert "Download plot as a PNG" in buttons and not [b for b in buttons if re.search("share|cloud|edit", b, re.I)]
-        page.set_viewport_size({"width": 420, "height": 800})
-        # Plots follow the window a moment later; then nothing may stick out of a narrow page.
-        page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=30_000)
-    assert messages == []
-    assert requests and all(address.startswith(("file:", "data:", "blob:")) for address in requests)
-    assert [a for a in requests if a.startswith("file:")] == [report_file.as_uri()]
-
-
-@pytest.mark.slow
-def test_overlay_lies_on_its_photo(chromium: str, report_file: pathlib.Path) -> None:
-    """The disc drawn by OpenCV in the photo and the observed point at its centre coincide on the screen, small and enlarged."""
-    with opened(chromium, report_file, "light") as (page, messages, _):
-        frame = page.locator(".frame").first
-        checked = 0
-        for _ in range(2):
-            page.locator(".show-observed").uncheck()
-            page.locator(".show-model").uncheck()
-            frame.scroll_into_view_if_needed()
-            bright = picture(frame)[:, :, 0] > 140
-            bright[[0, -1]] = bright[:, [0, -1]] = False  # the page beside a frame that starts between two pixels
-            rows, columns = np.nonzero(bright)
-            disc = np.array([columns.mean(), rows.mean()]) + 0.5
-            box = frame.bounding_box()
-            point, left, top, width, height = frame.evaluate(
-                """frame => {
-                    const point = new DOMPoint(2310, 405).matrixTransform(frame.querySelector("svg").getScreenCTM());
-                    const photo = frame.querySelector("img").getBoundingClientRect();
-                    return [[point.x, point.y], photo.x, photo.y, photo.width, photo.height];
-                }"""
-            )
-            assert box is not None
-            # The centre of pixel (u, v) lies at (u + 0.5, v + 0.5) from the corner of the photo, which is 3203 x 2001.
-            np.testing.assert_allclose(point, [left + 2310.5 / 3203 * width, top + 405.5 / 2001 * height], atol=1e-2)
-            # Chromium paints an image on whole pixels and an overlay between them; screenshots start at a whole pixel.
-            np.testing.assert_allclose(disc, [point[0] - np.floor(box["x"]), point[1] - np.floor(box["y"])], atol=0.75)
-            page.locator(".show-observed").check()
-            shown = picture(frame)
-            yellow = (shown[:, :, 2] > 200) & (shown[:, :, 0] < 120)
-            centre = np.argwhere(yellow).mean(0)[::-1] + 0.5
-            np.testing.assert_allclose(centre, disc, atol=0.75)
-            checked += 1
-            frame.click()
-        assert checked == 2 and frame.get_attribute("aria-expanded") == "false"
-    assert messages == []

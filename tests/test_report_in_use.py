@@ -5,12 +5,11 @@ import pathlib
 import cv2
 import numpy as np
 import pytest
-from test_report import chromium, opened, some_lines, some_segments
+from chromium_page import opened
+from report_page import some_lines, some_segments
 
 from omnilines import report
 from omnilines.records import Advice, Polyline, Summary, ViewResult
-
-__all__ = ["chromium"]
 
 NOTES = tuple(f"Note {k}: something that is to be known." for k in range(5))
 VIEWS = [

@@ -18,9 +18,10 @@ from calib_patterns.rendering import graded_background, render_target
 from camera_models import InputError, OpenCVFisheye, load, save
 from camera_models.pose import Pose
 from omnilines.cli import main
-from omnilines.cli._shared import parse_each
+from omnilines.cli.values import parse_each
 from omnilines.files import is_rig_table, read_corners, read_rig_corners, write_corners
-from omnilines.pipelines.detect_rig import frame_of, is_rig
+from omnilines.pipelines.detect_rig import is_rig
+from omnilines.pipelines.rig_corners import frame_of
 
 SIZES = "cam0=1280x960,cam1=1020x1000,cam2=640x480"
 MODELS = "cam0=pinhole,cam1=opencv-fisheye,cam2=scaramuzza"

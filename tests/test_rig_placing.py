@@ -14,9 +14,9 @@ from camera_models.pose import Pose
 from omnilines.files import PhotoRef
 from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
-from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
 from omnilines.synthetic.lines import room_world

@@ -10,7 +10,8 @@ from rig_views import FISHEYE_220, MIRROR, PINHOLE
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.rig.links import links, relative_pose, weakest_link
-from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
 from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import solve

@@ -17,7 +17,8 @@ from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.path import Path as BoardPath
 from omnilines.calibration.rig.path import ViewTimes
-from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.files import write_corners
 from omnilines.least_squares.schur import normal_equations

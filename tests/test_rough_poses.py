@@ -12,9 +12,9 @@ from test_matching_directions import scene
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
 from omnilines.files import PhotoRef
-from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import silent
 from omnilines.records import ImagePoses

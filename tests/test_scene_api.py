@@ -22,9 +22,10 @@ from omnilines.files.fingerprint import fingerprint as made_from
 from omnilines.pages.scene import scene_summary
 from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
-from omnilines.pipelines.arcs import PhotoArcs, extract
+from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.given_arcs import given_arcs
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.reconstruct import reconstruct
 from omnilines.pipelines.rectify import rectify

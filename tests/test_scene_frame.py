@@ -26,7 +26,7 @@ from omnilines.pipelines.frame import (
     scene_frame,
 )
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.poses import unit_of_table
+from omnilines.pipelines.pose_tables import unit_of_table
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines

@@ -6,7 +6,8 @@ import pytest
 import calib_patterns
 from calib_patterns.seen_board import SeenBoard, seen_board
 from camera_models import InputError
-from omnilines.pipelines.detect import counts_remark, detect
+from omnilines.pipelines.detect import detect
+from omnilines.pipelines.photo_corners import counts_remark
 
 BOARDS = {
     "checkerboard:8x6:30mm": SeenBoard("checkerboard", 8, 6),

@@ -18,7 +18,7 @@ from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 from camera_models.unified import Unified
 from omnilines.commands.detect import detect
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.records import Corners
 
 MIN_CORNERS, MIN_PHOTOS = DetectionOptions().min_corners, DetectionOptions().sharpness.min_photos

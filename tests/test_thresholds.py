@@ -12,7 +12,8 @@ from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.scene import reconstruct_lines
 from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.options import CalibrationOptions
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.options import walk, with_settings
 from omnilines.synthetic.lines import circle_world

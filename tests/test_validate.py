@@ -21,7 +21,8 @@ from omnilines.calibration.record import calibration_record
 from omnilines.calibration.single import calibrate_camera
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.files import read_corners, read_poses, write_corners
-from omnilines.pipelines.render import RenderedTargets, RenderOptions, render, render_targets
+from omnilines.pipelines.render import RenderOptions, render, render_targets
+from omnilines.pipelines.rendered import RenderedTargets
 from omnilines.records import ImagePoses
 from omnilines.studies.validate import validate
 from omnilines.studies.validation import Validation, compare

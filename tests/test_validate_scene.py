@@ -20,7 +20,8 @@ from omnilines.commands.result import CommandResult
 from omnilines.files import read_poses, write_poses
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Lines
 from omnilines.studies.scene_validation import (

@@ -7,10 +7,14 @@ import torch
 from camera_models import CameraModel
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
-from camera_models.pose import Pose
+from camera_models.pose import Pose, vector_from_rotation
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.triangulation import TRIANGULATIONS
 from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 
+METHODS = [name for name, _ in TRIANGULATIONS]
 VIEWS = 8
 LINES = 40
 """Of one trial."""
@@ -20,8 +24,21 @@ def generator(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def normal(*shape: int, seed: int) -> torch.Tensor:
+    return torch.randn(*shape, generator=generator(seed), dtype=torch.float64)
+
+
 def unit(v: torch.Tensor) -> torch.Tensor:
     return v / v.norm(dim=-1, keepdim=True)
+
+
+def upright(centres: torch.Tensor) -> Pose:
+    return Pose(torch.eye(3, dtype=torch.float64).expand(len(centres), 3, 3), -centres)
+
+
+def observe(ends: torch.Tensor, centres: torch.Tensor, track: torch.Tensor) -> PlaneObservations:
+    """Exact arcs of segments (t, 2, 3) from a camera centre per row; cameras see in all directions."""
+    return PlaneObservations.from_arcs(unit(ends[track] - centres[:, None]), upright(centres), track, len(ends))
 
 
 def looking(centres: torch.Tensor, axis: torch.Tensor) -> Pose:
@@ -91,6 +108,9 @@ def room(trials: int, seed: int = 30) -> LineSet:
     return _line_set(OpenCVFisheye.examples()[0], looking(centres, axis), ends[long][:count])
 
 
+SCENES = {"wide": lambda trials: circle(trials), "short": lambda trials: circle(trials, 9.0), "room": lambda trials: room(trials)}
+
+
 def with_wrong_members(scene: LineSet, pixels: torch.Tensor, seed: int, most: int = 3) -> tuple[torch.Tensor, torch.Tensor]:
     """Pixels of which 1 to `most` members of every track are those of other lines of the same trial; and which (t, views)."""
     make = generator(seed)
@@ -107,3 +127,12 @@ def with_wrong_members(scene: LineSet, pixels: torch.Tensor, seed: int, most: in
 def square_error(result: Triangulation, ends: torch.Tensor) -> torch.Tensor:
     """Mean squared distance (m^2) of both true ends from each line."""
     return torch.stack([result.lines.distance_to(ends[:, e]) for e in range(2)]).square().mean(0)
+
+
+def deviations(result: Triangulation, ends: torch.Tensor) -> torch.Tensor:
+    """Truth minus estimate in the chart of each line (t, 4)."""
+    chart = result.chart
+    truth = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+    sign = torch.where((truth.direction * result.lines.direction).sum(-1, keepdim=True) < 0, -1.0, 1.0).double()
+    true = LineChart.from_lines(PlueckerLines(sign * truth.direction, sign * truth.moment), chart.centre, chart.scale)
+    return torch.cat([vector_from_rotation(chart.S.mT @ true.S), (true.phi - chart.phi)[:, None]], -1)

@@ -15,7 +15,7 @@ from omnilines.adjustment.engine_sandwich import LineSandwich, frame_gains
 from omnilines.adjustment.kernels import covariance as covariance_kernel
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.least_squares import Minimum, Outcome
-from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
+from omnilines.least_squares.dense import LEAST_EIGENVALUE
 from omnilines.progress import in_shares
 
 

@@ -27,7 +27,7 @@ from omnilines.adjustment.parts import Division, problem_of
 from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
-from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
+from omnilines.least_squares.dense import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import orthonormal
 from omnilines.least_squares.separators import SharedStep, SharedSystem, blocks_of
 from omnilines.progress import Each, one_torch_thread

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.least_squares.levenberg_marquardt import LEAST_EIGENVALUE
+from omnilines.least_squares.dense import LEAST_EIGENVALUE
 
 EXACT_PX = 1e-6
 """Errors below are those of rounding."""

@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float
 from camera_models.pose import Pose
 from omnilines.calibration.image_field import ImageField, KnownProjection
 from omnilines.calibration.pose_candidates import Candidates, SeenBoards, candidates, view_information
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.shooting_words import limits_of, place_words, pose_words, px_words
-from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.records import Corners
 

@@ -8,8 +8,8 @@ import numpy as np
 from camera_models import Calibration, CameraEstimate
 from camera_models.formats.calibration_data import RigCamera, ViewRecord
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.single import CameraCalibration
 from omnilines.provenance import provenance
 from omnilines.records import ViewResult
 

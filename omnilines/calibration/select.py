@@ -24,8 +24,9 @@ from omnilines.calibration.diagnose import grows_beyond
 from omnilines.calibration.held_out import HeldOut, held_out
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.robust import RobustFit, nearest_fit
-from omnilines.calibration.single import CameraCalibration, calibrate_from_fit, refine_with_rivals, robust_camera
+from omnilines.calibration.single import calibrate_from_fit, refine_with_rivals, robust_camera
 from omnilines.calibration.start import CameraKind
 from omnilines.calibration.thresholds import CalibrationThresholds, HeldOutThresholds
 from omnilines.calibration.variants import CommonCorners

@@ -20,7 +20,7 @@ from torch import Tensor
 from camera_models.pose import Pose
 from omnilines.calibration.held_out import ViewTerms
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.views import board_points, corner_weights
 from omnilines.records import Corners
 

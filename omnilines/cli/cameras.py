@@ -28,13 +28,11 @@ from omnilines.cli._shared import (
     SplitInto,
     Views,
     app,
-    parse_each,
-    parse_px,
-    parse_size,
     run,
 )
 from omnilines.cli.completion import format_names, model_names
 from omnilines.cli.counts import IN_RIG
+from omnilines.cli.values import parse_each, parse_px, parse_size
 from omnilines.footage.options import FrameOptions
 from omnilines.options import with_settings
 

@@ -6,19 +6,9 @@ from typing import Annotated
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import (
-    Json,
-    Model,
-    NoiseGrey,
-    Out,
-    PatternSpec,
-    Seed,
-    Size,
-    experiment_app,
-    parse_size,
-    run,
-)
+from omnilines.cli._shared import Json, Model, NoiseGrey, Out, PatternSpec, Seed, Size, experiment_app, run
 from omnilines.cli.lines import Bandwidth, Cost, Subset, Triangulation, Weights
+from omnilines.cli.values import parse_size
 from omnilines.triangulation import method_options
 
 

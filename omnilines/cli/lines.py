@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, parse_three, run
+from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
+from omnilines.cli.values import parse_three
 from omnilines.triangulation import method_options
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Mirror, Out, Seed, Settings, Size, SplitInto, app, parse_size, render_app, run
+from omnilines.cli._shared import Json, Mirror, Out, Seed, Settings, Size, SplitInto, app, render_app, run
 from omnilines.cli.extraction import arcs_and_directions
+from omnilines.cli.values import parse_size
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult

@@ -22,10 +22,10 @@ from omnilines.cli._shared import (
     SplitInto,
     Views,
     app,
-    parse_size,
     render_app,
     run,
 )
+from omnilines.cli.values import parse_size
 from omnilines.options import with_settings
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from omnilines.files.sets import claimed
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult
 from omnilines.pipelines.calibrate_one import calibrate
-from omnilines.pipelines.detect import PhotoCorners
 from omnilines.pipelines.detect_rig import shared_frames
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 
 PAGE = "report.html"

@@ -10,10 +10,11 @@ from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import read_rig_corners
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
-from omnilines.pages.rig import rig_data, rig_summaries
+from omnilines.pages.rig_figures import rig_data, rig_summaries
 from omnilines.pipelines.calibrate import view_details
 from omnilines.pipelines.calibrate_rig import RIG_FILES, RigSetup, calibrate_rig
-from omnilines.pipelines.detect_rig import RigCorners, detect_rig
+from omnilines.pipelines.detect_rig import detect_rig
+from omnilines.pipelines.rig_corners import RigCorners
 from omnilines.progress import ProgressCallback, silent
 
 

@@ -14,6 +14,7 @@ from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.corners import corners_summary
 from omnilines.pipelines import detect as pipeline
+from omnilines.pipelines.photo_corners import CORNERS
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail
 
@@ -37,11 +38,11 @@ def detect(
     """
     camera = None if calibration is None else _one_camera(calibration)
     read = [*photos, *([] if calibration is None else [calibration])]
-    check_results(out, [pipeline.CORNERS], read)
+    check_results(out, [CORNERS], read)
     found = pipeline.detect(
         photos, pattern_spec, camera=camera, mirrored=mirror, options=options, executor=executor, progress=progress
     )
-    with claimed(out, [pipeline.CORNERS], read, by="detect"):
+    with claimed(out, [CORNERS], read, by="detect"):
         files = found.save(out)
     counts = np.bincount(found.corners.view, minlength=len(found.corners.images))
     seen = list(zip(found.corners.images, counts.tolist(), found.remarks, strict=True))

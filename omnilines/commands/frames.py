@@ -17,7 +17,7 @@ from omnilines.files.sets import claimed, withdrawn_where_refused
 from omnilines.files.split import Split
 from omnilines.files.videos import find_videos
 from omnilines.footage.options import FrameOptions
-from omnilines.pipelines.frames import ChosenFrames
+from omnilines.pipelines.chosen_frames import ChosenFrames
 from omnilines.pipelines.frames import frames as pipeline
 from omnilines.pipelines.recognise import OTHERWISE
 from omnilines.progress import ProgressCallback, silent

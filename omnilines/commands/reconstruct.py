@@ -31,7 +31,8 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, unit_of_poses, unit_of_table
+from omnilines.pipelines.pose_tables import unit_of_poses, unit_of_table
+from omnilines.pipelines.poses import check_source, estimate_poses, from_photos
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
 from omnilines.posing.from_corners import poses_from_corners

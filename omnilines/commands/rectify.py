@@ -18,7 +18,7 @@ from omnilines.files.orientation import turned_otherwise
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import SHORT_ARCS
-from omnilines.pipelines.rectify import COLMAP_VIEWS, LEVELS, RectifiedViews
+from omnilines.pipelines.rectified import COLMAP_VIEWS, LEVELS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.pipelines.upright import Level
 from omnilines.progress import ProgressCallback, silent

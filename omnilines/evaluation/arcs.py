@@ -5,7 +5,6 @@ distance across is at most 1 px and both run in nearly the same direction; every
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +16,11 @@ from scipy.spatial import cKDTree
 
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
+from omnilines.evaluation.curves import Curves, normalised, on_arrays, photo_curves, points_beside
 from omnilines.files.true_edges import Stretches, TrueEdges
-from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
+from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.records import ImagePoses, Segments
 
-SPACING_PX = 0.5
-WITHIN_PX = 1.0
-PARALLEL_DEG = 10.0
-"""Arcs that cross an edge do not lie on it."""
 ON_EDGE = 0.9
 """Share of an arc's length that has to lie on one edge."""
 SAME_LINE_M = 1e-3
@@ -32,8 +28,6 @@ MIN_PX, MIN_CONTRAST = 40.0, 10.0
 """Stretches that an extraction is expected to find."""
 GAP_PX = 1.0
 """A stretch goes on across a shorter gap."""
-_COARSE = 64
-"""Points of a curve from which its length in pixels is estimated first."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +109,7 @@ def lines_of_edges(edges: TrueEdges) -> Int[np.ndarray, " e"]:
     if not len(edges):
         return np.zeros(0, dtype=np.int64)
     first, second = edges.ends_m[:, 0] - edges.ends_m.mean((0, 1)), edges.ends_m[:, 1] - edges.ends_m.mean((0, 1))
-    direction = _unit(second - first)
+    direction = normalised(second - first)
     foot = first - (first * direction).sum(-1, keepdims=True) * direction
     # A direction has no sign: each line stands for both.
     keys = np.concatenate([np.concatenate([sign * direction, foot], -1) for sign in (1.0, -1.0)])
@@ -151,16 +145,6 @@ def unbroken(table: Stretches, strong: Bool[np.ndarray, " n"], min_px: float | i
 
 
 @dataclass(frozen=True)
-class _Curves:
-    """Curves in a photo as points SPACING_PX apart: owner, pixel, unit tangent and the length that the point stands for."""
-
-    owner: Int[np.ndarray, " n"]
-    pixel: Float[np.ndarray, "n 2"]
-    tangent: Float[np.ndarray, "n 2"]
-    length: Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
 class _PhotoScore:
     length_px: float
     covered_px: float
@@ -186,11 +170,11 @@ def _score_photo(
     ends = edges.ends_m[table.edge]
     ends = ends[:, :1] + table.t[..., None] * (ends[:, 1:] - ends[:, :1])
     rotation, translation = pose.rotation.detach().numpy(), pose.translation.detach().numpy()
-    true = _curves(camera, _unit(ends @ rotation.T + translation))
+    true = photo_curves(camera, normalised(ends @ rotation.T + translation))
     with torch.no_grad():
         bearings, _ = camera.unproject(ends_px)
-    arcs = _curves(camera, bearings)
-    i, j = _on_each_other(camera, true, arcs)
+    arcs = photo_curves(camera, bearings)
+    i, j = points_beside(camera, true, arcs)
     counts = seen.whole[true.owner] >= 0
     covered = np.zeros(len(true.owner), dtype=bool)
     covered[i] = True
@@ -201,9 +185,9 @@ def _score_photo(
     incidences, found = _incidences(seen, true, arcs, i, j)
     direction = np.full(len(ends_px), np.nan)
     rows = np.flatnonzero(edge >= 0)
-    truth = _unit(edges.ends_m[edge[rows]] @ rotation.T + translation)
-    angle = _numpy(
-        angle_between, _numpy(arc_normal, truth[:, 0], truth[:, 1]), _numpy(arc_normal, *bearings[rows].swapaxes(0, 1))
+    truth = normalised(edges.ends_m[edge[rows]] @ rotation.T + translation)
+    angle = on_arrays(
+        angle_between, on_arrays(arc_normal, truth[:, 0], truth[:, 1]), on_arrays(arc_normal, *bearings[rows].swapaxes(0, 1))
     )
     direction[rows] = np.minimum(angle, math.pi - angle)
     total = float(arcs.length.sum())
@@ -211,71 +195,8 @@ def _score_photo(
     return _PhotoScore(length, covered_px, seen.count, incidences, found, total, on_edge, edge, direction, on_line)
 
 
-def _numpy(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
-    """A function of tensors on arrays."""
-    return function(*(torch.as_tensor(array) for array in arrays)).numpy()
-
-
-def _unit(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    return points / np.linalg.norm(points, axis=-1, keepdims=True)
-
-
-def _curves(camera: CameraModel, ends: Float[np.ndarray, "n 2 3"]) -> _Curves:
-    """Arcs between bearings as points in the photo."""
-    count = len(ends)
-    coarse = _numpy(points_on_arc, ends[:, 0], ends[:, 1], np.linspace(0.0, 1.0, _COARSE + 1))
-    with torch.no_grad():
-        pixel, _ = camera.project(coarse)
-    length = np.linalg.norm(_steps(camera, pixel), axis=-1).sum(-1)
-    each = np.maximum(np.ceil(length / SPACING_PX), 2).astype(np.int64)
-    owner = np.repeat(np.arange(count), each)
-    place = (np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each) + 0.5) / each[owner]
-    # Three points about each place: its pixel, and the direction and length of its step.
-    share = place[:, None] + np.array([-0.5, 0.0, 0.5]) / each[owner, None]
-    normal = _numpy(arc_normal, ends[:, 0], ends[:, 1])[owner]
-    first = ends[owner, 0]
-    angle = _numpy(angle_between, ends[:, 0], ends[:, 1])[owner, None] * share
-    rays = np.cos(angle)[..., None] * first[:, None] + np.sin(angle)[..., None] * np.cross(normal, first)[:, None]
-    with torch.no_grad():
-        pixel, _ = camera.project(rays)
-    step = _steps(camera, pixel).sum(1)
-    pace = np.linalg.norm(step, axis=-1)
-    return _Curves(owner, pixel[:, 1], step / np.maximum(pace, 1e-12)[:, None], pace)
-
-
-def _steps(camera: CameraModel, pixel: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k1 2"]:
-    """Differences of neighbouring points, the shorter way round where the image closes."""
-    step = np.diff(pixel, axis=1)
-    if camera.PERIODIC:
-        step[..., 0] -= camera.image_size[0] * np.round(step[..., 0] / camera.image_size[0])
-    return step
-
-
-def _on_each_other(camera: CameraModel, a: _Curves, b: _Curves) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Pairs of points of both sets of curves that lie beside each other."""
-    if not (len(a.owner) and len(b.owner)):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    size, sets = None, [a.pixel, b.pixel]
-    if camera.PERIODIC:
-        # Only the columns close: far above the rows' number, the second period never matters.
-        size = np.array([camera.image_size[0], 4.0 * camera.image_size[1]])
-        sets = [np.mod(pixel + np.array([0.0, camera.image_size[1]]), size) for pixel in sets]
-    reach = math.hypot(WITHIN_PX, SPACING_PX)
-    trees = [cKDTree(points, boxsize=size) for points in sets]
-    near = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
-    i, j = near["i"].astype(np.int64), near["j"].astype(np.int64)
-    across = np.stack([-b.tangent[j, 1], b.tangent[j, 0]], -1)
-    step = a.pixel[i] - b.pixel[j]
-    if camera.PERIODIC:
-        step[:, 0] -= camera.image_size[0] * np.round(step[:, 0] / camera.image_size[0])
-    distance = np.abs((step * across).sum(-1))
-    parallel = np.abs((a.tangent[i] * b.tangent[j]).sum(-1)) >= math.cos(math.radians(PARALLEL_DEG))
-    kept = (distance <= WITHIN_PX) & parallel
-    return i[kept], j[kept]
-
-
 def _best_edge(
-    edge: Int[np.ndarray, " k"], j: Int[np.ndarray, " k"], arcs: _Curves, count: int
+    edge: Int[np.ndarray, " k"], j: Int[np.ndarray, " k"], arcs: Curves, count: int
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """For each arc the edge (or line, where `edge` numbers lines) that the largest share of it lies on, and that share."""
     best, share = np.full(count, -1), np.zeros(count)
@@ -290,7 +211,7 @@ def _best_edge(
 
 
 def _incidences(
-    seen: Unbroken, true: _Curves, arcs: _Curves, i: Int[np.ndarray, " k"], j: Int[np.ndarray, " k"]
+    seen: Unbroken, true: Curves, arcs: Curves, i: Int[np.ndarray, " k"], j: Int[np.ndarray, " k"]
 ) -> tuple[int, int]:
     """Number of pairs of a stretch that counts and an arc on it, and of stretches that have an arc."""
     whole = seen.whole[true.owner]

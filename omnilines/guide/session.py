@@ -25,7 +25,7 @@ from omnilines.guide.frames import Frame, gain, information_of, refusal
 from omnilines.guide.options import GuideOptions
 from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
 from omnilines.pipelines.calibrate_one import calibrate
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 
 FRAMES = "frames"
 RESULTS = ("calibration.yaml", "corners.csv", "report.html")

@@ -23,15 +23,8 @@ from jaxtyping import Bool, Float
 from scipy import stats
 from torch import Tensor
 
-from omnilines.least_squares.levenberg_marquardt import (
-    LEAST_EIGENVALUE,
-    DenseEngine,
-    Problem,
-    Solution,
-    constrained_inverse,
-    constrained_solve,
-    minimise,
-)
+from omnilines.least_squares.dense import LEAST_EIGENVALUE, DenseEngine, Problem, Solution, constrained_inverse, constrained_solve
+from omnilines.least_squares.levenberg_marquardt import minimise
 from omnilines.least_squares.losses import Loss
 from omnilines.least_squares.schur import CellLinearisation, Linearisation, Reduced, back_substitute, reduce
 

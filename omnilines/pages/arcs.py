@@ -15,7 +15,8 @@ from omnilines.files import Photo, photos_at_once
 from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.pages.limits_of_lines import arcs_advice
 from omnilines.photo_file import jpeg_of
-from omnilines.pipelines.arcs import BYTES_PER_PIXEL, FoundArcs, PhotoArcs
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Summary
 from omnilines.report.numbers import figure

@@ -9,7 +9,7 @@ import torch
 
 from camera_models import CameraModel
 from omnilines import report
-from omnilines.pipelines.render import RenderedScene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.records import Polyline, Summary
 from omnilines.studies.book import (
     ADJUSTMENT,

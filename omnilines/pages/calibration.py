@@ -13,8 +13,8 @@ from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.select import Selection
-from omnilines.calibration.single import CameraCalibration
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.limits import board_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary

@@ -4,7 +4,7 @@ import numpy as np
 
 from omnilines.calibration.lines.check import COLUMNS, ROWS
 from omnilines.pages.limits import named, unused_advice
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.records import Advice, Summary
 
 

@@ -11,8 +11,8 @@ from jaxtyping import UInt8
 
 from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
 from omnilines.pages.limits_of_lines import directions_advice
-from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.directions import FoundDirections, PhotoDirections, Wanted
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback
 from omnilines.records import Summary
 from omnilines.report import Section, pictures_section, table_section, verdict_section

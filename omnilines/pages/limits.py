@@ -11,9 +11,9 @@ from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.lines.camera import LineCamera
 from omnilines.calibration.next_pose import TEN, NextViews
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import RigThresholds
 from omnilines.records import Advice, Corners, ViewResult
 from omnilines.report.numbers import figure

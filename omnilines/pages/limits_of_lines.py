@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import WORTH_SAYING
-from omnilines.pipelines.arcs import PhotoArcs
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.directions import PhotoDirections
+from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.scene import Scene
 from omnilines.records import Advice, LengthUnit
 from omnilines.report.numbers import figure

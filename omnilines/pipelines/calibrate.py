@@ -16,16 +16,18 @@ from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record
+from omnilines.calibration.result import CameraCalibration, with_remarks
 from omnilines.calibration.select import Selection, select_model
-from omnilines.calibration.single import CameraCalibration, calibrate_camera, with_remarks
+from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresholds
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
 from omnilines.pipelines.batches import one_by_one
-from omnilines.pipelines.detect import CORNERS, PhotoCorners, search_again
+from omnilines.pipelines.detect import search_again
 from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.photo_corners import CORNERS, PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
 

@@ -12,9 +12,10 @@ from omnilines.calibration.options import CalibrationFields, CalibrationOptions
 from omnilines.files import Photos, find_photos
 from omnilines.pipelines.calibrate import CalibrationResult, calibrate_corners
 from omnilines.pipelines.calibrate_lines import LineFields, LineResult, calibrate_lines
-from omnilines.pipelines.detect import PhotoCorners, detect
+from omnilines.pipelines.detect import detect
 from omnilines.pipelines.detect_rig import shared_frames
 from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners
 

@@ -26,10 +26,10 @@ from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect_rig import RigCorners, require_all_named
 from omnilines.pipelines.line_delay import require_times
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.rig_corners import RigCorners, require_all_named
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult

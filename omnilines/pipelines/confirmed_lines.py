@@ -14,11 +14,11 @@ from camera_models import CameraModel
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.matching.match import Matched
 from omnilines.matching.tracks import FIRST_VIEWS, spare_tracks
-from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.cornered_lines import corners_of, meeting
 from omnilines.pipelines.kept_lines import KeptLines, counted, photo_counts
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.passing_lines import PassingLines, passing_lines
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback
 from omnilines.records import Lines, StageCount
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from omnilines.pipelines.arcs import PhotoArcs, skipped
+from omnilines.pipelines.arcs import skipped
+from omnilines.pipelines.photo_arcs import PhotoArcs
 
 
 def copies(names: Sequence[str], pixels: Sequence[Float[np.ndarray, "_ *_"]]) -> list[str | None]:

@@ -1,140 +1,29 @@
 """Photos of a target by several cameras -> its corners in each: from a folder for each camera, or from a table."""
 
-import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
-from camera_models.formats.forms import listed
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
-from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of, write_corners
+from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of
 from omnilines.files.frames import times_of
-from omnilines.files.sets import claimed
 from omnilines.files.videos import find_videos
-from omnilines.pipelines.detect import CORNERS, IN_MEMORY, PhotoCorners, detect
+from omnilines.pipelines.detect import detect
+from omnilines.pipelines.photo_corners import IN_MEMORY, PhotoCorners
 from omnilines.pipelines.recognise import as_printed
+from omnilines.pipelines.rig_corners import SHOWN_NAMES, CameraCorners, RigCorners, frame_of
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Corners, ViewResult
-
-SHOWN_NAMES = 5
-"""Photos without a partner are listed up to this number."""
-
-
-@dataclass(frozen=True)
-class CameraCorners:
-    """What was found of one pattern in the photos of one camera."""
-
-    camera: str
-    found: PhotoCorners
-
-    @property
-    def pattern(self) -> Pattern:
-        """The target that was looked for."""
-        assert self.found.pattern is not None
-        return self.found.pattern
-
-
-@dataclass(frozen=True)
-class RigCorners:
-    """Corners of a rig, and what is known beside them, so that the rig can lead to more of them."""
-
-    corners: Corners
-    image_sizes: Mapping[str, tuple[int, int]]
-    """Of every camera with corners."""
-    numberings: Mapping[str, Numbering] | None = None
-    """Of each board, where the pattern is known."""
-    seen_from_front: bool = False
-    photo_folder: Path | None = None
-    inputs: Mapping[str, Any] = field(default_factory=dict)
-    """What they were made from, for the provenance of results."""
-    skipped: tuple[ViewResult, ...] = ()
-    notes: tuple[str, ...] = ()
-    cameras: tuple[CameraCorners, ...] = ()
-    """One by one; none where the corners are from a table."""
-    times_s: Mapping[str, float] = field(default_factory=dict)
-    """When photos were taken, by name and by the clock of each camera, as far as that is known."""
-
-    @staticmethod
-    def of_table(
-        corners: Corners,
-        image_sizes: Mapping[str, tuple[int, int]],
-        source: str | Path = IN_MEMORY,
-        photo_folder: Path | None = None,
-    ) -> "RigCorners":
-        """Corners of a table; `image_sizes` by camera, "" standing for all others; `source` is named in errors and in the
-        provenance.
-
-        Without frames the instant is the view, where two cameras have views of one name, and else the name of the photo as in
-        folders. Raises InputError where the table names no cameras, a size is missing or a corner lies outside the image.
-        """
-        cameras = corners.cameras or ()
-        if not cameras:
-            raise InputError(f"{source}: the camera of every view was expected, found none; name them, or calibrate one camera.")
-        require_all_named("`image_size`", image_sizes, tuple(dict.fromkeys(cameras)))
-        sizes = {name: image_sizes.get(name, image_sizes.get("")) for name in dict.fromkeys(cameras)}
-        found = {name: size for name, size in sizes.items() if size is not None}
-        missing = [name for name in sizes if name not in found]
-        if missing:
-            raise InputError(
-                f"`image_size` was expected for every camera of {source}, found none for '{missing[0]}'; give one for all, or "
-                f"{missing[0]}=WIDTHxHEIGHT."
-            )
-        _require_inside(corners, cameras, found, source)
-        frames = corners.frames or _frames(corners, cameras)
-        return RigCorners(replace(corners, frames=frames), found, photo_folder=photo_folder, inputs={"corners": source})
-
-    @property
-    def remarks(self) -> dict[str, str]:
-        """What a person should know of single photos that are used all the same: blur."""
-        views = [(item.found.corners.view_names, item.found.remarks) for item in self.cameras]
-        return {name: remark for names, own in views for name, remark in zip(names, own, strict=True) if remark}
-
-    def save(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write `corners.csv` into a folder, which is made if absent; returns the files."""
-        with claimed(folder, [CORNERS], by="detect") as out:
-            write_corners(out / CORNERS, self.corners)
-        return (out / CORNERS,)
-
-
-def require_all_named(option: str, given: Mapping[str, Any], cameras: Collection[str]) -> None:
-    """Raises InputError where a value by camera is of none of these, or that for all others, under "", is of no other."""
-    unknown = [name for name in given if name and name not in cameras]
-    if unknown:
-        raise InputError(f"{option}: cameras among {listed(cameras)} were expected, found '{unknown[0]}'; correct the name.")
-    if "" in given and not set(cameras) - set(given):
-        raise InputError(f"{option}: a value for other cameras was given, found all of them named; leave it out.")
-
-
-def _require_inside(corners: Corners, cameras: Sequence[str], sizes: Mapping[str, tuple[int, int]], source: str | Path) -> None:
-    limit = np.array([sizes[name] for name in cameras])[corners.view] - 0.5
-    outside = ((corners.pixels < -0.5) | (corners.pixels > limit)).any(-1)
-    if outside.any():
-        row = int(np.flatnonzero(outside)[0])
-        view, (u, v) = int(corners.view[row]), corners.pixels[row]
-        width, height = sizes[cameras[view]]
-        raise InputError(
-            f"{source}: every corner was expected inside the image of {width}x{height} px of {cameras[view]}, found ({u:g}, "
-            f"{v:g}) in view {corners.view_names[view]}; check `image_size` (width x height)."
-        )
-
-
-def _frames(corners: Corners, cameras: Sequence[str]) -> tuple[str, ...]:
-    """The instant of every view by its name."""
-    seen = Counter({(camera, name): 1 for camera, name in zip(cameras, corners.view_names, strict=True)})
-    common = max(Counter(name for _, name in seen).values()) > 1
-    names = [PurePosixPath(image) for image in corners.images]
-    return corners.view_names if common else tuple(frame_of(n) if len(n.parts) > 1 else n.stem for n in names)
+from omnilines.records import Corners
 
 
 def is_rig(paths: Sequence[Path]) -> bool:
@@ -155,19 +44,6 @@ def shared_frames(photos: Sequence[Photo]) -> tuple[str, ...]:
     counts = Counter({(name.parts[0], frame_of(name)): 1 for name in names})
     common = max(Counter(frame for _, frame in counts).values()) > 1
     return tuple(dict.fromkeys(name.parts[0] for name in names)) if common else ()
-
-
-def frame_of(name: PurePosixPath) -> str:
-    """The instant of a photo: its path within its camera's folder, if it is in one, without the ending; where the file's name
-    begins or ends with that of the folder (left/left01.png), without that."""
-    if len(name.parts) < 2:
-        return name.stem
-    camera, inside = name.parts[0], PurePosixPath(*name.parts[1:])
-    stem = inside.stem
-    if re.search("[a-zA-Z]", camera):
-        own = re.escape(camera)
-        stem = re.sub(rf"^{own}[-_. ]*(?=.)|(?<=.)[-_. ]*{own}$", "", stem, count=1, flags=re.IGNORECASE)
-    return (inside.parent / stem).as_posix()
 
 
 def detect_rig(

@@ -16,8 +16,8 @@ from camera_models.pose import Pose
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
 from omnilines.files.sets import claimed
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses

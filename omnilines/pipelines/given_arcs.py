@@ -9,15 +9,9 @@ from camera_models import Calibration, CameraModel, InputError
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
-from omnilines.pipelines.arcs import (
-    FoundArcs,
-    PhotoArcs,
-    calibration_of,
-    cameras_of_photos,
-    require_any,
-    skipped,
-)
+from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, require_any, skipped
 from omnilines.pipelines.inside import require_inside
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Segments
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 from camera_models import Calibration, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.matching.match import Evidence, evidence_of_poses
-from omnilines.pipelines.arcs import FoundArcs, viewed_arcs
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.readings import other_readings
 from omnilines.progress import ProgressCallback

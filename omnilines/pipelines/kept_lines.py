@@ -11,9 +11,9 @@ from scipy import sparse
 from camera_models import CameraModel, GeometryError
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.matching.match import Matched
-from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.passing_lines import passing_lines
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback
 from omnilines.records import PhotoCount, Segments, StageCount
 

@@ -6,16 +6,16 @@ import numpy as np
 
 from camera_models import GeometryError, InputError
 from omnilines.calibration.options import CalibrationOptions
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.one_camera import one_camera
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.rolling import follow_closely, not_closely
-from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import ClockThresholds
 from omnilines.files.frames import times_of
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback
 from omnilines.records import Corners
 

@@ -10,11 +10,11 @@ from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.match import Matched, match_arcs
-from omnilines.pipelines.arcs import FoundArcs, in_order, segments_of, viewed_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.confirmed_lines import spare_of, with_confirmed
 from omnilines.pipelines.kept_lines import KeptLines, kept_lines
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs, in_order, segments_of, viewed_arcs
 from omnilines.progress import Each, ProgressCallback
 from omnilines.records import ImagePoses, Segments
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt
 from calib_patterns import Pattern
 from camera_models import CameraModel, InputError
 from omnilines.calibration.next_pose import NextViews, next_views
-from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import Photo
 from omnilines.records import Corners

@@ -15,8 +15,8 @@ from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.matching.chance import line_evidence
 from omnilines.matching.match import Matched
-from omnilines.pipelines.arcs import FoundArcs
 from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback
 from omnilines.records import Lines
 from omnilines.structure.clipping import Stretches, supported_stretches

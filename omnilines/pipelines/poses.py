@@ -5,35 +5,34 @@ import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from calib_patterns import pattern as parse_pattern
-from camera_models import Calibration, CameraModel, InputError, load
-from camera_models.errors import OmnilinesError
+from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
-from omnilines.files import Photo, PhotoRef, Photos, is_corners_table, photos_of, read_corners, read_poses
+from omnilines.files import Photo, PhotoRef, Photos, photos_of
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
-from omnilines.files.scene_folder import UNIT_KEY
-from omnilines.pipelines.arcs import FoundArcs, PhotoArcs, calibration_of, cameras_of_photos, extract
+from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import without_copies
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
+from omnilines.pipelines.pose_tables import from_table, instants, unit_of_poses
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
-from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import poses_from_rectangles
-from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
+from omnilines.posing.from_rig import poses_from_rig
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
 from omnilines.posing.sfm import sfm_poses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses, LengthUnit
+from omnilines.records import ImagePoses
 
 SOURCES = ("sfm", "rig", "boards")
 SHEET = f"{PREFIX}WIDTHxHEIGHT"
@@ -46,7 +45,7 @@ MADE_BY = (
     "calib_patterns",
     *(f"omnilines.{part}" for part in ("geometry", "least_squares", "matching", "posing")),
 )
-"""Whose source decides what poses are found in photos, beside this module."""
+"""Whose source decides what poses are found in photos, beside this module and that of `instants`."""
 
 
 def from_photos(source: str) -> bool:
@@ -209,76 +208,7 @@ def _without_photos(
             "`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, or one of "
             f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
         )
-    return _from_table(Path(source), names, cameras, camera_of, options)
-
-
-def instants(names: Sequence[str]) -> dict[str, str]:
-    """The instant of each photo of a rig: photos of one file name are of one."""
-    return {name: PurePosixPath(name).stem for name in names}
-
-
-def _from_table(
-    path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], options: PosingOptions
-) -> PhotoPoses:
-    if is_corners_table(path):
-        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names}, options)
-    return given_poses(read_poses(path), names, cameras, camera_of, path=str(path), options=options)
-
-
-def given_poses(
-    table: ImagePoses,
-    names: Sequence[str],
-    cameras: Calibration,
-    camera_of: Mapping[str, str],
-    *,
-    path: str,
-    options: PosingOptions = PosingOptions(),
-) -> PhotoPoses:
-    """The poses of photos that a table has, those of a rig completed; `path` is what messages call it.
-
-    Raises InputError where it has none of them.
-    """
-    known = [k for k, name in enumerate(table.images) if name in camera_of]
-    if not known:
-        raise InputError(
-            f"{path}: poses of the photos ({names[0]}, ...) were expected, found those of {', '.join(table.images[:3])}; names "
-            "are paths relative to the photo folder."
-        )
-    images = tuple(table.images[k] for k in known)
-    frames = None if table.frames is None else tuple(table.frames[k] for k in known)
-    names_of = tuple(camera_of[image] for image in images)
-    poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
-    if cameras.rig and frames is not None:
-        whole = {**instants(names), **dict(zip(images, frames, strict=True))}
-        return complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given)
-    lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
-    return PhotoPoses(poses, lost)
-
-
-def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
-    """What the poses of a source are in, before they are known.
-
-    A rig whose cameras stand apart gives metres, a board and a table do; a COLMAP model does not say. A poses.csv beside the
-    calibration.yaml of a scene whose unit is open is of that scene.
-    """
-    if source == "sfm":
-        names = set(camera_of.values())
-        centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
-        return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
-    path = Path(source)
-    if path.is_dir():
-        return LengthUnit.OPEN
-    return unit_of_table(path) if path.is_file() else LengthUnit.METRES
-
-
-def unit_of_table(poses: Path) -> LengthUnit:
-    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open."""
-    beside = poses.parent / "calibration.yaml"
-    try:
-        known = load(beside).provenance if beside.is_file() else {}
-    except OmnilinesError:
-        return LengthUnit.METRES
-    return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
+    return from_table(Path(source), names, cameras, camera_of, options)
 
 
 def _made_from(asked: _Asked) -> str:
@@ -301,9 +231,8 @@ def _made_from(asked: _Asked) -> str:
         if not isinstance(photo, PhotoRef):
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
     options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, known, rig, seen.hexdigest()))
-    return fingerprint(
-        [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)], options, revision(*MADE_BY, __name__)
-    )
+    files = [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)]
+    return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__))
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:

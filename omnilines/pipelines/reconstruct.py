@@ -17,7 +17,7 @@ from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
-from omnilines.pipelines.arcs import PhotoArcs, calibration_of
+from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
@@ -29,7 +29,9 @@ from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
-from omnilines.pipelines.poses import estimate_poses, given_poses
+from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.pose_tables import given_poses
+from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.options import PosingOptions

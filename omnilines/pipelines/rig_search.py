@@ -11,8 +11,10 @@ from scipy.spatial import cKDTree
 from calib_patterns import Pattern
 from camera_models.pose import Pose
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.pipelines.detect import PhotoCorners, search_again
-from omnilines.pipelines.detect_rig import CameraCorners, RigCorners, corners_of_cameras, frame_of
+from omnilines.pipelines.detect import search_again
+from omnilines.pipelines.detect_rig import corners_of_cameras
+from omnilines.pipelines.photo_corners import PhotoCorners
+from omnilines.pipelines.rig_corners import CameraCorners, RigCorners, frame_of
 from omnilines.progress import ProgressCallback
 
 SAME_CORNER_M = 1e-6

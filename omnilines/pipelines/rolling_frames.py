@@ -11,8 +11,8 @@ from omnilines.calibration.options import CalibrationOptions
 from omnilines.calibration.single import calibrate_camera
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant
-from omnilines.pipelines.detect import PhotoCorners, corner_table
 from omnilines.pipelines.line_delay import with_line_delay
+from omnilines.pipelines.photo_corners import PhotoCorners, corner_table
 from omnilines.progress import silent
 
 

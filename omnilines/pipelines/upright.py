@@ -13,8 +13,9 @@ from jaxtyping import Float
 from camera_models import Calibration, GeometryError
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo
-from omnilines.pipelines.arcs import FoundArcs, extract
+from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.directions import circles_of, tilt_of, turn_covariance, vertical_of
+from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Detail
 from omnilines.structure.circles import Circles

@@ -19,10 +19,12 @@ from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, drop_unknown
 from omnilines.calibration.board_lines import board_lines
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.single import calibrate_camera
 from omnilines.files import read_corners, read_photo
 from omnilines.least_squares import Progress
-from omnilines.pipelines.detect import PhotoCorners, detect
+from omnilines.pipelines.detect import detect
+from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 from omnilines.studies.board_figures import BoardExperiment, measure

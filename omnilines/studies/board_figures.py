@@ -15,7 +15,7 @@ from omnilines.adjustment.accuracy import AlignedLines, PredictedError, align_li
 from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs, poses_of
 from omnilines.calibration.board_lines import BoardLines
-from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.result import CameraCalibration
 from omnilines.costs import sector
 from omnilines.geometry.line import PlueckerLines, segment_ends
 from omnilines.geometry.sphere import distance_to_great_circle

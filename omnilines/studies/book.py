@@ -21,9 +21,10 @@ from omnilines.costs import COSTS
 from omnilines.evaluation.arcs import arc_scores
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
-from omnilines.pipelines.arcs import extract, in_order, segments_of
+from omnilines.pipelines.arcs import extract
+from omnilines.pipelines.photo_arcs import in_order, segments_of
 from omnilines.pipelines.poses import estimate_poses
-from omnilines.pipelines.render import RenderedScene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.rectangle import PREFIX, Rectangle
 from omnilines.progress import ProgressCallback, silent

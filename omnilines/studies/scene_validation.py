@@ -21,7 +21,7 @@ from omnilines.files import read_lines, read_poses, read_segments
 from omnilines.geometry.line import PlueckerLines, end_radius_sigmas
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines.pages import claimed_report
-from omnilines.pipelines.render import RenderedScene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.pipelines.scene import Scene
 from omnilines.records import Check, ImagePoses, Lines, Segments, StageCount
 

@@ -8,7 +8,7 @@ from omnilines.pipelines.calibrate_one import calibrate
 from omnilines.pipelines.detect import detect
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.reconstruct import reconstruct
-from omnilines.pipelines.render import RenderedScene, RenderedTargets
+from omnilines.pipelines.rendered import RenderedScene, RenderedTargets
 from omnilines.progress import ProgressCallback, silent
 from omnilines.studies.scene_validation import RebuiltScene, SceneValidation, compare_scene
 from omnilines.studies.validation import Validation, compare

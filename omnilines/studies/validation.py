@@ -22,7 +22,7 @@ from omnilines.files import write_corners
 from omnilines.files.sets import claimed
 from omnilines.least_squares.variance import NORMAL_MAD
 from omnilines.pipelines.pages import claimed_report
-from omnilines.pipelines.render import RenderedTargets
+from omnilines.pipelines.rendered import RenderedTargets
 from omnilines.pipelines.scene import SCENE_FILES, Scene, refined_calibration
 from omnilines.records import Check, Corners, ImagePoses
 

@@ -26,7 +26,8 @@ from bench_extraction import LEAST_PX, end_sigmas
 
 import omnilines as ol
 from omnilines.evaluation.arcs import arc_scores
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.scenes import SCENES
 from omnilines.studies.scene_validation import RebuiltScene, compare_scene
 

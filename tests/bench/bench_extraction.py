@@ -27,7 +27,8 @@ from camera_models.resampling import resample, sampling_grid
 from camera_models.views import axis_from_camera, views
 from omnilines.evaluation.arcs import ArcScores, arc_scores
 from omnilines.extraction import extract_arcs
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene
+from omnilines.pipelines.render import RenderOptions, render_scene
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.records import Segments
 from omnilines.scenes import SCENES
 

@@ -25,7 +25,7 @@ from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.held_out import ViewTerms
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.single import CameraCalibration
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.telling import ViewInformation, telling_instants
 from omnilines.calibration.views import board_points
 from omnilines.files.videos import Video

@@ -28,7 +28,8 @@ from omnilines.evaluation.arcs import arc_scores
 from omnilines.extraction import extract_arcs
 from omnilines.extraction.options import ExtractionOptions
 from omnilines.files import read_photo
-from omnilines.pipelines.render import RenderedScene, RenderOptions, render_scene, render_targets
+from omnilines.pipelines.render import RenderOptions, render_scene, render_targets
+from omnilines.pipelines.rendered import RenderedScene
 from omnilines.records import Segments
 from omnilines.studies.sensitivity import Outcome, sweep, table
 

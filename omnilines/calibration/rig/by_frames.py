@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omnilines.calibration.rig.joint import RigData
-from omnilines.calibration.rig.problem import RigPoints, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigState
 from omnilines.least_squares.schur import normal_equations, reduce
 
 LEAST_FRAMES = 4

@@ -6,45 +6,35 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from camera_models import GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.options import AUTO
-from omnilines.calibration.rig.adopt import adopted_views, renumbered
+from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.rig.agreeing_views import fit_agreeing_views, rig_data
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
 from omnilines.calibration.rig.clocks import with_clocks
 from omnilines.calibration.rig.consensus import PosedViews, reflected
 from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
-from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
+from omnilines.calibration.rig.joint import least_squares_rig
 from omnilines.calibration.rig.loose import loosened
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.rolling import with_line_delays
 from omnilines.calibration.rig.seen_alone import SeenAlone
-from omnilines.calibration.rig.start import (
-    RigStart,
-    ViewNumberings,
-    faces,
-    numberings_of,
-    posed_views,
-    rig_start,
-)
+from omnilines.calibration.rig.start import RigStart, ViewNumberings, faces, numberings_of, posed_views, rig_start
 from omnilines.calibration.rig.terms import without_unsupported_terms
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.select import select_model
-from omnilines.calibration.single import CameraCalibration, calibrate_camera
+from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import CalibrationThresholds
-from omnilines.calibration.views import corner_weights
 from omnilines.least_squares import Progress
 from omnilines.records import Corners
-
-ELSEWHERE = "its board is not where the other cameras see it (wrong frame, detection or numbering)"
-MISFIT = "more than half of its corners do not fit the rig (wrong frame, detection or numbering)"
 
 
 def calibrate_rig(
@@ -78,7 +68,7 @@ def calibrate_rig(
         raise InputError(f"One board was expected with `refine_board`, found {len(views.boards)}; calibrate with one of them.")
     begun = _begun(views, cameras, loss, numberings, seen_from_front, thresholds=thresholds, callback=callback)
     start, alone, failures = begun.start, begun.alone, begun.failures
-    data = _data(views, start, alone)
+    data = rig_data(views, start, alone)
     data = replace(data, shape=BoardShape.to_refine(refine_board, torch.as_tensor(data.board_m)))
     state = RigState(start.models, start.cam_from_rig, start.target_from_board, start.rig_from_target, data.shape)
 
@@ -86,7 +76,7 @@ def calibrate_rig(
         if callback is not None:
             callback("refining the rig", step)
 
-    data, fit, reasons = _robust(data, start, state, begun.options, loss, thresholds=thresholds, callback=joint)
+    data, fit, reasons = fit_agreeing_views(data, start, state, begun.options, loss, thresholds=thresholds, callback=joint)
     data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
     singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
     outcome = RigOutcome(
@@ -285,76 +275,3 @@ def _require_rig(views: RigViews, start: RigStart, failures: Mapping[int, str]) 
             f"{', '.join(views.cameras)} that hang together ({name}: {next(iter(failures.values()))}); add frames in which two "
             "cameras see it, or calibrate each alone."
         )
-
-
-def _data(views: RigViews, start: RigStart, alone: Mapping[int, AloneCamera]) -> RigData:
-    corners = views.corners
-    relative = np.ones(len(corners))
-    for c in start.cameras:
-        own: Bool[np.ndarray, " n"] = views.camera[corners.view] == c
-        weight = corner_weights(corners, own)
-        if weight is not None:
-            relative[own] = 1 / weight.numpy()
-    members = [alone[c] for c in start.cameras]
-    return _numbered(
-        RigData(
-            views=views,
-            cameras=start.cameras,
-            boards=start.boards,
-            bases=tuple(own.basis for own in members),
-            sigma_px=tuple(own.sigma_px for own in members),
-            relative=relative,
-            board_m=corners.board_m.copy(),
-        ),
-        start.board_from_numbered,
-    )
-
-
-def _numbered(data: RigData, motions: Mapping[int, Pose]) -> RigData:
-    """The data with the corners of some views numbered as the rig says."""
-    board_m, view = data.board_m.copy(), data.views.corners.view
-    eye = torch.eye(3, dtype=torch.float64)
-    for v, motion in motions.items():
-        if not (bool((motion.rotation == eye).all()) and not bool(motion.translation.any())):
-            board_m[view == v] = renumbered(data.views.corners.board_m[view == v], motion)
-    return replace(data, board_m=board_m)
-
-
-def _robust(
-    data: RigData,
-    start: RigStart,
-    state: RigState,
-    options: ViewNumberings,
-    loss: str,
-    *,
-    thresholds: CalibrationThresholds,
-    callback: Callable[[Progress], None],
-) -> tuple[RigData, RigFit, dict[int, str]]:
-    """The robust fit, first of the views that agree with the start, then with those that the fit predicts; and why views of the
-    rig were left out."""
-    views, reasons = data.views, dict[int, str]()
-    chosen = np.array(sorted(start.board_from_numbered))
-    handed = {data.cameras.index(int(views.camera[v])): bool(m.rotation[2, 2] < 0) for v, m in start.board_from_numbered.items()}
-    found: dict[int, Pose] | None = None
-    while True:
-        fit = robust_rig_fit(data, chosen, state, loss, thresholds, callback=callback)
-        state = fit.state
-        lost = fit.views[(fit.share_kept < 0.5).numpy()] if loss != "none" else chosen[:0]
-        reasons |= dict.fromkeys(lost.tolist(), MISFIT)
-        first, found = found is None, {}
-        if first:
-            candidates = _candidates(data, np.setdiff1d(chosen, lost), chosen)
-            squares = thresholds.rig.agreeing_squares
-            found = adopted_views(data, state, options, handed, candidates.tolist(), agreeing_squares=squares)
-            reasons |= dict.fromkeys(np.setdiff1d(candidates, list(found)).tolist(), ELSEWHERE)
-        if not len(lost) and not found:
-            return data, fit, reasons
-        data = _numbered(data, found)
-        chosen = np.union1d(np.setdiff1d(chosen, lost), np.array(list(found), dtype=chosen.dtype))
-
-
-def _candidates(data: RigData, good: Int[np.ndarray, " g"], tried: Int[np.ndarray, " t"]) -> Int[np.ndarray, " c"]:
-    """Views not tried yet, of members, in frames where good views say where the target is."""
-    views = data.views
-    placed = np.isin(views.block, views.block[good])
-    return np.setdiff1d(np.flatnonzero(placed & np.isin(views.camera, data.cameras) & np.isin(views.part, data.boards)), tried)

@@ -19,7 +19,8 @@ from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.joint import RigData, RigFit
-from omnilines.calibration.rig.problem import RigPoints, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.thresholds import RigThresholds
 from omnilines.least_squares import Outcome, Solution, solve
 

@@ -12,7 +12,8 @@ from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.redundancy import basis_without, redundant_parameter
 from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.own_motion import OwnMotion
-from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.runs import Runs
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.robust import CONVERGED, LEAST_SCALE_PX, PASSES

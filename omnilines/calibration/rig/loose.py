@@ -20,7 +20,8 @@ from omnilines.calibration.rig.excess import excess_note
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.own_motion import OwnMotion, alone
-from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.shutters import SeenPoses, Shutters, estimated
 from omnilines.least_squares import Solution

@@ -3,9 +3,9 @@
 import numpy as np
 
 from omnilines.calibration.board_shape import AS_DRAWN
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.calibration.rig.views import views_of
-from omnilines.calibration.single import CameraCalibration
 from omnilines.records import Corners
 
 

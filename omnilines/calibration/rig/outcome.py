@@ -11,12 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig.by_frames import spread_of_frames, spread_of_runs
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.shutters import Shutters
-from omnilines.calibration.single import CameraCalibration
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
 from omnilines.least_squares.variance import VarianceFactor, variance_factor

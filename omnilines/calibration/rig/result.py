@@ -11,8 +11,8 @@ from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
-from omnilines.calibration.single import CameraCalibration
 from omnilines.records import Corners, ViewResult
 
 TWIST_NAMES = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")

@@ -13,7 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from omnilines.calibration.rig.problem import RigPoints, RigProblem, RigState
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.least_squares import Solution
 from omnilines.least_squares.schur import back_substitute, normal_equations, reduce
 

@@ -1,0 +1,173 @@
+"""From the last fit of a camera to its result: covariance, intervals, and what is to be said of them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from camera_models import GeometryError
+from camera_models.formats.camera_doubts import model_doubts
+from omnilines.calibration.diagnose import (
+    coverage_notes,
+    refuse_open_camera,
+    refuse_parallel_boards,
+    refuse_unexplained,
+    rejection_notes,
+    supported_angles_deg,
+    tilt_notes,
+)
+from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
+from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.screening import smooth_corners
+from omnilines.calibration.table_doubts import misfit_notes, refuse_disorder
+from omnilines.calibration.thresholds import CalibrationThresholds
+from omnilines.calibration.uncertainty import view_leverage
+from omnilines.calibration.views import board_points, view_results
+from omnilines.least_squares import Outcome, Solution
+from omnilines.least_squares.variance import variance_factor
+from omnilines.records import Corners
+
+CURVED = (
+    "Parameters make up for one another along a curved valley, where standard deviations of single ones do not hold: their 95 "
+    "percent intervals are those of the profile likelihood. The projection uncertainty holds all the same."
+)
+
+
+@dataclass(frozen=True)
+class LastFit:
+    """What the last fit rests on."""
+
+    corners: Corners
+    rows: Bool[np.ndarray, " n"]
+    views: list[int]
+    points: BoardPoints
+    weight: Float[Tensor, " m"] | None
+    refusals: Mapping[int, str]
+    limit_px: float | None
+    """Beyond which corners were rejected."""
+    thresholds: CalibrationThresholds
+
+
+def camera_result(
+    final: LastFit,
+    solution: Solution[CameraAndBoards],
+    basis: Float[Tensor, "p q"],
+    floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
+    notes: tuple[str, ...],
+) -> CameraCalibration:
+    """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
+    state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
+    unit = _unit_covariance(final, solution, basis)
+    stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
+    factor = variance_factor(solution.cost, _freedom(final, solution), stated, thresholds.noise.significance)
+    variance, q = factor.value, basis.shape[1]
+    covariance = basis @ unit[:q, :q] @ basis.mT * variance
+    covariance = 0.5 * (covariance + covariance.mT)
+    squared, count = np.sum(state.residual_px(final.points).numpy() ** 2), len(final.points.view)
+    rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
+    if rough:
+        refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
+    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model)) + notes
+    refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
+    refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
+    residual = np.full((len(corners), 2), np.nan)
+    everywhere = np.isin(corners.view, final.views)
+    residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
+    problem, minima = floor
+    curved = camera_intervals(problem, minima[0], minima[1:], factor)
+    intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
+    low, high = supported_angles_deg(model, final.points.pixels)
+    leverage = view_leverage(final.points, state, basis, final.weight, unit)
+    notes += noise_notes(factor, stated, thresholds.noise) + (() if curved is None else (CURVED,))
+    views = view_results(
+        corners,
+        final.rows,
+        final.views,
+        residual,
+        state.cam_from_board,
+        refusals=final.refusals,
+        leverage=leverage,
+        limit_px=final.limit_px,
+        many_rejected_share=thresholds.views.many_rejected_share,
+    )
+    return CameraCalibration(
+        model=model,
+        covariance=covariance.numpy(),
+        rms_px_per_axis=float(math.sqrt(squared / (2 * count))),
+        rms_px_per_point=float(math.sqrt(squared / count)),
+        residual_px=residual,
+        kept=final.rows,
+        views=views,
+        min_angle_deg=low,
+        max_angle_deg=high,
+        iterations=solution.iterations,
+        notes=notes + _data_notes(final, solution, everywhere, leverage),
+        board=state.shape,
+        board_sigma=dict(zip(state.shape.free_names, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+        interval_95=intervals.numpy(),
+        corner_sigma_px=math.sqrt(variance),
+        curved=curved is not None,
+    )
+
+
+def _data_notes(
+    final: LastFit, solution: Solution[CameraAndBoards], everywhere: Bool[np.ndarray, " n"], leverage: Float[Tensor, " v"]
+) -> tuple[str, ...]:
+    """What is to be said of corners, views, and how the fit ended; `everywhere` are all corners of the views used."""
+    state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
+    notes = _rejected_corners(final)
+    notes += coverage_notes(model, final.points.pixels, model.image_size)
+    notes += tilt_notes(state.cam_from_board, thresholds.degeneracy.one_axis_deg)
+    seen, kept = torch.as_tensor(corners.pixels[everywhere]), torch.as_tensor(final.rows[everywhere])
+    notes += rejection_notes(model, seen, kept, thresholds.degeneracy)
+    if float(leverage.max()) > thresholds.views.leverage_share:
+        name = corners.view_names[final.views[int(leverage.argmax())]]
+        notes += (
+            f"The calibration hangs on view {name}: it decides {100 * float(leverage.max()):.0f} percent of the parameters; add "
+            "photos like it.",
+        )
+    if solution.outcome is not Outcome.CONVERGED:
+        notes += (solution.outcome.value,)
+    return notes
+
+
+def _rejected_corners(final: LastFit) -> tuple[str, ...]:
+    """How many corners of the views used were rejected, and why."""
+    used = np.isin(final.corners.view, final.views)
+    lost = used & ~final.rows
+    if final.limit_px is None or not lost.any():
+        return ()
+    views = len(np.unique(final.corners.view[lost]))
+    return (
+        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {final.limit_px:.2g} px "
+        f"({final.thresholds.robust.reject_sigma:g} robust standard deviations) from where the camera sees them.",
+    )
+
+
+def _freedom(final: LastFit, solution: Solution[CameraAndBoards]) -> int:
+    return 2 * len(final.points.view) - len(solution.gauge) - 6 * len(final.views)
+
+
+def _unit_covariance(final: LastFit, solution: Solution[CameraAndBoards], basis: Tensor) -> Float[Tensor, "k k"]:
+    """Covariance of the camera along its basis and of the free board terms for corners of unit variance. Raises GeometryError
+    where the data leave a direction open."""
+    if solution.outcome is Outcome.DEGENERATE or _freedom(final, solution) <= 0:
+        refuse_parallel_boards(solution.state.cam_from_board, final.thresholds.degeneracy.nearly_parallel_deg)
+        raise GeometryError(
+            f"The corners of {len(final.views)} views were expected to determine the camera, found that they leave "
+            f"{_weakest_name(solution, basis)} open; add photos with the board at other tilts and nearer to the rim."
+        )
+    return solution.kept_covariance()
+
+
+def _weakest_name(solution: Solution[CameraAndBoards], basis: Tensor) -> str:
+    model, q = solution.state.model, basis.shape[1]
+    camera = (basis @ solution.weakest_direction[:q]).abs() / model.parameters.abs().clamp_min(1e-12)
+    board = (solution.state.shape.free @ solution.weakest_direction[q:]).abs()
+    return (model.PARAMETER_NAMES + solution.state.shape.names)[int(torch.argmax(torch.cat([camera, board])))]

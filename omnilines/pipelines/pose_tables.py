@@ -1,0 +1,87 @@
+"""Poses that a table gives to photos, and the unit that poses are in."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import torch
+
+from camera_models import Calibration, InputError, load
+from camera_models.errors import OmnilinesError
+from omnilines.files import is_corners_table, read_corners, read_poses
+from omnilines.files.scene_folder import UNIT_KEY
+from omnilines.posing.from_corners import poses_from_corners
+from omnilines.posing.from_rig import complete_from_rig
+from omnilines.posing.options import PosingOptions
+from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.records import ImagePoses, LengthUnit
+
+
+def instants(names: Sequence[str]) -> dict[str, str]:
+    """The instant of each photo of a rig: photos of one file name are of one."""
+    return {name: PurePosixPath(name).stem for name in names}
+
+
+def from_table(
+    path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], options: PosingOptions
+) -> PhotoPoses:
+    """The poses of photos from a file: a corners.csv of points of known place, or a poses.csv. Raises as those are read."""
+    if is_corners_table(path):
+        return poses_from_corners(read_corners(path), cameras, {name: camera_of[name] for name in names}, options)
+    return given_poses(read_poses(path), names, cameras, camera_of, path=str(path), options=options)
+
+
+def given_poses(
+    table: ImagePoses,
+    names: Sequence[str],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    *,
+    path: str,
+    options: PosingOptions = PosingOptions(),
+) -> PhotoPoses:
+    """The poses of photos that a table has, those of a rig completed; `path` is what messages call it.
+
+    Raises InputError where it has none of them.
+    """
+    known = [k for k, name in enumerate(table.images) if name in camera_of]
+    if not known:
+        raise InputError(
+            f"{path}: poses of the photos ({names[0]}, ...) were expected, found those of {', '.join(table.images[:3])}; names "
+            "are paths relative to the photo folder."
+        )
+    images = tuple(table.images[k] for k in known)
+    frames = None if table.frames is None else tuple(table.frames[k] for k in known)
+    names_of = tuple(camera_of[image] for image in images)
+    poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
+    if cameras.rig and frames is not None:
+        whole = {**instants(names), **dict(zip(images, frames, strict=True))}
+        return complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given)
+    lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
+    return PhotoPoses(poses, lost)
+
+
+def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
+    """What the poses of a source are in, before they are known.
+
+    A rig whose cameras stand apart gives metres, a board and a table do; a COLMAP model does not say. A poses.csv beside the
+    calibration.yaml of a scene whose unit is open is of that scene.
+    """
+    if source == "sfm":
+        names = set(camera_of.values())
+        centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
+        return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
+    path = Path(source)
+    if path.is_dir():
+        return LengthUnit.OPEN
+    return unit_of_table(path) if path.is_file() else LengthUnit.METRES
+
+
+def unit_of_table(poses: Path) -> LengthUnit:
+    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open."""
+    beside = poses.parent / "calibration.yaml"
+    try:
+        known = load(beside).provenance if beside.is_file() else {}
+    except OmnilinesError:
+        return LengthUnit.METRES
+    return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
