@@ -12,9 +12,10 @@ from test_matching_directions import scene
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
 from omnilines.files import PhotoRef
+from omnilines.matching.match import lines_need_poses
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
@@ -88,6 +89,19 @@ def test_rough_poses_take_places_from_the_photos_in_their_own_world(exact: Match
     true = (exact.poses.centre[2:, None] - exact.poses.centre[None, 2:]).norm(dim=-1)
     ratio = (apart / true)[~torch.eye(VIEWS - 2, dtype=torch.bool)]
     assert float(ratio.max() / ratio.min()) < 1.0 + 1e-9 and 0.9 < float(ratio.mean()) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "off_mm", "needed"), [(0.0, 0.0, True), (0.05, 2.0, True), (1.0, 100.0, False), (2.0, 100.0, False)]
+)
+def test_lines_need_good_poses_and_do_not_need_rough_ones(
+    exact: MatchingScene, off_deg: float, off_mm: float, needed: bool
+) -> None:
+    """Whatever slack is allowed: turned by 3.2 px, poses that are off by more hold lines as well as before."""
+    arcs = viewed_arcs(
+        found_arcs(exact), table(shaken(exact.poses, off_deg, off_mm, 3)).poses, Calibration({"cam0": exact.camera})
+    )
+    assert [lines_need_poses(arcs, slack_px, 3.2) for slack_px in (0.2, 0.8)] == [needed, needed]
 
 
 def test_where_the_photos_give_no_poses_the_note_says_so(exact: MatchingScene) -> None:

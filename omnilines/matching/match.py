@@ -19,7 +19,7 @@ from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
 from omnilines.matching.kernels.supporters import supporting_photos
-from omnilines.matching.options import MatchingOptions, ToleranceOptions
+from omnilines.matching.options import MatchingOptions
 from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.progress import Each, ProgressCallback, silent
@@ -127,7 +127,7 @@ def evidence_of_lines(
     its, tried = options.tolerance, options.tolerance.tried_px
     rng = np.random.default_rng(seed)
     chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), its.precise_share, rng)
-    turned = arcs.with_poses(_turned(arcs.poses, its, rng))
+    turned = arcs.with_poses(_turned(arcs.poses, its.min_chance_turn_rad, its.max_chance_turn_rad, rng))
     found, chance = [], []
     for done, slack in enumerate(tried):
         progress("choosing the slack", done, len(tried))
@@ -167,11 +167,29 @@ def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
     return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
-def _turned(poses: Pose, options: ToleranceOptions, rng: np.random.Generator) -> Pose:
-    """Cameras at the same places, each turned a little about an axis of its own: arcs fit each other by chance alone, and what
-    photos have in common hardly changes."""
+def lines_need_poses(
+    arcs: ViewedArcs, tolerance_px: float, turn_px: float, seed: int = 0, options: MatchingOptions = MatchingOptions()
+) -> bool:
+    """Whether lines stand out less where each camera is turned by `turn_px`, by more than sampling explains.
+
+    Where they do not, the poses are off by about as much. The slack does not tell that: among real texture arcs of neighbouring
+    edges agree under rough poses, and ask for little of it.
+    """
+    rng = np.random.default_rng(seed)
+    near = _near(arcs, options.hypotheses.max_neighbours)
+    chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), options.tolerance.precise_share, rng)
+    turn_rad = turn_px * float(np.median(arcs.px_rad))
+    turned = arcs.with_poses(_turned(arcs.poses, turn_rad, turn_rad, rng))
+    own, other = (find_hypotheses(some.widened(tolerance_px), near, rows=chosen, options=options) for some in (arcs, turned))
+    less = (own.score - own.rival) - (other.score - other.rival)
+    return bool(less.mean() > options.tolerance.chance_sigmas * less.std() / math.sqrt(len(less)))
+
+
+def _turned(poses: Pose, least_rad: float, most_rad: float, rng: np.random.Generator) -> Pose:
+    """Cameras at the same places, each turned a little about an axis of its own: by some degrees, arcs fit each other by chance
+    alone, and what photos have in common hardly changes."""
     axis = rng.standard_normal((len(poses), 3))
-    angle = rng.uniform(options.min_chance_turn_rad, options.max_chance_turn_rad, (len(poses), 1))
+    angle = rng.uniform(least_rad, most_rad, (len(poses), 1))
     axis *= angle / np.linalg.norm(axis, axis=-1, keepdims=True)
     return Pose.exp(torch.as_tensor(np.concatenate([axis, np.zeros_like(axis)], -1))) @ poses
 

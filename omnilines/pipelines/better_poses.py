@@ -15,7 +15,7 @@ from jaxtyping import Int
 
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
-from omnilines.matching.match import Evidence, Matched, evidence_of_poses
+from omnilines.matching.match import Evidence, Matched, evidence_of_poses, lines_need_poses
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
 from omnilines.pipelines.judged_photos import refuse_reading
@@ -70,15 +70,17 @@ def better_poses(
             f"{np.median(degrees):.2g} degrees (median), {degrees.max():.2g} at most."
         )
     if held.beyond_chance and held.tolerance_px < limits.rough_px:
-        return replace(posed, poses=best, notes=tuple(notes))
+        arcs = viewed_arcs(found, best, cameras)
+        if lines_need_poses(arcs, held.tolerance_px, limits.rough_turns * limits.rough_px, options.seed, options.matching):
+            return replace(posed, poses=best, notes=tuple(notes))
     try:
         trial, joined = _in_the_world_of(best, from_photos().poses, limits.outlying)
     except GeometryError as error:
         notes.append(f"Lines hardly agree under the given poses, and the photos themselves give none: {error}")
         return replace(posed, poses=best, notes=tuple(notes))
-    # Features tell places well, and directions tell rotations better.
-    trial = turned(trial)
-    if evidence(trial).gain > limits.min_gain * held.gain:
+    # Features tell places well, and directions tell rotations better where edges are as parallel as they should be.
+    by_features, trial = max(((evidence(one), one) for one in (trial, turned(trial))), key=lambda pair: pair[0].gain)
+    if by_features.gain > limits.min_gain * held.gain:
         best = trial
         notes.append(
             f"Lines hardly agree under the given poses: {joined} of {len(trial)} photos were placed by features, in the world of "

@@ -18,6 +18,9 @@ class RoughPoseOptions(NamedTuple):
     """Times as far that lines have to stand out under other poses for these to be taken."""
     rough_px: float = 1.6
     """Error of poses from which on they are rough: matching among near edges is then beyond telling apart."""
+    rough_turns: float = 2.0
+    """Where lines stand out as much when each camera is turned by so many times that error, poses are rough, whatever slack the
+    arcs ask for."""
     outlying: float = 3.0
     """Times the median distance from the given places at which a photo has no say in where the others are."""
 
