@@ -148,8 +148,7 @@ def mean_colours(
     """Colours on both sides of `count` lines: the means of their arcs `rows`, of which some run against their lines."""
     colours = np.where(against[:, None, None], arcs.colours[rows][:, ::-1], arcs.colours[rows])
     there = ~np.isnan(colours)
-    cell = (6 * line[:, None] + np.arange(6)).ravel()
-    total, seen = (
-        np.bincount(cell, values.ravel(), 6 * count).reshape(count, 2, 3) for values in (np.where(there, colours, 0.0), there)
-    )
+    total, seen = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+    np.add.at(total, line, np.where(there, colours, 0.0))
+    np.add.at(seen, line, there)
     return np.where(seen > 0, total / np.maximum(seen, 1.0), np.nan)

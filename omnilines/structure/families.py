@@ -13,7 +13,6 @@ Vamech, PAMI 2003). The binomial of the mean p bounds that of differing p (Hoeff
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -123,11 +122,11 @@ def _search(d: Float[Tensor, "n 3"], c: Float[Tensor, "n 3 3"], options: FamilyO
     least, sine = options.min_members, math.sin(options.separation_rad)
     found: list[Tensor] = []
     free = torch.ones(len(d), dtype=torch.bool)
-    few, gates = True, _Gates.of(d, c, options)
+    few = True
     while int(free.sum()) >= least:
         rows = torch.nonzero(free).flatten()
         seeds = c[rows].diagonal(dim1=-2, dim2=-1).sum(-1).argsort(stable=True)[: _SHARPEST if few else None]
-        chance = _chance(d[rows], c[rows], gates.rows(rows), seeds, options)
+        chance = _chance(d[rows], c[rows], seeds, options)
         for u in found:
             near = torch.linalg.cross(d[rows[seeds]], u.expand(len(seeds), 3)).norm(dim=-1) < sine
             chance = torch.where(near, math.inf, chance)
@@ -147,28 +146,8 @@ def _search(d: Float[Tensor, "n 3"], c: Float[Tensor, "n 3 3"], options: FamilyO
     return found
 
 
-class _Gates(NamedTuple):
-    """How far the gate of each direction reaches: of the covariance across it, with the tolerance."""
-
-    trace: Float[Tensor, " n"]
-    determinant: Float[Tensor, " n"]
-    reach: Float[Tensor, " n"]
-    """Square of the larger axis of the gate."""
-
-    @staticmethod
-    def of(d: Float[Tensor, "n 3"], c: Float[Tensor, "n 3 3"], options: FamilyOptions) -> "_Gates":
-        """Of directions and their covariances."""
-        s = across(d, c, d, options.tolerance_rad)[1]
-        reach = (options.gate * torch.linalg.eigvalsh(s)[:, -1]).clamp_min(0)
-        return _Gates(s.diagonal(dim1=-2, dim2=-1).sum(-1), torch.linalg.det(s).clamp_min(0), reach)
-
-    def rows(self, chosen: Int[Tensor, " m"]) -> "_Gates":
-        """Some of them."""
-        return _Gates(*(values[chosen] for values in self))
-
-
 def _chance(
-    d: Float[Tensor, "n 3"], c: Float[Tensor, "n 3 3"], gates: _Gates, seeds: Int[Tensor, " s"], options: FamilyOptions
+    d: Float[Tensor, "n 3"], c: Float[Tensor, "n 3 3"], seeds: Int[Tensor, " s"], options: FamilyOptions
 ) -> Float[Tensor, " s"]:
     """log of the number of lines with as many companions as each seed has that random directions would give; inf for too few.
 
@@ -176,7 +155,9 @@ def _chance(
     sqrt(det A + det B + tr A tr B / 2).
     """
     n, gate, tolerance_rad = len(d), options.gate, options.tolerance_rad
-    trace, determinant, reach = gates
+    s = across(d, c, d, tolerance_rad)[1]
+    trace, determinant = s.diagonal(dim1=-2, dim2=-1).sum(-1), torch.linalg.det(s).clamp_min(0)
+    reach = (gate * torch.linalg.eigvalsh(s)[:, -1]).clamp_min(0)
     count, p = torch.zeros(len(seeds), dtype=d.dtype), torch.zeros(len(seeds), dtype=d.dtype)
     step = max(1, _PAIRS // n)
     for low in range(0, len(seeds), step):

@@ -58,11 +58,7 @@ def arcs_by_angle(photo, photos, starts, packed):
     """Frames about the baselines from one photo to others, and the arcs of each in each bin: those of bin b of the k-th photo are
     members[begin[k, b]:begin[k, b + 1]]. A photo at the same place has none."""
     frames, begin = np.zeros((len(photos), 2, 3)), np.zeros((len(photos), BINS + 1), dtype=np.int64)
-    # Of the arcs of these photos alone: a scene has thousands of others.
-    base = np.zeros(len(photos) + 1, dtype=np.int64)
-    for k in range(len(photos)):
-        base[k + 1] = base[k] + starts[photos[k] + 1] - starts[photos[k]]
-    reach = np.empty((base[-1], 2), dtype=np.int64)
+    reach = np.zeros((starts[-1], 2), dtype=np.int64)
     here, total = packed[starts[photo]], 0
     for k in range(len(photos)):
         low, high = starts[photos[k]], starts[photos[k] + 1]
@@ -73,9 +69,8 @@ def arcs_by_angle(photo, photos, starts, packed):
             continue
         count = np.zeros(BINS, dtype=np.int64)
         for j in range(low, high):
-            at = base[k] + j - low
-            reach[at, 0], reach[at, 1] = bins_of(packed[j], frames[k])
-            for b in range(reach[at, 0], reach[at, 0] + reach[at, 1]):
+            reach[j] = bins_of(packed[j], frames[k])
+            for b in range(reach[j, 0], reach[j, 0] + reach[j, 1]):
                 count[b % BINS] += 1
         begin[k, 0] = total
         for b in range(BINS):
@@ -85,11 +80,11 @@ def arcs_by_angle(photo, photos, starts, packed):
     for k in range(len(photos)):
         if begin[k, 0] == begin[k, BINS]:
             continue
-        place = begin[k, :BINS].copy()
-        for at in range(base[k], base[k + 1]):
-            for b in range(reach[at, 0], reach[at, 0] + reach[at, 1]):
-                members[place[b % BINS]] = starts[photos[k]] + at - base[k]
-                place[b % BINS] += 1
+        at = begin[k, :BINS].copy()
+        for j in range(starts[photos[k]], starts[photos[k] + 1]):
+            for b in range(reach[j, 0], reach[j, 0] + reach[j, 1]):
+                members[at[b % BINS]] = j
+                at[b % BINS] += 1
     return frames, begin, members
 
 
