@@ -175,9 +175,11 @@ def _least_share(
     places, usable = arcs.positions(lines, rows, line)
     low, high = positions_m[line].T
     share = np.clip((np.minimum(places[:, 1], high) - np.maximum(places[:, 0], low)) / (high - low), 0.0, 1.0)
-    shown = np.full((len(lines), arcs.images), -1.0)
-    np.maximum.at(shown, (line[usable], arcs.image[rows[usable]]), share[usable])
-    least = np.where(shown >= 0.0, shown, np.inf).min(1)
+    pair, number = np.unique(line[usable] * arcs.images + arcs.image[rows[usable]], return_inverse=True)
+    most = np.zeros(len(pair))
+    np.maximum.at(most, number, share[usable])
+    least = np.full(len(lines), np.inf)
+    np.minimum.at(least, pair // arcs.images, most)
     return np.where(np.isfinite(least), least, 0.0)
 
 

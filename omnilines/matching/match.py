@@ -22,12 +22,14 @@ from omnilines.matching.kernels.supporters import supporting_photos
 from omnilines.matching.options import MatchingOptions
 from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import Tracks, build_tracks
-from omnilines.progress import Each, ProgressCallback, silent
+from omnilines.progress import Each, ProgressCallback, on_all_cores, silent
 from omnilines.triangulation.robust import noise_level
 
 SAMPLED_PAIRS, MIN_SAMPLED = 2_000_000, 250
 """Arcs that the slack is chosen by: as many as give so many pairs with another arc, or the least number."""
 LEAST_VIEWS = 4
+CASES_AT_ONCE = 8
+"""Slacks that are tried at a time: each takes half a kilobyte an arc of all photos."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,17 @@ def evidence_of_lines(
     rng = np.random.default_rng(seed)
     chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), its.precise_share, rng)
     turned = arcs.with_poses(_turned(arcs.poses, its.min_chance_turn_rad, its.max_chance_turn_rad, rng))
-    found, chance = [], []
-    for done, slack in enumerate(tried):
-        progress("choosing the slack", done, len(tried))
-        found.append(find_hypotheses(arcs.widened(slack), neighbours, rows=chosen, options=options))
-        chance.append(find_hypotheses(turned.widened(slack), neighbours, rows=chosen, options=options))
-    progress("choosing the slack", len(tried), len(tried))
+
+    def compared(case: tuple[ViewedArcs, float]) -> Hypotheses:
+        """Of the chosen arcs, in photos that stand as they do or are turned, under a slack."""
+        seen, slack = case
+        return find_hypotheses(seen.widened(slack), neighbours, rows=chosen, options=options)
+
+    # So few arcs are one piece of work: it is the cases that cores share.
+    progress("choosing the slack", 0, 2 * len(tried))
+    cases = [(seen, slack) for seen in (arcs, turned) for slack in tried]
+    of_cases = on_all_cores(compared, cases, "choosing the slack", progress, CASES_AT_ONCE)
+    found, chance = of_cases[: len(tried)], of_cases[len(tried) :]
     gain = np.array([float((one.score - one.rival).mean()) for one in found])
     by_chance = np.array([float((one.score - one.rival).mean()) for one in chance])
     most = int(np.argmax(gain - by_chance))

@@ -20,6 +20,8 @@ from omnilines.structure.options import CornerOptions
 
 ROUNDS = 200
 TINY = 1e-300
+FARTHEST, APART = 2.0, 3.0
+"""Distance of opposite bearings, and of two photos in the search for arcs that end together."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +50,15 @@ def corners_seen(
     options: CornerOptions = CornerOptions(),
 ) -> Corners:
     """The corners of arcs of photos (`image`) and lines (`line`), of end bearings and normals (unit, world); `px_rad` a pixel."""
-    found = [np.zeros((0, 3), dtype=np.int64)]
-    for photo in np.unique(image):
-        rows = np.flatnonzero(image == photo)
-        one, other = _together(line[rows], ends[rows], normal[rows], px_rad[rows], options)
-        pair = np.sort(np.stack([line[rows[one]], line[rows[other]]], -1), axis=-1)
-        found.append(np.unique(np.column_stack([pair, np.full(len(pair), photo)]), axis=0))
-    lines, photos = np.unique(np.concatenate(found)[:, :2], axis=0, return_counts=True)
+    one, other = _together(image, line, ends, normal, px_rad, options)
+    seen = np.unique(np.column_stack([np.sort(np.stack([line[one], line[other]], -1), axis=-1), image[one]]), axis=0)
+    lines, photos = np.unique(seen[:, :2], axis=0, return_counts=True)
     enough = photos >= options.min_photos
     return Corners(lines[enough], photos[enough])
 
 
 def _together(
+    image: Int[np.ndarray, " n"],
     line: Int[np.ndarray, " n"],
     ends: Float[np.ndarray, "n 2 3"],
     normal: Float[np.ndarray, "n 3"],
@@ -68,7 +67,9 @@ def _together(
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Pairs of arcs of one photo and two lines that end together."""
     end, reach = ends.reshape(-1, 3), options.reach_px * px_rad
-    one, other = cKDTree(end).query_pairs(2.0 * float(reach.max(initial=0.0)), output_type="ndarray").T
+    # One search for all photos: in a fourth direction they are farther from each other than any two bearings.
+    apart = np.column_stack([end, np.repeat(APART * image, 2)])
+    one, other = cKDTree(apart).query_pairs(min(2.0 * float(reach.max(initial=0.0)), FARTHEST), output_type="ndarray").T
     one, other = (pair[line[one // 2] != line[other // 2]] for pair in (one, other))
     point = np.cross(normal[one // 2], normal[other // 2])
     sine = np.linalg.norm(point, axis=-1)
@@ -103,10 +104,13 @@ def gap_shares(
     _, group = np.unique(np.minimum(photos, options.most_photos), return_inverse=True)
     own = likelihood(gap_m, variance_m2, gaps)
     share = np.full((int(group.max(initial=-1)) + 1, len(gaps)), 1.0 / len(gaps))
+    # Cells of the table, first all of them for the further corner.
+    cell = np.concatenate([np.arange(share.size), (group[:, None] * len(gaps) + np.arange(len(gaps))).ravel()])
+    weight = np.full(len(cell), 1.0 / len(gaps))
     for _ in range(ROUNDS):
         part = share[group] * own
-        total = np.full_like(share, 1.0 / len(gaps))
-        np.add.at(total, group, part / np.maximum(part.sum(-1, keepdims=True), TINY))
+        weight[share.size :] = (part / np.maximum(part.sum(-1, keepdims=True), TINY)).ravel()
+        total = np.bincount(cell, weight).reshape(share.shape)
         share = total / total.sum(-1, keepdims=True)
     return GapShares(gaps, share, group)
 
