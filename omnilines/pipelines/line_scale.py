@@ -99,11 +99,12 @@ def rival_of(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallba
 
 def doubt(rival: RivalScale) -> str:
     """What a person should know of it."""
-    what = "right angles" if rival.angle_rad is None else f"walls at {math.degrees(rival.angle_rad):.0f} degrees"
+    walls = "right angles" if rival.angle_rad is None else f"walls at {math.degrees(rival.angle_rad):.0f} degrees"
+    far, way = 100 * abs(rival.factor - 1), "longer" if rival.factor > 1 else "shorter"
     return (
-        f"That directions are at right angles is not decided by these photos: with {what} their lines are explained as well by focal "
-        f"lengths {100 * rival.factor:.0f} percent as long; right angles are not used, and the focal length is about a guess. "
-        "Add photos from other sides and with the camera tilted, or of a board."
+        f"Right angles are not used, as these photos do not decide that they are there: a focal length {far:.0f} percent {way}, with "
+        f"{walls}, explains the directions of their lines as well. The focal length stays near that of the start, and its standard "
+        "deviation says so; add photos from other sides, with the camera tilted, or of a board."
     )
 
 

@@ -110,11 +110,9 @@ def better_scale(
 def rival_scale(
     photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
 ) -> RivalScale | None:
-    """The other scale that explains the pairs best, where it is not less likely than the factor 1 by `decisive`; of directions that
-    were found with the factor 1."""
+    """The other scale that explains the pairs best, where the factor 1, with which directions were found, is not `decisive` times
+    as likely: so it is where no photo shows a pair."""
     pairs = _Pairs.of(photos, weights)
-    if not len(pairs.first):
-        return None
     far = math.log(options.max_factor)
     places = np.linspace(-far, far, options.factors)
     now = _refined(pairs, 0.0, places[1] - places[0], options)
@@ -127,13 +125,15 @@ def rival_scale(
 
 
 def _rival(pairs: _Pairs, place: float, options: RightAngleOptions) -> RivalScale:
-    """How likely a scale is, with right angles alone or with one more angle, whichever is more."""
-    q = math.exp(place)
-    cosines = (np.arange(options.angles) + 0.5) / options.angles
-    right, one_more = _gain(pairs, q, options), np.array([_gain(pairs, q, options, float(cosine)) for cosine in cosines])
-    best = int(np.argmax(one_more))
-    mean = float(one_more[best] + math.log(np.exp(one_more - one_more[best]).mean()))
-    return RivalScale(q, right, None) if right >= mean else RivalScale(q, mean, math.acos(cosines[best]))
+    """How likely a scale is, with right angles alone or with one more angle that is as likely, whichever is more."""
+    q, other = math.exp(place), (np.arange(options.angles)[:, None] + 0.5) / options.angles
+    seen = _cosines(pairs, q, options)
+    ratio = 0.5 * _over_chance(*seen, 0.0) + 0.25 * (_over_chance(*seen, -other) + _over_chance(*seen, other))
+    gains = np.log1p(options.share * (ratio - 1.0)) @ pairs.weight
+    best = int(np.argmax(gains))
+    mean = float(gains[best] + math.log(np.exp(gains - gains[best]).mean()))
+    right = _gain(pairs, q, options)
+    return RivalScale(q, right, None) if right >= mean else RivalScale(q, mean, math.acos(float(other[best, 0])))
 
 
 def _beyond_chance(options: RightAngleOptions) -> float:
@@ -141,9 +141,13 @@ def _beyond_chance(options: RightAngleOptions) -> float:
     return math.log(options.factors / options.false_scales)
 
 
-def _gain(pairs: _Pairs, q: float, options: RightAngleOptions, other: float | None = None) -> float:
-    """log likelihood of all pairs over that of chance; with those of one more angle, with the cosine `other`, as likely as right
-    ones."""
+def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
+    """log likelihood of all pairs over that of chance."""
+    return float(pairs.weight @ np.log1p(options.share * (_over_chance(*_cosines(pairs, q, options), 0.0) - 1.0)))
+
+
+def _cosines(pairs: _Pairs, q: float, options: RightAngleOptions) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Of the angle of each pair, and their variances."""
     scale = np.array([1.0, 1.0, q])
     x, y = pairs.first * scale, pairs.second * scale
     long_x, long_y = (np.linalg.norm(z, axis=-1, keepdims=True) for z in (x, y))
@@ -152,18 +156,16 @@ def _gain(pairs: _Pairs, q: float, options: RightAngleOptions, other: float | No
     by_first, by_second = scale * (y - cosine * x) / long_x, scale * (x - cosine * y) / long_y
     variance = np.einsum("pi,pij,pj->p", by_first, pairs.of_first, by_first)
     variance += np.einsum("pi,pij,pj->p", by_second, pairs.of_second, by_second) + 2.0 * options.stray_rad**2
-    ratio = _over_chance(cosine[:, 0], variance, 0.0)
-    if other is not None:
-        sides = [_over_chance(cosine[:, 0], variance, side) for side in (-other, other)]
-        ratio = 0.5 * ratio + 0.25 * (sides[0] + sides[1])
-    return float(pairs.weight @ np.log1p(options.share * (ratio - 1.0)))
+    return cosine[:, 0], variance
 
 
-def _over_chance(cosine: Float[np.ndarray, " p"], variance: Float[np.ndarray, " p"], mean: float) -> Float[np.ndarray, " p"]:
+def _over_chance(
+    cosine: Float[np.ndarray, " p"], variance: Float[np.ndarray, " p"], mean: float | Float[np.ndarray, "a 1"]
+) -> Float[np.ndarray, "*a p"]:
     """A normal distribution cut off at -1 and 1, over a density of 1/2."""
-    per = torch.as_tensor(np.sqrt(0.5 / variance))
-    inside = 0.5 * (torch.erf((1.0 - mean) * per) + torch.erf((1.0 + mean) * per)).numpy()
-    ratio: Float[np.ndarray, " p"] = 2.0 * np.exp(-0.5 * np.square(cosine - mean) / variance)
+    per = np.sqrt(0.5 / variance)
+    inside = 0.5 * torch.erf(torch.as_tensor(np.stack([(1.0 - mean) * per, (1.0 + mean) * per]))).numpy().sum(0)
+    ratio: Float[np.ndarray, "*a p"] = 2.0 * np.exp(-0.5 * np.square(cosine - mean) / variance)
     return ratio / (np.sqrt(2.0 * np.pi * variance) * inside)
 
 
