@@ -17,7 +17,7 @@ from omnilines.geometry.chains import Chains
 from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import chains_of
 from omnilines.structure.meeting import Meeting
-from omnilines.structure.right_angles import rival_scale, scale_peaks
+from omnilines.structure.right_angles import scale_peaks
 
 SIZE = (640, 480)
 FISHEYE = OpenCVFisheye([180.0, 180.0, 325.0, 236.0, -0.02, 0.001, 0.0, 0.0], SIZE)

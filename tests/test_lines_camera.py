@@ -54,9 +54,9 @@ def true_chains(
     world: np.ndarray | None = None,
     tilt_rad: float = 0.0,
 ) -> Chains:
-    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from
-    random turns (or from turns within `spread` radians; or along the columns of `world`, with the camera upright but for a tilt), a point each 1.5 px or so, with noise across the edge that all points
-    have alone."""
+    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from random turns
+    (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px or so,
+    with noise across the edge that all points have alone."""
     rng = np.random.default_rng(seed)
     image, chain, pixels, normals = [], [], [], []
     for photo in range(photos):
@@ -178,7 +178,7 @@ def test_a_camera_at_a_wrong_scale_is_brought_to_that_of_the_right_angles_of_all
 
 @pytest.mark.parametrize("factor", [1.1, pytest.param(0.9, marks=pytest.mark.full)])
 def test_walls_at_85_degrees_are_not_taken_for_right_angles(factor: float) -> None:
-    """Where both walls show, photos agree on a focal length 10 percent off, as if their angle were a right one, to 0.1 percent."""
+    """Photos in which both walls show agree on a focal length 10 percent off, as if their angle were a right one."""
     chains = level_chains(WIDE, 0, 85.0)
     held = adjusted_camera(scaled(WIDE, factor, math.radians(50.0)), chains)
     off, sigma = focal_off(held, chains)

@@ -102,9 +102,9 @@ def doubt(rival: RivalScale) -> str:
     walls = "right angles" if rival.angle_rad is None else f"walls at {math.degrees(rival.angle_rad):.0f} degrees"
     far, way = 100 * abs(rival.factor - 1), "longer" if rival.factor > 1 else "shorter"
     return (
-        f"Right angles are not used, as these photos do not decide that they are there: a focal length {far:.0f} percent {way}, with "
-        f"{walls}, explains the directions of their lines as well. The focal length stays near that of the start, and its standard "
-        "deviation says so; add photos from other sides, with the camera tilted, or of a board."
+        f"Right angles are not used, as these photos do not decide that they are there: a focal length {far:.0f} percent {way}, "
+        f"with {walls}, explains the directions of their lines as well. The focal length stays near that of the start, and its "
+        "standard deviation says so; add photos from other sides, with the camera tilted, or of a board."
     )
 
 
