@@ -15,7 +15,7 @@ import torch
 import omnilines as ol
 from camera_models import MODELS, CameraModel, OpenCVFisheye, Pinhole, model_class
 from camera_models.pose import rotation_from_vector
-from omnilines.calibration.lines.camera import LineCamera, in_mirror, line_camera
+from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
@@ -35,7 +35,7 @@ from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart
 from omnilines.pipelines.line_camera import adjusted_camera, asked_camera, prior_with_boards, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
-from omnilines.pipelines.line_scale import scaled, with_scale_of_all
+from omnilines.pipelines.line_scale import scaled, with_scale_of_all, without_doubtful_angles
 from omnilines.structure.options import DirectionsOptions
 
 FISHEYE = OpenCVFisheye([230.0, 230.8, 321.0, 238.0, -0.01, 0.002, -0.0015, 0.0001], (640, 480))
@@ -44,11 +44,19 @@ SIGMA_PX = 0.1
 
 
 def true_chains(
-    model: CameraModel, seed: int, photos: int = 6, lines: int = 60, axes: int = 3, off_rad: float = 0.0, spread: float = 9.0
+    model: CameraModel,
+    seed: int,
+    photos: int = 6,
+    lines: int = 60,
+    axes: int = 3,
+    off_rad: float = 0.0,
+    spread: float = 9.0,
+    world: np.ndarray | None = None,
+    tilt_rad: float = 0.0,
 ) -> Chains:
-    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from
-    random turns (or from turns within `spread` radians), a point each 1.5 px or so, with noise across the edge that all points
-    have alone."""
+    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from random
+    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px or so,
+    with noise across the edge that all points have alone."""
     rng = np.random.default_rng(seed)
     image, chain, pixels, normals = [], [], [], []
     for photo in range(photos):
@@ -56,6 +64,10 @@ def true_chains(
         if spread < math.pi:
             turn = rotation_from_vector(torch.as_tensor([0.4, 0.5, 0.1] + spread * rng.normal(size=3))).numpy()
         turn = turn @ (np.eye(3) + 0.5 * off_rad * np.array([[0.0, 1.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 1.0, 0.0]]))
+        if world is not None:
+            tilt = torch.as_tensor([tilt_rad, 0.0, tilt_rad]) * torch.as_tensor(rng.normal(size=3))
+            heading = torch.tensor([0.0, rng.uniform(0.0, 2.0 * math.pi), 0.0], dtype=torch.float64)
+            turn = (rotation_from_vector(tilt.double()) @ rotation_from_vector(heading)).numpy() @ world
         for k in range(lines):
             way = turn[:, k % axes] if k % 4 else rng.normal(size=3)
             way = way / np.linalg.norm(way)
@@ -85,6 +97,13 @@ def true_chains(
         np.concatenate(normals),
         np.full(len(points), SIGMA_PX),
     )
+
+
+def level_chains(model: CameraModel, seed: int, walls_deg: float, tilt_rad: float = 0.0) -> Chains:
+    """Four photos of verticals, and of horizontals along walls at an angle to one another, from any side."""
+    angle = math.radians(walls_deg)
+    walls = np.array([[1.0, math.cos(angle), 0.0], [0.0, 0.0, 1.0], [0.0, math.sin(angle), 0.0]])
+    return true_chains(model, seed, photos=4, lines=90, world=walls, tilt_rad=tilt_rad)
 
 
 def disturbed(model: CameraModel, **changes: float) -> CameraModel:
@@ -155,6 +174,34 @@ def test_a_camera_at_a_wrong_scale_is_brought_to_that_of_the_right_angles_of_all
     assert found.families.frames == 6 and found.settled and abs(math.log(start.focal_px / 230.4)) < 0.2
     assert mahalanobis(line_camera(found, chains.images, OPTIONS), FISHEYE) < 32.0
     assert with_scale_of_all(start, found, chains, GUIDE, LinesOptions()) == (start, found)
+
+
+@pytest.mark.parametrize("factor", [1.1, pytest.param(0.9, marks=pytest.mark.full)])
+def test_walls_at_85_degrees_are_not_taken_for_right_angles(factor: float) -> None:
+    """Photos in which both walls show agree on a focal length 10 percent off, as if their angle were a right one."""
+    chains = level_chains(WIDE, 0, 85.0)
+    held = adjusted_camera(scaled(WIDE, factor, math.radians(50.0)), chains)
+    off, sigma = focal_off(held, chains)
+    assert held.families.frames and abs(off) > 0.05 and abs(off) > 20.0 * sigma
+    done, lines, doubts = without_doubtful_angles(held, chains, LinesOptions())
+    off, sigma = focal_off(done, chains)
+    assert not done.families.frames and abs(off) < 2.0 * sigma and sigma > 0.1
+    assert not lines.adjustment.right_angles and len(doubts) == 1 and "Right angles are not used" in doubts[0]
+
+
+def test_right_angles_that_are_decisive_stay() -> None:
+    chains = level_chains(FISHEYE, 0, 90.0, tilt_rad=0.15)
+    done, lines = adjusted_camera(FISHEYE, chains), LinesOptions()
+    assert without_doubtful_angles(done, chains, lines) == (done, lines, ())
+    off, sigma = focal_off(done, chains)
+    assert abs(off) < 4.0 * sigma < 0.01
+
+
+def focal_off(done: LineAdjustment, chains: Chains) -> tuple[float, float]:
+    """Error and standard deviation of the focal length, as shares of that of the true camera of this kind."""
+    fit = line_camera(done, chains.images, OPTIONS)
+    true = float({"pinhole": WIDE, "opencv-fisheye": FISHEYE}[fit.model.NAME].parameters[0])
+    return float(fit.model.parameters[0]) / true - 1.0, fit.sigma["fx"] / true
 
 
 def mahalanobis(fit: LineCamera, truth: CameraModel) -> float:

@@ -23,7 +23,7 @@ from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
-from omnilines.pipelines.line_scale import with_scale_of_all
+from omnilines.pipelines.line_scale import with_scale_of_all, without_doubtful_angles
 from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
@@ -157,12 +157,14 @@ def calibrate_lines(
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
         start, done = with_scale_of_all(start, done, arcs, guide, lines, progress)
+    done, lines, doubts = without_doubtful_angles(done, arcs, lines, progress)
     trials = [_trial(one, guide, start, done, lines, options, progress) for one in candidates]
     selection = chosen_trial(trials, options.held_out)
     if selection.chosen.candidate != guide:
         assert selection.chosen.model is not None
         done = adjusted_camera(selection.chosen.model, arcs, lines.adjustment, lines.directions, progress=progress)
     fit = line_camera(done, images, lines.adjustment)
+    fit = replace(fit, notes=(*doubts, *fit.notes))
     if options.mirror:
         fit = in_mirror(fit)
     inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}

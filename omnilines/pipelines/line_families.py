@@ -65,7 +65,7 @@ def families_of(
         """Frame and directions of one photo."""
         if len(own) < directions.min_lines:
             return None, Meeting.none(len(own))
-        frame = manhattan_frame(circles.rows(own), directions)
+        frame = manhattan_frame(circles.rows(own), directions) if options.right_angles else None
         return None if frame is None else frame.axes, meeting_directions(circles.rows(own), directions)
 
     found = on_all_cores(look, rows, "finding directions", progress)

@@ -25,7 +25,7 @@ from omnilines.pipelines.line_families import chain_circles
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.structure.meeting import Meeting, meeting_directions
-from omnilines.structure.right_angles import ScalePeak, better_scale
+from omnilines.structure.right_angles import RivalScale, better_scale, rival_scale
 
 AZIMUTHS = 16
 ANGLES = 100
@@ -44,7 +44,7 @@ def with_scale_of_all(
 ) -> tuple[CameraStart, LineAdjustment]:
     """The adjustment from the scale at which the directions of all photos are at right angles, where that is another one; and the
     start with it."""
-    found = _scale_of_all(done, lines, progress)
+    found = better_scale(*directions_of_all(done, lines, progress), lines.right_angles)
     if found is None:
         return start, done
     reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
@@ -77,8 +77,41 @@ def _middle_focal_px(model: CameraModel) -> float:
     return float(_radii_px(model, angle)) / math.tan(MIDDLE_RAD)
 
 
-def _scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback) -> ScalePeak | None:
-    """See `better_scale`: of the lines of an adjustment."""
+def without_doubtful_angles(
+    done: LineAdjustment, arcs: Chains, lines: LinesOptions, progress: ProgressCallback = silent
+) -> tuple[LineAdjustment, LinesOptions, tuple[str, ...]]:
+    """The adjustment as it is where right angles are decisive; else one to straightness and parallels alone, with the options for
+    it, and what a person should know."""
+    rival = rival_of(done, lines, progress)
+    if rival is None:
+        return done, lines, ()
+    lines = replace(lines, adjustment=replace(lines.adjustment, right_angles=False))
+    done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
+    return done, lines, (doubt(rival),)
+
+
+def rival_of(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback = silent) -> RivalScale | None:
+    """Another scale that explains the directions of all photos about as well, where right angles count."""
+    if not done.families.frames or done.prior.boards:
+        return None
+    return rival_scale(*directions_of_all(done, lines, progress), lines.right_angles)
+
+
+def doubt(rival: RivalScale) -> str:
+    """What a person should know of it."""
+    walls = "right angles" if rival.angle_rad is None else f"walls at {math.degrees(rival.angle_rad):.0f} degrees"
+    far, way = 100 * abs(rival.factor - 1), "longer" if rival.factor > 1 else "shorter"
+    return (
+        f"Right angles are not used, as these photos do not decide that they are there: a focal length {far:.0f} percent {way}, "
+        f"with {walls}, explains the directions of their lines as well. The focal length stays near that of the start, and its "
+        "standard deviation says so; add photos from other sides, with the camera tilted, or of a board."
+    )
+
+
+def directions_of_all(
+    done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback
+) -> tuple[list[Meeting], Float[np.ndarray, " photos"]]:
+    """The directions in which the lines of each photo of an adjustment meet, and the weights of photos."""
     chains = done.chains
     with torch.no_grad():
         circles = chain_circles(done.model, chains)
@@ -90,4 +123,4 @@ def _scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressC
         return meeting_directions(circles.rows(own), lines.directions)
 
     found = on_all_cores(look, rows, "finding directions", progress)
-    return better_scale(found, np.array([float((1.0 / times[own]).mean()) for own in rows]), lines.right_angles)
+    return found, np.array([float((1.0 / times[own]).mean()) for own in rows])

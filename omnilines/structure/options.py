@@ -138,3 +138,9 @@ class RightAngleOptions(NamedTuple):
     """Scales that are given back."""
     false_scales: float = 1e-3
     """Scales that are expected where directions are at random, at most."""
+    angles: int = 60
+    """Between walls that do not meet at right angles, tried at equal steps of their cosines."""
+    same_scale: float = 0.05
+    """Scales that differ by less are not told apart, however uncertain they are."""
+    decisive: float = 10.0
+    """Right angles tell the scale where it is so many times as likely as any other one, with walls at any angle."""

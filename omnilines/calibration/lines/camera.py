@@ -114,7 +114,7 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
         min_angle_deg=low,
         max_angle_deg=high,
         open_terms=open_terms,
-        notes=(*_notes(done, open_terms), *_on_right_angles(done)),
+        notes=(*_notes(done, open_terms, options.right_angles), *_on_right_angles(done)),
     )
 
 
@@ -193,9 +193,9 @@ def _on_right_angles(done: LineAdjustment) -> tuple[str, ...]:
     )
 
 
-def _notes(done: LineAdjustment, open_terms: tuple[str, ...]) -> tuple[str, ...]:
+def _notes(done: LineAdjustment, open_terms: tuple[str, ...], right_angles: bool) -> tuple[str, ...]:
     notes: tuple[str, ...] = ()
-    if not done.families.frames and not done.prior.boards:
+    if right_angles and not done.families.frames and not done.prior.boards:
         notes += (
             "No photo shows lines in three directions at right angles, which tell the focal length and the ratio of its parts: "
             "these are a guess, and only the straightness of lines is calibrated; add photos of buildings or rooms.",

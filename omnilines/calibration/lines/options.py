@@ -31,6 +31,8 @@ class LineOptions:
     """Standard deviation of the centre about that of the start, as a share of half the image's longer side."""
     open_share: float = 0.3
     """A direction of the parameters that remains uncertain by more than this share of that is named as not seen."""
+    right_angles: bool = True
+    """Whether directions may be taken to be at right angles."""
     rounds: int = 12
     """Times at most that families and weights are found anew with the camera that they lead to."""
     settled_sigmas: float = 0.1
