@@ -11,7 +11,6 @@ from omnilines.pipelines.arcs import PhotoArcs, skipped
 from omnilines.pipelines.detect import PhotoCorners
 from omnilines.records import ViewResult
 
-
 _COPY = "It is a copy of "
 
 
