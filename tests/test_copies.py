@@ -9,6 +9,7 @@ import torch
 import omnilines as ol
 from camera_models import OpenCVFisheye
 from camera_models.pose import Pose
+from omnilines.pages.limits import unused_advice
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.chains import chains_of
 from omnilines.pipelines.copies import copies
@@ -64,3 +65,15 @@ def test_a_copy_tells_nothing_of_a_camera(room: tuple[dict[str, np.ndarray], ol.
     assert [one.text for one in skipped] == ["later.png is skipped: It is a copy of view01.png, and would count twice."]
     followed = chains_of(given)
     assert followed.chains.images == (name,) and "later.png is skipped: It is a copy of view01.png" in str(followed.skipped)
+
+
+def test_a_copy_of_a_board_tells_nothing_of_a_camera() -> None:
+    """Neither its corners nor its photo, which the camera would look through again; and nobody is asked to take it anew."""
+    photos = dict(ol.render("checkerboard:5x4:60mm", LENS, ol.RenderOptions(views=4, seed=3)).photos)
+    twice = {**photos, **{f"{name} (1)": pixels for name, pixels in photos.items()}}
+    once, both = (ol.calibrate(given, "checkerboard:5x4:60mm", model="opencv-fisheye") for given in (photos, twice))
+    assert both.sigma == once.sigma
+    assert both.camera.named_parameters() == once.camera.named_parameters()
+    lost = [view for view in both.views if not view.used]
+    assert {view.image for view in lost} == {f"{name} (1)" for name in photos}
+    assert unused_advice(lost, len(twice)) == ()

@@ -63,5 +63,5 @@ def directions(
         details=found.details,
         photos=len(refs),
         report=page,
-        then=("rectify", *map(str, photos), "--calibration", str(calibration), *UPRIGHT),
+        then=("rectify", *map(str, photos), "--calibration", str(calibration), *UPRIGHT) if len(found) else (),
     )

@@ -21,6 +21,7 @@ from omnilines.pipelines.arcs import extract as pipeline
 from omnilines.progress import ProgressCallback, silent
 
 TABLE, PICTURES = "segments.csv", "pictures"
+SCENE = ("--poses", "sfm", "--out", "scene")
 
 
 def extract(
@@ -55,7 +56,7 @@ def extract(
         warnings=arcs.notes,
         details=arcs.skipped_details,
         photos=len(refs),
-        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), "--poses", "sfm", "--out", "scene"),
+        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), *SCENE) if len(arcs) else (),
     )
 
 

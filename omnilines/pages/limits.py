@@ -15,6 +15,7 @@ from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.thresholds import RigThresholds
+from omnilines.pipelines.copies import is_copy
 from omnilines.records import Advice, Corners, ViewResult
 from omnilines.report.numbers import figure
 
@@ -103,7 +104,8 @@ def _far_off(views: Sequence[ViewResult]) -> tuple[list[float], float, list[str]
 
 
 def unused_advice(lost: Sequence[ViewResult], total: int) -> tuple[Advice, ...]:
-    """Photos that are not used, where they are many of all, with the most frequent reason."""
+    """Photos that are not used, where they are many of all, with the most frequent reason; copies are not missed."""
+    lost = [view for view in lost if not is_copy(view.reason)]
     if len(lost) <= MANY_UNUSED * total:
         return ()
     reason, count = Counter((view.reason or "").rstrip(".") for view in lost).most_common(1)[0]

@@ -46,7 +46,7 @@ def _verdict(scene: Scene) -> str:
     weak = sum(status == "weak" for status in lines.status)
     sigma = scene.median_sigma_m()
     known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
-    faint = f"; {weak} of them are weak" if weak else ""
+    faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
     return f"{int(lines.known.sum())} lines from {len(scene.poses)} photos{known}{faint}."
 
 

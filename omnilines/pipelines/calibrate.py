@@ -23,6 +23,7 @@ from omnilines.calibration.thresholds import DuplicateThresholds, ShootingThresh
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
 from omnilines.pipelines.batches import one_by_one
+from omnilines.pipelines.copies import corners_without_copies
 from omnilines.pipelines.detect import search_again
 from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
@@ -158,6 +159,8 @@ def calibrate_corners(
         corners = PhotoCorners.of_table(corners if isinstance(corners, Corners) else corners_of_views(corners), image_size)
     if options.rolling_shutter:
         require_close(timed(corners).corners, options.clocks)
+    else:
+        corners = corners_without_copies(corners)
     found, result = _guided(corners, options, executor, progress) if corners.photos else (corners, None)
     found = timed(found)
     notes = (*_gains(corners, found), *found.notes)

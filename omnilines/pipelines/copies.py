@@ -6,8 +6,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from omnilines.calibration.rig.views import views_of
 from omnilines.pipelines.arcs import skipped
 from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.photo_corners import PhotoCorners
+from omnilines.records import ViewResult
+
+_COPY = "It is a copy of "
 
 
 def copies(names: Sequence[str], pixels: Sequence[Float[np.ndarray, "_ *_"]]) -> list[str | None]:
@@ -18,8 +23,13 @@ def copies(names: Sequence[str], pixels: Sequence[Float[np.ndarray, "_ *_"]]) ->
     for name, own in zip(names, pixels, strict=True):
         before = first.setdefault(own.tobytes(), name)
         copied = own.size and before != name
-        reasons.append(f"It is a copy of {before}, and would count twice." if copied else None)
+        reasons.append(f"{_COPY}{before}, and would count twice." if copied else None)
     return reasons
+
+
+def is_copy(reason: str | None) -> bool:
+    """Whether a photo is left out for that reason of `copies`."""
+    return reason is not None and reason.startswith(_COPY)
 
 
 def without_copies(arcs: PhotoArcs, posed: Collection[str] = ()) -> PhotoArcs:
@@ -32,3 +42,27 @@ def without_copies(arcs: PhotoArcs, posed: Collection[str] = ()) -> PhotoArcs:
         reason |= zip(names, copies(names, [one.endpoints_px for one in own]), strict=True)
     photos = [one if (why := reason.get(one.photo.name)) is None else skipped(one.photo, one.camera, why) for one in arcs.photos]
     return replace(arcs, photos=tuple(photos))
+
+
+def corners_without_copies(found: PhotoCorners) -> PhotoCorners:
+    """The corners with those photos, or views of a table, skipped that are copies of others."""
+    corners = found.corners
+    pixels = [corners.pixels[corners.view == view] for view in range(len(corners.view_names))]
+    reasons = copies(corners.view_names, pixels)
+    stays = np.array([reason is None for reason in reasons], dtype=bool)
+    if stays.all():
+        return found
+    rows, times_s = stays[corners.view], corners.times_s
+    left_out = [
+        ViewResult(name, image, False, reason)
+        for name, image, reason in zip(corners.view_names, corners.images, reasons, strict=True)
+        if reason is not None
+    ]
+    names = {view.image for view in left_out}
+    return replace(
+        found,
+        corners=replace(views_of(corners, np.flatnonzero(stays), rows), times_s=None if times_s is None else times_s[stays]),
+        skipped=(*found.skipped, *left_out),
+        blur_px=None if found.blur_px is None else found.blur_px[rows],
+        photos=tuple(photo for photo in found.photos if photo.name not in names),
+    )
