@@ -55,8 +55,8 @@ def true_chains(
     tilt_rad: float = 0.0,
 ) -> Chains:
     """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from random
-    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px,
-    with noise across the edge that all points have alone."""
+    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px
+    or so, with noise across the edge that all points have alone."""
     rng = np.random.default_rng(seed)
     image, chain, pixels, normals = [], [], [], []
     for photo in range(photos):
