@@ -18,9 +18,6 @@ from torch import Tensor
 from camera_models._arrays import Array, array_function, as_tensor
 from camera_models.errors import InputError
 
-LARGEST_SIDE_PX = 1 << 20
-"""Of an image: OpenCV reads no larger ones."""
-
 
 class CameraModel(ABC):
     """A central camera. Immutable; `with_parameters` makes a neighbour with another parameter vector.
@@ -50,11 +47,6 @@ class CameraModel(ABC):
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)
         self.image_size = (int(image_size[0]), int(image_size[1]))
-        if max(self.image_size) > LARGEST_SIDE_PX:
-            raise InputError(
-                f"An image of at most {LARGEST_SIDE_PX} pixels a side was expected, found {self.image_size[0]} x "
-                f"{self.image_size[1]}; correct its size."
-            )
         if self.parameters.shape != (len(self.PARAMETER_NAMES),):
             raise InputError(
                 f"Camera model {self.NAME} expects the {len(self.PARAMETER_NAMES)} parameters "

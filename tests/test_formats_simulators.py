@@ -99,6 +99,11 @@ def test_ftheta_is_written_with_a_polynomial_that_inverts(tmp_path: Path) -> Non
     assert np.abs(found - theta).max() < 1e-5
 
 
+def test_an_ftheta_image_of_any_size_is_not_looked_at(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at most 100000 pixels a side, found 18446744073709551616 x 480"):
+        read(ftheta(tmp_path, resolution=[1 << 64, 480]))
+
+
 def test_ftheta_files_of_other_tools(tmp_path: Path) -> None:
     path = ftheta(tmp_path, shutter_type="ROLLING_TOP_TO_BOTTOM")
     wrapped = tmp_path / "wrapped_ftheta.json"

@@ -5,8 +5,8 @@ import torch
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
+from camera_models.formats.values import LARGEST_SIDE_PX
 
-LARGEST_SIDE_PX = 100_000
 LARGEST_PARAMETER = 1e30
 LARGEST_FOCAL_PX = 1e8
 LEAST_FOCAL = 1e-4

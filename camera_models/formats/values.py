@@ -13,6 +13,8 @@ from camera_models.errors import InputError
 
 LARGEST = 1e100
 """Of a number in a file; squares and cubes of it are numbers still."""
+LARGEST_SIDE_PX = 100_000
+"""Of an image."""
 MOST_TOLD = 200
 """Characters of a value in a message."""
 STEPS = 8
@@ -117,6 +119,8 @@ def image_size(value: Any, where: str) -> tuple[int, int]:
     width, height = (whole(side, where) for side in size)
     if min(width, height) < 1:
         raise InputError(f"{where} must be at least 1 x 1 pixels, found {width} x {height}; correct it.")
+    if max(width, height) > LARGEST_SIDE_PX:
+        raise InputError(f"{where} must be at most {LARGEST_SIDE_PX} pixels a side, found {width} x {height}; correct it.")
     return width, height
 
 

@@ -140,6 +140,8 @@ class RightAngleOptions(NamedTuple):
     """Scales that are expected where directions are at random, at most."""
     angles: int = 60
     """Between walls that do not meet at right angles, tried at equal steps of their cosines."""
+    same_sigmas: float = 5.0
+    """A scale nearer than so many standard deviations is the same one, where it is told better than `same_scale`."""
     same_scale: float = 0.05
     """Scales that differ by less are not told apart, however uncertain they are."""
     decisive: float = 10.0

@@ -28,8 +28,6 @@ from omnilines.structure.options import RightAngleOptions
 
 FINER = 41
 """Steps of the finer grid about a top."""
-RIVAL_SIGMAS = 5.0
-"""A scale nearer than so many standard deviations is the same one, where it is told better than `same_scale`."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def rival_scale(
     far = math.log(options.max_factor)
     places = np.linspace(-far, far, options.factors)
     now = _refined(pairs, 0.0, places[1] - places[0], options)
-    near = min(RIVAL_SIGMAS * now.sigma, options.same_scale)
+    near = min(options.same_sigmas * now.sigma, options.same_scale)
     found = [_rival(pairs, place, options) for place in places[np.abs(places - math.log(now.factor)) > near]]
     best = max(found, key=lambda rival: rival.gain, default=None)
     if best is None or best.gain <= now.gain - math.log(options.decisive):
