@@ -91,7 +91,7 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
     lost = several & ~member
     return (
         StageCount("detected arcs", total, counted([("photos skipped", sum(arcs.reason is not None for arcs in found))])),
-        StageCount("in photos with poses", len(segments), counted([("photo without a pose", total - len(segments))])),
+        StageCount("in photos with poses", len(segments), counted([("in photos without a pose", total - len(segments))])),
         StageCount(
             "matched",
             int(partner.sum()),
