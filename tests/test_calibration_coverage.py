@@ -90,9 +90,7 @@ def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
     assert len(inside) > 0.8 * seeds
     # An outlier of a few standard deviations among 24 corners goes unseen now and then.
     least = 0.90 if kind == "outliers" and count < len(BOARD) else 0.92
-    # Few corners do not support all terms of the distortion: those are held at 0, and stated as if they were free.
-    most = 1.0 if count < len(BOARD) else 0.98
-    assert_covered(np.array(inside), seeds, f"{name}, {views} views of {count} corners, {kind}", least, most)
+    assert_covered(np.array(inside), seeds, f"{name}, {views} views of {count} corners, {kind}", least)
 
 
 @pytest.mark.parametrize("seeds", [5, pytest.param(200, marks=pytest.mark.full)])
@@ -101,13 +99,14 @@ def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
 )
 def test_intervals_in_a_curved_valley(name, views, noise_px, seeds):
     """Standard deviations cover 80 and 52 percent there; it is said, and the intervals hold. Noise of three standard deviations
-    takes a fit down to where the valley is straight now and then."""
+    takes a fit down to where the valley is straight now and then, beyond where the parameters are meant to lie: that is said."""
     truth, reach = LENSES[name]
     poses, inside, linear, straight = board_views(truth, reach, views, 4), [], [], 0
     free = truth.calibration_basis().abs().sum(1).numpy() > 0
     for seed in range(seeds):
         result = calibrate_camera(board_corners(truth, poses, noise_px, 1000 + seed), SIZE, name)
         assert result.curved == any("curved valley" in note for note in result.notes)
+        assert result.curved or any("meant to lie" in note for note in result.notes)
         straight += not result.curved
         low, high = result.interval_95.T
         values, sigma = truth.parameters.numpy(), np.sqrt(np.diag(result.covariance))

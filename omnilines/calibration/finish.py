@@ -65,7 +65,10 @@ def camera_result(
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
     unit = _unit_covariance(final, solution, basis)
     stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
-    factor = variance_factor(solution.cost, _freedom(final, solution), stated, thresholds.noise.significance)
+    problem, minima = floor
+    # Noise is what the fit with all terms leaves: its freedom is counted, also where terms were held afterwards.
+    cost = min(solution.cost, minima[0].cost)
+    factor = variance_factor(cost, _freedom(final, solution), stated, thresholds.noise.significance)
     variance, q = factor.value, basis.shape[1]
     covariance = basis @ unit[:q, :q] @ basis.mT * variance
     covariance = 0.5 * (covariance + covariance.mT)
@@ -79,7 +82,6 @@ def camera_result(
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
-    problem, minima = floor
     curved = camera_intervals(problem, minima[0], minima[1:], factor)
     intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
     low, high = supported_angles_deg(model, final.points.pixels)
