@@ -1,115 +1,34 @@
 """A camera from straight lines against edges drawn with known noise: exact derivatives, honest covariances, an honest check."""
 
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import cv2
 import numpy as np
 import pytest
 import torch
+from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
-from camera_models import MODELS, CameraModel, OpenCVFisheye, Pinhole, model_class
-from camera_models.pose import rotation_from_vector
+from camera_models import MODELS, CameraModel, Pinhole, model_class
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
-from omnilines.calibration.lines.check import LineCheck, line_check
-from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
-from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.select import candidates_of, chosen_trial, trial_of
 from omnilines.calibration.lines.start import ShapeStart
 from omnilines.calibration.lines.straight import RadialShape
 from omnilines.calibration.lines.weighting import WeightedChains
 from omnilines.calibration.select import Candidate
 from omnilines.calibration.thresholds import HeldOutThresholds
-from omnilines.cli import main
 from omnilines.evaluation.cameras import bearing_error_deg
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart
-from omnilines.pipelines.line_camera import adjusted_camera, asked_camera, prior_with_boards, readjusted_camera
+from omnilines.pipelines.line_camera import adjusted_camera, prior_with_boards, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import scaled, with_scale_of_all, without_doubtful_angles
-from omnilines.structure.options import DirectionsOptions
-
-FISHEYE = OpenCVFisheye([230.0, 230.8, 321.0, 238.0, -0.01, 0.002, -0.0015, 0.0001], (640, 480))
-OPTIONS = LineOptions()
-SIGMA_PX = 0.1
-
-
-def true_chains(
-    model: CameraModel,
-    seed: int,
-    photos: int = 6,
-    lines: int = 60,
-    axes: int = 3,
-    off_rad: float = 0.0,
-    spread: float = 9.0,
-    world: np.ndarray | None = None,
-    tilt_rad: float = 0.0,
-) -> Chains:
-    """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from random
-    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px
-    or so, with noise across the edge that all points have alone."""
-    rng = np.random.default_rng(seed)
-    image, chain, pixels, normals = [], [], [], []
-    for photo in range(photos):
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        if spread < math.pi:
-            turn = rotation_from_vector(torch.as_tensor([0.4, 0.5, 0.1] + spread * rng.normal(size=3))).numpy()
-        turn = turn @ (np.eye(3) + 0.5 * off_rad * np.array([[0.0, 1.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 1.0, 0.0]]))
-        if world is not None:
-            tilt = torch.as_tensor([tilt_rad, 0.0, tilt_rad]) * torch.as_tensor(rng.normal(size=3))
-            heading = torch.tensor([0.0, rng.uniform(0.0, 2.0 * math.pi), 0.0], dtype=torch.float64)
-            turn = (rotation_from_vector(tilt.double()) @ rotation_from_vector(heading)).numpy() @ world
-        for k in range(lines):
-            way = turn[:, k % axes] if k % 4 else rng.normal(size=3)
-            way = way / np.linalg.norm(way)
-            middle = rng.normal(size=3)
-            middle *= rng.uniform(2.0, 5.0) / np.linalg.norm(middle)
-            place = middle + np.linspace(-1.0, 1.0, 60)[:, None] * way
-            if np.linalg.norm(place, axis=-1).min() < 0.5:
-                continue
-            seen, valid = model.project(place)
-            inside = valid & (seen >= 0).all(-1) & (seen < np.array(model.image_size)).all(-1)
-            inside &= place[:, 2] > math.cos(math.radians(95.0)) * np.linalg.norm(place, axis=-1)
-            if inside.sum() < 12 or not inside[np.flatnonzero(inside)[0] : np.flatnonzero(inside)[-1]].all():
-                continue
-            along = np.gradient(seen, axis=0)[inside]
-            across = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
-            image.append(photo)
-            chain.append(np.full(len(across), len(image) - 1))
-            pixels.append(seen[inside] + SIGMA_PX * rng.normal(size=(len(across), 1)) * across)
-            normals.append(across)
-    points = np.concatenate(chain)
-    return Chains(
-        tuple(f"{k}.png" for k in range(photos)),
-        model.image_size,
-        np.array(image),
-        points,
-        np.concatenate(pixels),
-        np.concatenate(normals),
-        np.full(len(points), SIGMA_PX),
-    )
-
-
-def level_chains(model: CameraModel, seed: int, walls_deg: float, tilt_rad: float = 0.0) -> Chains:
-    """Four photos of verticals, and of horizontals along walls at an angle to one another, from any side."""
-    angle = math.radians(walls_deg)
-    walls = np.array([[1.0, math.cos(angle), 0.0], [0.0, 0.0, 1.0], [0.0, math.sin(angle), 0.0]])
-    return true_chains(model, seed, photos=4, lines=90, world=walls, tilt_rad=tilt_rad)
-
-
-def disturbed(model: CameraModel, **changes: float) -> CameraModel:
-    values = model.named_parameters()
-    return model.with_parameters([value + changes.get(name, 0.0) for name, value in values.items()])
-
 
 CALIBRATED = [model for name, _ in MODELS for model in model_class(name).examples() if model.CALIBRATED]
 
@@ -299,161 +218,3 @@ def test_mirrors_that_are_not_calibrated_from_lines_are_refused(model: str, word
     boards = None if model != "scaramuzza" else Mock(spec=CalibrationResult)
     with pytest.raises(ol.InputError, match=words):
         ol.calibrate("photos/", "lines", model=model, mirror=True, boards=boards)
-
-
-def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
-    done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 3))
-    scores = LineScores.of(done.problem, done.state)
-    unit = scores.score_covariance.diagonal().sqrt()
-    assert float((scores.total / unit).abs().max()) < 1e-2
-    whole = scores.photo_information(done.problem, done.state).sum(0) + scores.known_before
-    torch.testing.assert_close(whole, scores.camera_information, rtol=1e-6, atol=1e-6 * float(whole.abs().max()))
-
-
-@pytest.mark.parametrize(
-    ("changes", "refused"),
-    [
-        ({}, False),
-        ({"fx": 1.15, "fy": 1.15}, True),
-        pytest.param({"cx": 3.0}, True, marks=pytest.mark.full),
-        pytest.param({"cy": -3.0}, True, marks=pytest.mark.full),
-    ],
-)
-def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], refused: bool) -> None:
-    chains, model = true_chains(FISHEYE, 1, photos=8), disturbed(FISHEYE, **changes)
-    asked = asked_camera(model, chains, OPTIONS, DirectionsOptions())
-    found = line_check(model, asked, None, significance=0.001)
-    assert found.refused(0.001, 0.1) is refused
-    assert (found.least_drift_px > 0.0) is (found.probability < 0.001)
-    assert found.least_drift_px <= math.hypot(found.drift_px, found.sigma_px) * (1 + 1e-9)
-    assert found.freedom == 8
-    # A camera that is known no better than that is not contradicted.
-    wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
-    assert not line_check(model, asked, wide, significance=0.001).refused(0.001, 0.1)
-
-
-def checked(model: CameraModel, chains: Chains) -> LineCheck:
-    """By chains alone."""
-    return line_check(model, asked_camera(model, chains, OPTIONS, DirectionsOptions()), None, significance=0.001)
-
-
-def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> None:
-    """A focal length off by half a percent: lines do not meet by many times their noise; what they ask for is as certain as under
-    the right camera, within a factor of two."""
-    chains, off = true_chains(FISHEYE, 1), np.array([1.15, 1.154])
-    right, wrong = checked(FISHEYE, chains), checked(disturbed(FISHEYE, fx=1.15, fy=1.154), chains)
-    assert wrong.sigma_px < 2.0 * right.sigma_px
-    assert (np.abs(wrong.change[:2] + off) < 4.0 * wrong.change_sigma[:2]).all()
-    assert (off > 5.0 * wrong.change_sigma[:2]).all()
-
-
-@pytest.mark.full
-def test_the_right_camera_is_refused_no_more_often_than_stated() -> None:
-    """Of 100 sets of few edges: probabilities are not smaller than even ones (Kolmogorov and Smirnov, once in 1e4)."""
-    found = np.sort([checked(FISHEYE, true_chains(FISHEYE, 100 + seed, photos=4)).probability for seed in range(100)])
-    assert float((np.arange(1, 101) / 100 - found).max()) < 0.21 and int((found < 0.01).sum()) <= 5
-
-
-@pytest.mark.full
-def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_percent() -> None:
-    """JPEG of quality 75, which makes edges err by several times as much, and alike over many pixels. Five of six small sets
-    tell it, and the right camera is refused in none: 0.7 px is then four to seven times the noise of the drift."""
-    told = 0
-    for seed in range(201, 207):
-        made = ol.render("room", "opencv-fisheye", fov_deg=190.0, views=10, size_px=(640, 480), seed=seed)
-        photos = {}
-        for name in made.photos:
-            saved = cv2.imencode(".jpg", np.asarray(made.photos[name]), [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
-            photos[name] = cv2.imdecode(saved, cv2.IMREAD_COLOR)
-        value = made.camera.named_parameters()
-        off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
-        right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
-        assert right.holds and right.found.probability > 0.01
-        assert wrong.found.probability < 0.01 and wrong.found.sigma_px < 2.0 * right.found.sigma_px
-        told += not wrong.holds
-    assert told >= 5
-
-
-def status_of(*arguments: str) -> int:
-    """That a command ends with."""
-    with pytest.raises(SystemExit) as end:
-        main(list(arguments))
-    return int(end.value.code or 0)
-
-
-@pytest.mark.full
-def test_a_room_calibrates_and_checks_a_fisheye_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    room, out = tmp_path / "room", tmp_path / "out"
-    ol.render("plain-room", "opencv-fisheye", fov_deg=190.0, views=6, size_px=(800, 600), seed=1).save(room)
-    lines = ("--pattern", "lines", "--model", "opencv-fisheye")
-    assert status_of("calibrate", str(room), *lines, "--out", str(out), "--json") == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["open"] == [] and (out / "report.html").is_file()
-    truth, found = ol.load(room / "calibration.yaml")["cam0"], ol.load(out / "calibration.yaml")
-    assert bearing_error_deg(found["cam0"], truth, math.radians(found.estimates["cam0"].max_angle_deg or 0.0))[0] < 0.1
-    true = ("--calibration", str(room / "calibration.yaml"))
-    assert status_of("check", str(room), *true, "--out", str(tmp_path / "check")) == 0
-    assert len((tmp_path / "check" / "check.csv").read_text().splitlines()) == 10
-    wrong = tmp_path / "wrong.yaml"
-    ol.save(wrong, ol.Calibration({"cam0": disturbed(truth, cx=4.0)}))
-    assert status_of("check", str(room), "--calibration", str(wrong)) == 1
-
-
-@pytest.mark.full
-def test_a_room_calibrates_a_mirror_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    room, out = tmp_path / "room", tmp_path / "out"
-    ol.render("plain-room", "scaramuzza", fov_deg=200.0, views=6, size_px=(640, 480), seed=7, mirror=True).save(room)
-    options = ("--pattern", "lines", "--model", "scaramuzza", "--mirror")
-    assert status_of("calibrate", str(room), *options, "--out", str(out), "--json") == 0
-    assert json.loads(capsys.readouterr().out)["parameters"]["a0"] < 0
-    truth, found = ol.load(room / "calibration.yaml")["cam0"], ol.load(out / "calibration.yaml")
-    assert bearing_error_deg(found["cam0"], truth, math.radians(95.0))[0] < 0.1
-    assert found.estimates["cam0"].sign_source == "mirror"
-
-
-@pytest.mark.full
-def test_a_board_and_a_room_calibrate_a_fisheye_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Few photos of a board, far from the rim, and photos of a room: together as good as either at least."""
-    truth, photos = FISHEYE, tmp_path / "photos"
-    ol.render("checkerboard:8x6:30mm", truth, views=5, seed=3).save(tmp_path / "board")
-    ol.render("plain-room", truth, views=5, seed=3).save(tmp_path / "room")
-    photos.mkdir()
-    for kind in ("board", "room"):
-        for path in sorted((tmp_path / kind).glob("*.png")):
-            path.rename(photos / f"{kind}_{path.name}")
-    found = {}
-    for pattern in ("checkerboard:8x6:30mm", "lines", "checkerboard:8x6:30mm,lines"):
-        arguments = ("--pattern", pattern, "--model", "opencv-fisheye", "--out", str(tmp_path / "out" / pattern[-5:]), "--json")
-        assert status_of("calibrate", str(photos), *arguments) == 0
-        found[pattern] = json.loads(capsys.readouterr().out)
-    board, lines, joint = found.values()
-    assert joint["corners"] > 150 and lines["corners"] == 0
-    for name, sigma in joint["sigma"].items():
-        assert sigma < 1.05 * min(board["sigma"][name], lines["sigma"][name])
-        assert abs(joint["parameters"][name] - truth.named_parameters()[name]) < 4.5 * sigma
-    assert not any("contradict" in note for note in joint["notes"])
-
-
-@pytest.mark.parametrize(
-    "options",
-    [["--rolling-shutter"], ["--refine-board", "aspect"], ["--set", "calibration.searches=1"], ["--loss", "huber"]],
-)
-def test_what_does_not_count_with_lines_is_refused(
-    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["calibrate", str(tmp_path), "--pattern", "lines", "--out", str(tmp_path / "out"), *options]
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 2
-    assert "counts only with a target" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("option", ["--mirror", "--rolling-shutter"])
-def test_what_lines_do_not_know_is_refused_with_a_board_beside(
-    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert status_of("calibrate", str(tmp_path), "--pattern", "checkerboard:8x6:30mm,lines", "--out", str(out), option) == 2
-    assert "counts only with a target alone" in capsys.readouterr().err
-    assert not out.exists()

@@ -1,14 +1,13 @@
 """Arcs of photos put into tracks, against rooms of known lines in four kinds of cameras."""
 
-import functools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from matched_scenes import OPTIONS, SLACKS_PX, assert_consistent, matched
 from matching_scenes import (
-    SIZE,
     VIEWS,
     MatchingScene,
     camera_named,
@@ -26,34 +25,14 @@ from camera_models.pose import Pose
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.matching import tracks as tracks_module
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
-from omnilines.matching.match import Matched, evidence_of_lines, match_arcs
+from omnilines.matching.hypotheses import Hypotheses, find_hypotheses
+from omnilines.matching.match import Matched, match_arcs
 from omnilines.matching.options import HypothesisOptions, MatchingOptions
-from omnilines.matching.shared_view import neighbours_in_view
 from omnilines.matching.tracks import build_tracks, spare_tracks
 
 CAMERAS = list(VIEWS)
 FEW_CAMERAS = ["fisheye", "panorama", *(pytest.param(name, marks=pytest.mark.full) for name in ("scaramuzza", "pinhole"))]
 MOST_ARCS_RANDOMLY_IN_TRACKS = 0.03
-OPTIONS = MatchingOptions()
-SLACKS_PX, NEIGHBOURS = OPTIONS.tolerance.tried_px, OPTIONS.hypotheses.max_neighbours
-
-
-def assert_consistent(found: Matched, min_views: int = 4) -> None:
-    """What the tracks say of themselves: numbers, photos, lines and the arcs that they rest on."""
-    arcs, tracks = found.arcs, found.tracks
-    member = tracks.track >= 0
-    assert len(tracks.track) == len(arcs) and set(tracks.track[member].tolist()) == set(range(len(tracks)))
-    views = np.unique(np.stack([tracks.track[member], arcs.image[member]]), axis=1)[0]
-    seen = np.bincount(views, minlength=len(tracks))
-    assert bool((seen >= tracks.enough_views).all()) and set(tracks.enough_views.tolist()) <= {
-        max(min_views - 1, 3),
-        min_views,
-    }
-    assert bool(tracks.lines.known.all()) and tracks.merged >= 0 and tracks.inconsistent >= 0
-    np.testing.assert_array_equal(tracks.rows, np.flatnonzero(member))
-    np.testing.assert_array_equal(tracks.lines.observations.track.numpy(), tracks.track[member])
-    assert torch.equal(tracks.lines.observations.normal, arcs.planes.normal[tracks.rows])
 
 
 def line_errors(scene: MatchingScene, found: Matched) -> np.ndarray:
@@ -68,12 +47,6 @@ def line_errors(scene: MatchingScene, found: Matched) -> np.ndarray:
 def same_partition(one: np.ndarray, other: np.ndarray) -> bool:
     pairs = set(zip(one.tolist(), other.tolist(), strict=True))
     return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) and all((a < 0) == (b < 0) for a, b in pairs)
-
-
-@functools.cache
-def matched(name: str) -> Matched:
-    """The room's arcs with noise of 0.3 px, without colours."""
-    return match_arcs(room(name).arcs(0.3, 3))
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -131,39 +104,6 @@ def test_arcs_of_no_common_lines_give_next_to_no_tracks(name: str, seed: int) ->
     # Nothing stands out, so nothing asks for tolerance; a line in a hundred arcs would be one track in 25.
     assert found.tolerance_px == SLACKS_PX[0] and len(found.tracks) <= 4
     assert float((found.tracks.track >= 0).mean()) < MOST_ARCS_RANDOMLY_IN_TRACKS
-
-
-@pytest.mark.parametrize(
-    "name", ["panorama", *(pytest.param(name, marks=pytest.mark.full) for name in ("fisheye", "scaramuzza", "pinhole"))]
-)
-def test_errors_of_poses_widen_the_slack(name: str) -> None:
-    scene = room(name)
-    poor, good = (scene.arcs(0.3, 3, poses=shaken(scene.poses, *errors, 9)) for errors in ((0.2, 10.0), (0.05, 2.0)))
-    near = neighbouring_photos(good.poses.centre.numpy(), good.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    slack = evidence_of_lines(good, near, 0).tolerance_px
-    for arcs, tolerance_px, share in ((good, slack, 0.95), (poor, None, 0.9)):
-        found = match_arcs(arcs, tolerance_px=tolerance_px)
-        assert_consistent(found)
-        got = score(scene, found.tracks.track)
-        assert got.found > share and got.purity > 0.94
-    assert matched(name).tolerance_px < slack < found.tolerance_px
-
-
-@pytest.mark.parametrize("name", ["fisheye", pytest.param("pinhole", marks=pytest.mark.full)])
-def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
-    """Half of the lines give precise arcs, the others pieces that are twice as noisy as they say, as texture does."""
-    scene = room(name)
-    precise = scene.arcs(0.1, 3)
-    parts = [precise.rows(np.flatnonzero(scene.line % 2 == 0))]
-    for seed in (4, 5):
-        pieces = scene.cut(seed)
-        texture = pieces.arcs(1.0, seed + 1).rows(np.flatnonzero(pieces.line % 2 == 1))
-        parts.append(replace(texture, covariance_px2=texture.covariance_px2 / 4))
-    order = np.argsort(np.concatenate([arcs.image for arcs in parts]), kind="stable")
-    names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
-    arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
-    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
-    assert max(evidence_of_lines(arcs, near, seed).tolerance_px for seed in range(3)) <= 0.1
 
 
 def test_too_little_tolerance_costs_tracks() -> None:
@@ -305,36 +245,6 @@ def test_an_arc_that_leads_elsewhere_asks_for_another_photo() -> None:
     assert tracks_module._enough_views(arcs, track, 3, found, 4, OPTIONS.tracks.min_agreement).tolist() == [3, 4, 4]
 
 
-def test_few_neighbours_find_most_lines_in_less_work() -> None:
-    scene = room("pinhole")
-    arcs = scene.arcs(0.3, 3)
-    every, few = (
-        matched("pinhole"),
-        match_arcs(arcs, tolerance_px=0.1, options=MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=8))),
-    )
-    assert few.hypotheses.candidates.sum() < 0.6 * every.hypotheses.candidates.sum()
-    got = score(scene, few.tracks.track)
-    assert got.purity > 0.985 and got.found > 0.9
-
-
-def test_neighbours_are_the_nearest_that_look_the_same_way() -> None:
-    rng = np.random.default_rng(7)
-    centres = rng.uniform(0.0, 10.0, (40, 3))
-    axes = rng.standard_normal((40, 3))
-    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    near = neighbouring_photos(centres, axes, 6)
-    assert bool((near == near.T).all()) and not near.diagonal().any() and int(near.sum(1).min()) >= 6
-    for k in range(40):
-        cost = [
-            np.linalg.norm(centres[k] - centres[j]) * (2.5 - 1.5 * axes[k] @ axes[j]) if j != k else math.inf for j in range(40)
-        ]
-        assert bool(near[k, np.argsort(cost)[:6]].all())
-    # Nobody is one's neighbour but by the own choice of one of the two.
-    assert int(near.sum()) <= 2 * 40 * 6
-    np.testing.assert_array_equal(neighbouring_photos(centres, axes, 39), every_neighbour(40))
-    np.testing.assert_array_equal(neighbouring_photos(centres[:5], axes[:5], NEIGHBOURS), every_neighbour(5))
-
-
 def test_tracks_do_not_depend_on_the_frame_or_on_the_direction_of_arcs() -> None:
     """The world moved far away and turned; every other arc from its other end; the same arcs twice."""
     scene = room("scaramuzza")
@@ -436,50 +346,3 @@ def test_wrong_options_and_photos_are_refused_in_one_sentence() -> None:
     together = Pose(arcs.poses.rotation, -(arcs.poses.rotation @ centre))
     with pytest.raises(GeometryError, match="found all 12 at one place"):
         match_arcs(arcs.with_poses(together))
-
-
-def test_the_slack_is_the_same_for_the_same_seed() -> None:
-    scene = room("fisheye")
-    arcs = scene.arcs(0.3, 3)
-    near = every_neighbour(12)
-    first = evidence_of_lines(arcs, near, 5).tolerance_px
-    assert first == evidence_of_lines(arcs, near, 5).tolerance_px and first in SLACKS_PX
-    steps = []
-    match_arcs(arcs, tolerance_px=first, progress=lambda stage, done, total: steps.append((stage, done, total)))
-    for stage in ("matching arcs", "building tracks"):
-        own = [(done, total) for name, done, total in steps if name == stage]
-        assert own and own[-1][0] == own[-1][1] and [done for done, _ in own] == sorted(done for done, _ in own)
-
-
-def two_rooms(views: int) -> MatchingScene:
-    """Rooms with a wall between, the photos of the second after those of the first."""
-    one, other = (room("fisheye", seed=seed, views=views) for seed in (1, 2))
-    beside = torch.tensor([SIZE[0] + 0.15, 0.0, 0.0], dtype=torch.float64)
-    rotation, translation = other.poses.rotation, other.poses.translation - other.poses.rotation @ beside
-    return MatchingScene(
-        one.camera,
-        Pose(torch.cat([one.poses.rotation, rotation]), torch.cat([one.poses.translation, translation])),
-        torch.cat([one.ends_m, other.ends_m + beside]),
-        np.concatenate([one.image, other.image + views]),
-        np.concatenate([one.line, other.line + len(one.ends_m)]),
-        torch.cat([one.pixels, other.pixels]),
-    )
-
-
-def test_photos_behind_a_wall_are_no_neighbours() -> None:
-    views = 14
-    scene = two_rooms(views)
-    arcs = scene.arcs(0.2, 1, colours=True).widened(0.1)
-    options = MatchingOptions(hypotheses=HypothesisOptions(max_neighbours=12))
-    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), 12)
-    seen = neighbours_in_view(arcs, near, 4, options)
-    second = np.arange(2 * views) >= views
-    across = second[:, None] != second
-    assert int(near[across].sum()) > 30 and not seen[across].any()
-    assert seen[~across].mean() > near[~across].mean()
-    assert bool((seen == seen.T).all()) and not seen.diagonal().any()
-    # Photos that are all near are all compared; one without a line keeps those that are near.
-    every = every_neighbour(2 * views)
-    assert neighbours_in_view(arcs, every, 4, options) is every
-    blind = arcs.rows(np.flatnonzero(arcs.image != 3))
-    np.testing.assert_array_equal(neighbours_in_view(blind, near, 4, options)[3], near[3])

@@ -1,0 +1,87 @@
+"""Whether lines bear out a camera: true ones stay, wrong ones are refused, and noise is not that of the wrong one."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from drawn_chains import FISHEYE, OPTIONS, disturbed, true_chains
+
+import omnilines as ol
+from camera_models import CameraModel
+from omnilines.calibration.lines.check import LineCheck, line_check
+from omnilines.calibration.lines.scores import LineScores
+from omnilines.geometry.chains import Chains
+from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
+from omnilines.structure.options import DirectionsOptions
+
+
+def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
+    done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 3))
+    scores = LineScores.of(done.problem, done.state)
+    unit = scores.score_covariance.diagonal().sqrt()
+    assert float((scores.total / unit).abs().max()) < 1e-2
+    whole = scores.photo_information(done.problem, done.state).sum(0) + scores.known_before
+    torch.testing.assert_close(whole, scores.camera_information, rtol=1e-6, atol=1e-6 * float(whole.abs().max()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, False),
+        ({"fx": 1.15, "fy": 1.15}, True),
+        pytest.param({"cx": 3.0}, True, marks=pytest.mark.full),
+        pytest.param({"cy": -3.0}, True, marks=pytest.mark.full),
+    ],
+)
+def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], refused: bool) -> None:
+    chains, model = true_chains(FISHEYE, 1, photos=8), disturbed(FISHEYE, **changes)
+    asked = asked_camera(model, chains, OPTIONS, DirectionsOptions())
+    found = line_check(model, asked, None, significance=0.001)
+    assert found.refused(0.001, 0.1) is refused
+    assert (found.least_drift_px > 0.0) is (found.probability < 0.001)
+    assert found.least_drift_px <= math.hypot(found.drift_px, found.sigma_px) * (1 + 1e-9)
+    assert found.freedom == 8
+    # A camera that is known no better than that is not contradicted.
+    wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
+    assert not line_check(model, asked, wide, significance=0.001).refused(0.001, 0.1)
+
+
+def checked(model: CameraModel, chains: Chains) -> LineCheck:
+    """By chains alone."""
+    return line_check(model, asked_camera(model, chains, OPTIONS, DirectionsOptions()), None, significance=0.001)
+
+
+def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> None:
+    """A focal length off by half a percent: lines do not meet by many times their noise; what they ask for is as certain as under
+    the right camera, within a factor of two."""
+    chains, off = true_chains(FISHEYE, 1), np.array([1.15, 1.154])
+    right, wrong = checked(FISHEYE, chains), checked(disturbed(FISHEYE, fx=1.15, fy=1.154), chains)
+    assert wrong.sigma_px < 2.0 * right.sigma_px
+    assert (np.abs(wrong.change[:2] + off) < 4.0 * wrong.change_sigma[:2]).all()
+    assert (off > 5.0 * wrong.change_sigma[:2]).all()
+
+
+@pytest.mark.full
+def test_the_right_camera_is_refused_no_more_often_than_stated() -> None:
+    """Of 100 sets of few edges: probabilities are not smaller than even ones (Kolmogorov and Smirnov, once in 1e4)."""
+    found = np.sort([checked(FISHEYE, true_chains(FISHEYE, 100 + seed, photos=4)).probability for seed in range(100)])
+    assert float((np.arange(1, 101) / 100 - found).max()) < 0.21 and int((found < 0.01).sum()) <= 5
+
+
+@pytest.mark.full
+def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_percent() -> None:
+    """JPEG of quality 75, which makes edges err by several times as much, and alike over many pixels: 0.7 px is then
+    four to seven times the noise of the drift."""
+    for seed in range(201, 207):
+        made = ol.render("room", "opencv-fisheye", fov_deg=190.0, views=10, size_px=(640, 480), seed=seed)
+        photos = {}
+        for name in made.photos:
+            saved = cv2.imencode(".jpg", np.asarray(made.photos[name]), [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
+            photos[name] = cv2.imdecode(saved, cv2.IMREAD_COLOR)
+        value = made.camera.named_parameters()
+        off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
+        right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
+        assert right.holds and right.found.probability > 0.01
+        assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px
