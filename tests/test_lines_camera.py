@@ -11,7 +11,7 @@ import torch
 from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
-from camera_models import MODELS, CameraModel, Pinhole, model_class
+from camera_models import MODELS, CameraModel, ExtendedUnified, Pinhole, model_class
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
@@ -193,10 +193,29 @@ def test_the_larger_variant_is_taken_where_the_lens_has_it(lens: Pinhole, taken:
     done = adjusted_camera(Pinhole([*plain, *([0.0] * 6)], lens.image_size), chains)
     near = Pinhole(disturbed(lens, fx=3.0, fy=3.0).parameters, lens.image_size, 8)
     both = zip(candidates_of("pinhole", {}), (done, readjusted_camera(near, done, OPTIONS)), strict=True)
-    selection = chosen_trial([trial_of(candidate, one, thresholds.beyond_factor) for candidate, one in both], thresholds)
+    selection = chosen_trial(
+        [trial_of(candidate, one, thresholds.beyond_factor, OPTIONS.open_share) for candidate, one in both], thresholds
+    )
     assert selection.chosen.candidate.options == {"coefficients": taken}
     assert selection.chosen.model is not None
     assert bearing_error_deg(selection.chosen.model, lens, math.radians(40.0))[0] < 0.1
+
+
+def test_a_model_is_not_taken_of_which_lines_leave_a_parameter_open() -> None:
+    """A lens without distortion is an `extended-unified` camera of alpha 0, whatever beta is."""
+    lens = Pinhole([420.0, 420.5, 322.5, 238.0, *([0.0] * 9)], (640, 480))
+    chains, thresholds = true_chains(lens, 0, photos=8, lines=90), HeldOutThresholds()
+    done = adjusted_camera(Pinhole(disturbed(lens, fx=3.0, fy=3.0).parameters, lens.image_size), chains)
+    other = readjusted_camera(ExtendedUnified([420.0, 420.0, 320.0, 240.0, 0.1, 1.0], lens.image_size), done, OPTIONS)
+    plain, small = (
+        trial_of(Candidate(one.model.NAME, {}), one, thresholds.beyond_factor, OPTIONS.open_share) for one in (done, other)
+    )
+    assert small.parameters < plain.parameters and small.open_terms and not plain.open_terms
+    assert plain.error is not None
+    small = replace(small, error=replace(plain.error, parameters=small.parameters))
+    taken = chosen_trial([plain, small], thresholds)
+    assert taken.chosen is plain and "extended-unified does as well with fewer, but lines leave open" in taken.reason
+    assert chosen_trial([plain, replace(small, open_terms=())], thresholds).chosen.candidate == small.candidate
 
 
 @pytest.mark.full

@@ -203,7 +203,9 @@ def _with_boards(
             prior, doubts = prior_of_boards(boards, arcs, lines), contradiction(boards, arcs, lines, progress)
         done = adjusted_camera(model, arcs, lines.adjustment, lines.directions, prior=prior, progress=progress)
         model = done.model
-    trial = trial_of(Candidate(model.NAME, dict(model.variant)), done, options.held_out.beyond_factor)
+    trial = trial_of(
+        Candidate(model.NAME, dict(model.variant)), done, options.held_out.beyond_factor, lines.adjustment.open_share
+    )
     fit = line_camera(done, arcs.images, lines.adjustment)
     low, high = min(fit.min_angle_deg, boards.fit.min_angle_deg), max(fit.max_angle_deg, boards.fit.max_angle_deg)
     fit = replace(fit, min_angle_deg=low, max_angle_deg=high, notes=(*boards.notes, *doubts, *fit.notes))
@@ -258,13 +260,12 @@ def _trial(
     progress: ProgressCallback,
 ) -> LineTrial:
     progress(f"fitting {candidate.label}", 0, 0)
-    beyond = options.held_out.beyond_factor
+    beyond, share = options.held_out.beyond_factor, lines.adjustment.open_share
     if candidate == guide:
-        return trial_of(candidate, done, beyond)
+        return trial_of(candidate, done, beyond, share)
     try:
-        return trial_of(
-            candidate, readjusted_camera(start.camera(candidate.model, **candidate.options), done, lines.adjustment), beyond
-        )
+        readjusted = readjusted_camera(start.camera(candidate.model, **candidate.options), done, lines.adjustment)
+        return trial_of(candidate, readjusted, beyond, share)
     except (GeometryError, InputError) as error:
         return LineTrial(candidate, str(error))
 

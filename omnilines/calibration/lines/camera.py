@@ -102,7 +102,7 @@ def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOption
     pixels = chains.blocks.pixels[own]
     low, high = supported_angles_deg(model, pixels)
     distance = residual_px(chains)
-    open_terms = _open_terms(done, options.open_share)
+    open_terms = open_terms_of(done, options.open_share)
     return LineCamera(
         model=model,
         covariance=(0.5 * (covariance + covariance.mT)).numpy(),
@@ -160,7 +160,7 @@ def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...
     )
 
 
-def _open_terms(done: LineAdjustment, share: float) -> tuple[str, ...]:
+def open_terms_of(done: LineAdjustment, share: float) -> tuple[str, ...]:
     """Directions in which the camera remains about as uncertain as it was at the start, by the parameters that move most."""
     root = torch.linalg.pinv(done.prior.wide)
     left = done.prior.wide @ done.scores.covariance @ done.prior.wide.mT

@@ -13,7 +13,7 @@ import torch
 from camera_models import CameraModel, GeometryError, model_class
 from omnilines.calibration.diagnose import grows_beyond
 from omnilines.calibration.held_out import HeldOut, ViewTerms
-from omnilines.calibration.lines.camera import LineAdjustment, counted
+from omnilines.calibration.lines.camera import LineAdjustment, counted, open_terms_of
 from omnilines.calibration.options import AUTO
 from omnilines.calibration.select import Candidate, all_candidates
 from omnilines.calibration.thresholds import HeldOutThresholds
@@ -35,6 +35,8 @@ class LineTrial:
     unit_px: float = math.nan
     """Standard deviation of a piece of an edge, in which errors are."""
     monotone: bool = True
+    open_terms: tuple[str, ...] = ()
+    """Directions of its parameters that lines do not tell (`LineCamera.open_terms`)."""
 
     @property
     def held_out_px(self) -> float:
@@ -65,8 +67,8 @@ def candidates_of(model: str, given: dict[str, int], *, mirror: bool = False) ->
     return tuple(Candidate(model, dict(options)) for options in model_class(model).VARIANTS)
 
 
-def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float) -> LineTrial:
-    """The figures of a candidate that was adjusted."""
+def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float, open_share: float) -> LineTrial:
+    """The figures of a candidate that was adjusted; `open_share` is that of `LineOptions`."""
     chains, scores = done.chains, done.scores
     at = done.problem.linearise(done.state)
     photo = chains.blocks.photo[done.problem.structure.index]
@@ -78,11 +80,14 @@ def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float) -
     unit = float((count.sum() / chains.information[own].sum()).sqrt())
     in_sample = math.sqrt(float(squares.sum() / count.sum())) * unit
     grows = grows_beyond(done.model, chains.blocks.pixels[own], beyond_factor)
-    return LineTrial(candidate, None, done.model, terms.held_out(), in_sample, unit, grows)
+    left_open = open_terms_of(done, open_share)
+    return LineTrial(candidate, None, done.model, terms.held_out(), in_sample, unit, grows, left_open)
 
 
 def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> LineSelection:
-    """The model with the fewest parameters of those that predict photos as well as the best.
+    """Of the models that predict photos as well as the best those of which lines leave the least open, of these the one with
+    the fewest parameters. A model with a parameter that nothing depends on predicts as well: beta of `extended-unified` in a
+    lens without distortion, where alpha is 0.
 
     Raises GeometryError where none could be adjusted.
     """
@@ -94,14 +99,25 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
     if len(sound) == 1 or math.isinf(least.rms_px):
         return LineSelection(tuple(trials), best, f"{best.candidate.label} was taken: photos do not tell more.")
     tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
-    chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
+    chosen = min(tied, key=lambda trial: (len(trial.open_terms), trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.4f} px across edges (each photo held out in turn)"
     if chosen is best:
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out photos, {figures}."
     else:
+        gain = f"lines leave open {'; '.join(best.open_terms)} of that"
+        if len(chosen.open_terms) == len(best.open_terms):
+            gain = f"has {chosen.parameters} parameters instead of {best.parameters}"
         reason = (
             f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
-            f"({best.candidate.label}, {best.held_out_px:.4f} px) and has {chosen.parameters} parameters instead of "
-            f"{best.parameters}."
+            f"({best.candidate.label}, {best.held_out_px:.4f} px) and {gain}."
         )
-    return LineSelection(tuple(trials), chosen, reason)
+    return LineSelection(tuple(trials), chosen, reason + _left_open(tied, chosen))
+
+
+def _left_open(tied: Sequence[LineTrial], chosen: LineTrial) -> str:
+    """Which models with fewer parameters do as well, and are not taken as lines leave more of them open."""
+    smaller = [one for one in tied if one.parameters < chosen.parameters and len(one.open_terms) > len(chosen.open_terms)]
+    return "".join(
+        f" {one.candidate.label} does as well with fewer, but lines leave open its {'; '.join(one.open_terms)}."
+        for one in smaller
+    )
