@@ -12,7 +12,7 @@ from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
 from camera_models import MODELS, CameraModel, ExtendedUnified, Pinhole, model_class
-from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
+from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, focal_length, in_mirror, line_camera
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
 from omnilines.calibration.lines.select import candidates_of, chosen_trial, trial_of
@@ -201,6 +201,19 @@ def test_the_larger_variant_is_taken_where_the_lens_has_it(lens: Pinhole, taken:
     assert bearing_error_deg(selection.chosen.model, lens, math.radians(40.0))[0] < 0.1
 
 
+@pytest.mark.parametrize("model", CALIBRATED, ids=lambda model: model.NAME)
+def test_the_focal_length_is_the_scale_at_the_centre(model: CameraModel) -> None:
+    focal, derivative = focal_length(model)
+    names = model.named_parameters()
+    if model.NAME != "scaramuzza":
+        assert focal == pytest.approx(names["fx"] / (1.0 + names.get("xi", 0.0)), rel=1e-4)
+    for k, value in enumerate(model.parameters.tolist()):
+        step = torch.zeros(len(derivative), dtype=torch.float64)
+        step[k] = 1e-4 * max(abs(value), 1e-3)
+        up, down = (focal_length(model.with_parameters(model.parameters + way * step))[0] for way in (1.0, -1.0))
+        assert float(derivative[k]) * 2.0 * float(step[k]) == pytest.approx(up - down, rel=1e-3, abs=1e-6 * abs(focal))
+
+
 def test_a_model_is_not_taken_of_which_lines_leave_a_parameter_open() -> None:
     """A lens without distortion is an `extended-unified` camera of alpha 0, whatever beta is."""
     lens = Pinhole([420.0, 420.5, 322.5, 238.0, *([0.0] * 9)], (640, 480))
@@ -214,7 +227,7 @@ def test_a_model_is_not_taken_of_which_lines_leave_a_parameter_open() -> None:
     assert plain.error is not None
     small = replace(small, error=replace(plain.error, parameters=small.parameters))
     taken = chosen_trial([plain, small], thresholds)
-    assert taken.chosen is plain and "extended-unified does as well with fewer, but lines leave open" in taken.reason
+    assert taken.chosen is plain and "extended-unified predicts as well, but lines leave open its alpha" in taken.reason
     assert chosen_trial([plain, replace(small, open_terms=())], thresholds).chosen.candidate == small.candidate
 
 

@@ -9,7 +9,7 @@ import torch
 
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
-from omnilines.calibration.lines.camera import LineCamera
+from omnilines.calibration.lines.camera import LineCamera, focal_length
 from omnilines.calibration.next_pose import TEN, NextViews
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
@@ -120,9 +120,8 @@ def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
     found = []
     if fit.open_terms:
         found.append(Advice(f"Lines leave open {'; '.join(fit.open_terms)}.", f"Add photos that show {corner}."))
-    names = fit.model.named_parameters()
-    name = "fx" if "fx" in names else "a0"
-    share = fit.sigma[name] / abs(names[name]) if names.get(name) else math.nan
+    focal, by_parameters = focal_length(fit.model)
+    share = math.sqrt(float(by_parameters @ torch.as_tensor(fit.covariance) @ by_parameters)) / abs(focal)
     if share > ROUGH_FOCAL:
         seen = f"{frames} of {count} photos show lines at right angles, which tell it"
         known = f"The focal length is known to {100 * share:.2g} percent only: {seen}."

@@ -19,6 +19,9 @@ from omnilines.calibration.lines.scores import LineScores, pseudo_inverse
 from omnilines.calibration.lines.weighting import WeightedChains, residual_px
 from omnilines.least_squares.variance import VarianceFactor
 
+SMALL_RAD = 1e-4
+"""Over which the scale of the image at its centre is taken."""
+
 
 @dataclass(frozen=True)
 class LinePhoto:
@@ -126,6 +129,16 @@ def in_mirror(fit: LineCamera) -> LineCamera:
     return replace(fit, model=model, covariance=sign[:, None] * fit.covariance * sign)
 
 
+def focal_length(model: CameraModel) -> tuple[float, Float[Tensor, " p"]]:
+    """Pixels per radian at the centre pixel, to its right, and its derivatives by the parameters: fx of `pinhole`, fx / (1 + xi)
+    of `unified` and `double-sphere`, of which fx and xi alone are hardly known where little of the field is seen."""
+    centre, _ = model.unproject(model.centre_px)
+    right = model.unproject_jacobian(model.centre_px)[:, 0]
+    near = centre + SMALL_RAD * right / right.norm()
+    pixels, _, _, by_parameters = model.project_with_jacobians(torch.stack([centre, near]))
+    return float(pixels[1, 0] - pixels[0, 0]) / SMALL_RAD, (by_parameters[1, 0] - by_parameters[0, 0]) / SMALL_RAD
+
+
 def counted(chains: WeightedChains) -> Bool[Tensor, " n"]:
     """Pieces of edges that count."""
     return chains.at.valid & (chains.weight[chains.blocks.chain] > 0)
@@ -179,8 +192,8 @@ def _on_right_angles(done: LineAdjustment) -> tuple[str, ...]:
     """Where right angles that are off make most of the variance of the focal length."""
     if not done.families.frames:
         return ()
-    names = list(done.model.PARAMETER_NAMES)
-    row = done.problem.basis[names.index("fx" if "fx" in names else "a0")]
+    _, derivative = focal_length(done.model)
+    row = derivative @ done.problem.basis
     weight = pseudo_inverse(done.scores.camera_information) @ row
     share = float(weight @ done.scores.angles_before @ weight) / float(row @ done.scores.covariance @ row)
     if share < 0.5:

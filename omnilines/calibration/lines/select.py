@@ -85,9 +85,10 @@ def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float, o
 
 
 def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> LineSelection:
-    """Of the models that predict photos as well as the best those of which lines leave the least open, of these the one with
-    the fewest parameters. A model with a parameter that nothing depends on predicts as well: beta of `extended-unified` in a
-    lens without distortion, where alpha is 0.
+    """The model with the fewest parameters of those that predict photos as well as the best, of which lines leave the least open.
+
+    Models that leave more open are not compared where others are worse by next to nothing: beta of `extended-unified` is what
+    nothing depends on in a lens without distortion, where alpha is 0.
 
     Raises GeometryError where none could be adjusted.
     """
@@ -98,26 +99,23 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
     best, least = min(growing, key=lambda pair: pair[0].held_out_px)
     if len(sound) == 1 or math.isinf(least.rms_px):
         return LineSelection(tuple(trials), best, f"{best.candidate.label} was taken: photos do not tell more.")
-    tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
-    chosen = min(tied, key=lambda trial: (len(trial.open_terms), trial.parameters, trial.held_out_px))
+    near = [(trial, error) for trial, error in growing if error.rms_px <= thresholds.no_worse_factor * least.rms_px]
+    least_open = min(len(trial.open_terms) for trial, _ in near)
+    clear = [(trial, error) for trial, error in near if len(trial.open_terms) == least_open]
+    best, least = min(clear, key=lambda pair: pair[0].held_out_px)
+    tied = [trial for trial, error in clear if error.as_good_as(least, thresholds.no_worse_factor)]
+    chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.4f} px across edges (each photo held out in turn)"
     if chosen is best:
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out photos, {figures}."
     else:
-        gain = f"lines leave open {'; '.join(best.open_terms)} of that"
-        if len(chosen.open_terms) == len(best.open_terms):
-            gain = f"has {chosen.parameters} parameters instead of {best.parameters}"
         reason = (
             f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
-            f"({best.candidate.label}, {best.held_out_px:.4f} px) and {gain}."
+            f"({best.candidate.label}, {best.held_out_px:.4f} px) and has {chosen.parameters} parameters instead of "
+            f"{best.parameters}."
         )
-    return LineSelection(tuple(trials), chosen, reason + _left_open(tied, chosen))
-
-
-def _left_open(tied: Sequence[LineTrial], chosen: LineTrial) -> str:
-    """Which models with fewer parameters do as well, and are not taken as lines leave more of them open."""
-    smaller = [one for one in tied if one.parameters < chosen.parameters and len(one.open_terms) > len(chosen.open_terms)]
-    return "".join(
-        f" {one.candidate.label} does as well with fewer, but lines leave open its {'; '.join(one.open_terms)}."
-        for one in smaller
+    left = [trial for trial, _ in near if len(trial.open_terms) > least_open]
+    more = "".join(
+        f" {one.candidate.label} predicts as well, but lines leave open its {'; '.join(one.open_terms)}." for one in left
     )
+    return LineSelection(tuple(trials), chosen, reason + more)
