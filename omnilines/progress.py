@@ -88,9 +88,10 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def in_shares(work: Callable[[int, int, int], T], ends: list[int]) -> list[T]:
-    """work(share, low, high) of each share [ends[k], ends[k + 1]), each on a thread of its own; results in their order."""
+    """work(share, low, high) of each share [ends[k], ends[k + 1]), on as many threads as torch uses; results in their order."""
     shares = [(k, ends[k], ends[k + 1]) for k in range(len(ends) - 1)]
-    if len(shares) == 1:
-        return [work(*shares[0])]
-    with ThreadPoolExecutor(len(shares)) as pool:
+    threads = min(len(shares), torch.get_num_threads())
+    if threads == 1:
+        return [work(*share) for share in shares]
+    with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda share: work(*share), shares))

@@ -203,6 +203,25 @@ def test_a_chart_starts_at_45_degrees_with_the_stated_singular_values_and_gives_
     np.testing.assert_allclose(singular.numpy(), [1, 1, 2**-0.5, 2**-0.5], atol=1e-12)
 
 
+def test_of_two_cameras_equally_far_from_a_line_the_last_one_is_that_of_its_chart() -> None:
+    """On any number of threads: torch writes to one place twice in whatever order its threads come there."""
+    n = 20_000
+    x = torch.arange(n, dtype=torch.float64)
+    zero = torch.zeros_like(x)
+    lines = PlueckerLines.through(
+        torch.stack([x, zero, zero], -1), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand(n, 3)
+    )
+    cameras = torch.cat([torch.stack([x + side, zero, zero], -1) for side in (1.0, -1.0)])
+    threads = torch.get_num_threads()
+    try:
+        for number in (1, 2, 3):
+            torch.set_num_threads(number)
+            chart = LineChart.about_cameras(lines, cameras, torch.arange(n).repeat(2))
+            assert torch.equal(chart.centre, cameras[n:])
+    finally:
+        torch.set_num_threads(threads)
+
+
 def test_chart_jacobian_is_that_of_autograd() -> None:
     _, chart = chart_of(10, seed=22)
     chart = chart.retract(0.2 * normal(10, 4, seed=23))

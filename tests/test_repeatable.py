@@ -1,12 +1,15 @@
 """Every process finds the same, to the last bit."""
 
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import torch
 
+from camera_models.repeatable import total
 from omnilines.commands.render_scene import render_scene
 
 FITS = """
@@ -40,3 +43,16 @@ def test_arcs_are_the_same_whether_functions_are_compiled_or_loaded(tmp_path: Pa
     first, second = (subprocess.run(command, env=kept, capture_output=True, text=True, check=True).stdout for _ in range(2))
     assert len(first) > 10_000 and first == second
     assert list((tmp_path / "compiled").rglob("*.nbc"))
+
+
+def test_sums_are_right_and_the_same_on_any_number_of_threads() -> None:
+    values = torch.randn(500_000, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).exp()
+    threads, found = torch.get_num_threads(), []
+    try:
+        for number in (1, 2, 3):
+            torch.set_num_threads(number)
+            found.append(total(values))
+    finally:
+        torch.set_num_threads(threads)
+    assert len(set(found)) == 1
+    assert abs(found[0] / math.fsum(values.flatten().tolist()) - 1) < 1e-14

@@ -19,6 +19,7 @@ from omnilines.commands.resume import Stamp
 from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.files.fingerprint import content_hash, revision
 from omnilines.files.fingerprint import fingerprint as made_from
+from omnilines.machine import THREADS
 from omnilines.pages.scene import scene_summary
 from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
@@ -66,6 +67,26 @@ def found(room: Path, cameras: Calibration) -> PhotoArcs:
 @pytest.fixture(scope="module")
 def scene(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> Scene:
     return reconstruct(found, poses, cameras["cam0"])
+
+
+def test_a_scene_is_the_same_to_the_last_bit_on_any_number_of_cores(
+    found: PhotoArcs, poses: ImagePoses, cameras: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads, scenes = torch.get_num_threads(), []
+    try:
+        for number in (1, 2):
+            monkeypatch.setenv(THREADS, str(number))
+            torch.set_num_threads(number)
+            scenes.append(reconstruct(found, poses, cameras["cam0"], SceneOptions(refine=("lines", "poses"))))
+    finally:
+        torch.set_num_threads(threads)
+    one, two = scenes
+    assert len(one.lines) > 40
+    for name in ("ends_m", "covariance", "rms_px", "sigma_m", "shown_share"):
+        np.testing.assert_array_equal(getattr(one.lines, name), getattr(two.lines, name))
+    assert torch.equal(one.poses.cam_from_world.rotation, two.poses.cam_from_world.rotation)
+    assert torch.equal(one.poses.cam_from_world.translation, two.poses.cam_from_world.translation)
+    np.testing.assert_array_equal(one.poses.covariance, two.poses.covariance)
 
 
 def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from camera_models.repeatable import total
 from omnilines.adjustment.engine_layout import Layout, layout
 from omnilines.adjustment.engine_passes import MOST_STEPS_ALONE, LinePasses, search_from
 from omnilines.adjustment.kernels.line import CONVERGED, LOSS_KINDS, MOVING, SINGULAR, STALLED, FrameSums, LineBlocks, LineStates
@@ -76,7 +77,7 @@ class LineEngine:
         kept = reduction.system.solve(reduction.right[:, None])[:, 0]
         if not np.isfinite(kept).all():
             return None
-        promised = float(kept @ reduction.gradient + damping * (kept**2 @ reduction.diagonal))
+        promised = float((kept * (reduction.gradient + damping * kept * reduction.diagonal)).sum())
         delta = np.zeros((len(self.layout.frames), 6))
         delta[: len(self.problem.free)] = kept.reshape(-1, 6)
         free = self.layout.frames[: len(self.problem.free)]
@@ -137,7 +138,7 @@ class LineEngine:
     def _prior_cost(self, state: LinesAndPoses) -> float:
         if self.problem.prior is None or not len(self.problem.free):
             return 0.0
-        return float(self.problem.prior.residual(state.rig_from_world)[0][self.problem.free].square().sum())
+        return total(self.problem.prior.residual(state.rig_from_world)[0][self.problem.free].square())
 
     def prior_blocks(self, state: LinesAndPoses) -> Float[np.ndarray, "free 6 6"] | None:
         """P'P of every free frame in the order of the layout; None without a prior."""

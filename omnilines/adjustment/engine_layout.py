@@ -1,6 +1,8 @@
 """How the compiled engine lays out a problem: the order of frames, lines and observations, and which frames go together."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -12,8 +14,7 @@ from omnilines.adjustment.kernels.line import Pairs, Views
 from omnilines.adjustment.problem import LineProblem
 from omnilines.costs import cost_named
 from omnilines.costs._cost import ScaledRows
-from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern
-from omnilines.progress import threads_for
+from omnilines.least_squares.pattern import PairPattern, narrower_order, pair_pattern, summed_pieces
 
 ROWS_AT_ONCE = 1 << 16
 """Observations whose rows are prepared at once."""
@@ -37,12 +38,25 @@ class Layout:
     frame: Int[np.ndarray, " n"]
     """Place of each observation's frame."""
     shares: list[int]
-    """Bounds of the places of lines that one thread each works on."""
+    """Bounds of the places of lines that one thread works on at a time, whatever the number of threads."""
 
     @property
     def pairs(self) -> Pairs:
         """For the kernels."""
-        return Pairs(self.pattern.kept, self.pattern.window, self.pattern.block_of)
+        return Pairs(self.pattern.kept, self.pattern.window, self.pattern.block_of, 0)
+
+    @cached_property
+    def blocks_of_shares(self) -> list[tuple[int, int]]:
+        """The blocks of the pattern that each share adds to: the first, and one after the last."""
+        ends = self.start[self.shares]
+        return [self.pattern.blocks_of(self.frame[low:high]) for low, high in pairwise(ends.tolist())]
+
+    def added(self, sums: list[np.ndarray]) -> np.ndarray:
+        """The sums of all blocks, from those of each share."""
+        total = np.zeros((len(self.pattern.row), *sums[0].shape[1:]))
+        for (first, last), own in zip(self.blocks_of_shares, sums, strict=True):
+            total[first:last] += own
+        return total
 
     @property
     def place_of_line(self) -> Int[np.ndarray, " t"]:
@@ -96,7 +110,7 @@ def layout(problem: LineProblem, last: Int[np.ndarray, " s"] | None = None) -> L
         start=start,
         observations=torch.from_numpy(observations),
         frame=frame,
-        shares=_shares(start),
+        shares=summed_pieces(start, pattern),
     )
 
 
@@ -117,11 +131,3 @@ def _sorted(
     np.cumsum(np.bincount(track, minlength=arcs.tracks)[lines], out=start[1:])
     frame = frame[observations].astype(np.int32)
     return lines, start, observations, pair_pattern(start, frame, free), frame
-
-
-def _shares(start: Int[np.ndarray, " t1"]) -> list[int]:
-    """Places of lines with about equal work: pairs of observations beside the observations themselves."""
-    views = np.diff(start)
-    work = np.concatenate([[0], np.cumsum(views * (views + 8))])
-    threads = threads_for(len(views))
-    return np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()

@@ -27,7 +27,7 @@ class LinePasses:
     views: Views
     held: Bool[np.ndarray, " t"]
     _sums: list[FrameSums] = field(default_factory=list, repr=False, compare=False)
-    """Of the threads, kept from pass to pass."""
+    """Of the shares, kept from pass to pass."""
 
     def poses(self, rig_from_world: Pose) -> Float[np.ndarray, "frames 12"]:
         """R by rows and the centre of every frame, in the order of the layout."""
@@ -51,28 +51,26 @@ class LinePasses:
     ) -> tuple[LineBlocks, FrameSums] | None:
         """Blocks of the lines, and what they give to the reduced system; None where a line's block is singular.
 
-        The sums are overwritten by the next pass.
+        The sums may be overwritten by the next pass.
         """
         tracks = len(self.held)
         solved = LineBlocks(np.empty((tracks, 10)), np.empty((tracks, 4)), np.empty((tracks, 4)))
+        its, free = self.layout.blocks_of_shares, self.layout.pattern.kept
         if not self._sums:
-            blocks, free = len(self.layout.pattern.row), self.layout.pattern.kept
             self._sums.extend(
-                FrameSums(np.empty((blocks, 6, 6)), np.empty((free, 12)), np.empty((free, 6))) for _ in self.layout.shares[1:]
+                FrameSums(np.empty((last - first, 6, 6)), np.empty((free, 12)), np.empty((free, 6))) for first, last in its
             )
 
         def share(k: int, low: int, high: int) -> int:
             for array in self._sums[k]:
                 array.fill(0.0)
-            return schur.reduce_lines(low, high, self.views, pose, lines, damping, self.layout.pairs, self._sums[k], solved)
+            pairs = self.layout.pairs._replace(first=its[k][0])
+            return schur.reduce_lines(low, high, self.views, pose, lines, damping, pairs, self._sums[k], solved)
 
         if sum(in_shares(share, self.layout.shares)):
             return None
-        total = self._sums[0]
-        for other in self._sums[1:]:
-            for array, more in zip(total, other, strict=True):
-                array += more
-        return solved, total
+        blocks, gradients, diagonals = ([getattr(own, name) for own in self._sums] for name in FrameSums._fields)
+        return solved, FrameSums(self.layout.added(blocks), sum(gradients[1:], gradients[0]), sum(diagonals[1:], diagonals[0]))
 
     def damped(self, total: FrameSums, damping: float) -> Float[np.ndarray, "blocks 6 6"]:
         """The blocks of the frames with Marquardt's damping, in place."""

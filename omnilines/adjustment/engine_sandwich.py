@@ -34,15 +34,17 @@ class LineSandwich:
     @cached_property
     def _scores(self) -> tuple[Float[np.ndarray, "blocks 6 6"], Float[np.ndarray, "t 4 4"]]:
         """What the arcs give to K of the frames, and Q of every line."""
-        sums = [np.zeros((len(self.layout.pattern.row), 6, 6)) for _ in self.layout.shares[1:]]
+        its = self.layout.blocks_of_shares
+        sums = [np.zeros((last - first, 6, 6)) for first, last in its]
         inner = np.zeros((len(self.layout.lines), 4, 4))
-        given = (self.views, self.scatter, self.pose, self.lines, self.layout.pairs, self.solved)
+        given = (self.views, self.scatter, self.pose, self.lines)
 
         def share(k: int, low: int, high: int) -> None:
-            sandwich_kernel.scatter_lines(low, high, *given, sums[k], inner)
+            pairs = self.layout.pairs._replace(first=its[k][0])
+            sandwich_kernel.scatter_lines(low, high, *given, pairs, self.solved, sums[k], inner)
 
         in_shares(share, self.layout.shares)
-        return sum(sums[1:], start=sums[0]), inner
+        return self.layout.added(sums), inner
 
     @cached_property
     def _frame_scores(self) -> Float[np.ndarray, "blocks 6 6"]:

@@ -1,8 +1,9 @@
 """How much memory an adjustment takes, so that one that does not fit is refused before it is built.
 
-For n observations of t lines, F free frames, p pairs of frames with a common line and a band of w sub-diagonals, on q threads,
+For n observations of t lines, F free frames, p pairs of frames with a common line and a band of w sub-diagonals, where the pieces
+that the lines are summed in have q blocks together,
 
-    400 MB + n (224 + 230) + t 900 + p 288 (q + 2) + 16 (6 F) (w + 1)   bytes
+    400 MB + n (224 + 230) + t 900 + 288 (3 p + q) + 16 (6 F) (w + 1)   bytes
 
 with the compiled engine: the interpreter with its libraries; arcs, and the engine's copies of them for the cost and for the
 whitened equations; charts, factors and covariances of lines; blocks of pairs; the band and its inverse. Arcs that know their
@@ -34,9 +35,9 @@ def arcs_bytes(observations: int, with_pixels: bool) -> int:
     return observations * (ARC_WITH_PIXELS if with_pixels else ARC)
 
 
-def engine_bytes(*, observations: int, lines: int, free: int, pairs: int, width: int, threads: int) -> int:
-    """What the compiled engine adds to the interpreter and the arcs."""
-    return observations * ENGINE_ROW + lines * LINE + pairs * PAIR * (threads + 2) + 16 * 6 * free * (width + 1)
+def engine_bytes(*, observations: int, lines: int, free: int, pairs: int, width: int, summed: int) -> int:
+    """What the compiled engine adds to the interpreter and the arcs; `summed` blocks are those of all pieces."""
+    return observations * ENGINE_ROW + lines * LINE + PAIR * (3 * pairs + summed) + 16 * 6 * free * (width + 1)
 
 
 def general_bytes(observations: int, lines: int, kept: int) -> int:
@@ -68,14 +69,14 @@ def laid_out_to_fit(problem: LineProblem, partition: int, divisible: bool) -> tu
     InputError where what follows does not fit.
     """
     found, arcs = layout(problem), problem.arcs
-    pattern, threads = found.pattern, len(found.shares) - 1
+    pattern = found.pattern
     needed = engine_bytes(
         observations=len(arcs),
         lines=arcs.tracks,
         free=pattern.kept,
         pairs=len(pattern.row),
         width=band_width(pattern, 6),
-        threads=threads,
+        summed=sum(last - first for first, last in found.blocks_of_shares),
     )
     division = None
     if partition or (divisible and not _fits(needed)):
@@ -91,7 +92,7 @@ def laid_out_to_fit(problem: LineProblem, partition: int, divisible: bool) -> tu
 def part_bytes(observations: int, lines: int, photos: int, shared: int) -> int:
     """What one part takes at most while it is worked on: as if all its photos were tied to each other."""
     pairs = photos * (photos + 1) // 2
-    alone = engine_bytes(observations=observations, lines=lines, free=photos, pairs=pairs, width=6 * photos, threads=1)
+    alone = engine_bytes(observations=observations, lines=lines, free=photos, pairs=pairs, width=6 * photos, summed=pairs)
     return alone + 4 * 8 * 36 * photos * shared
 
 

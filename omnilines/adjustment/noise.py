@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtrc, chdtri, fdtri
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.least_squares.variance import NORMAL_MAD
 
@@ -84,5 +85,5 @@ def fitting(whitened: Float[Tensor, "n 2"], taken: float, least: float, signific
         left = 2 * int(within.sum()) - taken
         if left <= 0 or bool((before == within).all()):
             break
-        variance = float(square[within].sum()) / left
+        variance = total(square[within]) / left
     return within

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import Layout
@@ -90,7 +91,7 @@ class GeneralSolution(Solution[LinesAndPoses]):
 
     def prior_share(self) -> float:
         """Parameters that the prior determines, tr(H^-1 P'P)."""
-        return 0.0 if self.by_prior is None else float((super().kept_covariance() * self.by_prior).sum())
+        return 0.0 if self.by_prior is None else total(super().kept_covariance() * self.by_prior)
 
     def kept_covariance(self) -> Float[Tensor, "k k"]:
         """Of frames, rig and cameras together."""
@@ -180,7 +181,7 @@ def _robust(task: Task, found: Minimum[LinesAndPoses], prior: PosePrior | None, 
 def _noise_of(task: Task, state: LinesAndPoses, whitened: Float[Tensor, "n 2"], fits: Bool[Tensor, " n"], taken: float) -> Noise:
     """The noise of the arcs that fit, which have decided so many parameters. An estimate that spreads `excess` times as much
     as the best one leaves so much more of its errors in the residuals; the loss sees these, which are smaller than the noise."""
-    count, square, stated = 2 * int(fits.sum()), float(whitened[fits].square().sum()), task.stated
+    count, square, stated = 2 * int(fits.sum()), total(whitened[fits].square()), task.stated
     redundancy = count - taken
     if redundancy <= LEAST_REDUNDANCY:
         return Noise(math.nan, redundancy, stated, task.options.significance)
@@ -225,4 +226,4 @@ def _parameters(problem: LineProblem, state: LinesAndPoses) -> int:
 def _prior_cost(problem: LineProblem, state: LinesAndPoses) -> float:
     if problem.prior is None or not len(problem.free):
         return 0.0
-    return float(problem.prior.residual(state.rig_from_world)[0][problem.free].square().sum())
+    return total(problem.prior.residual(state.rig_from_world)[0][problem.free].square())

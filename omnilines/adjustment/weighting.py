@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.costs import cost_function, cost_named
 from omnilines.costs._cost import by_bearings
@@ -88,15 +89,15 @@ def weighting(
         response = torch.where(fitting[:, None], response, values * loss(square)[1][:, None])
     unit = level**2
     if bool(fitting.any()):
-        unit = float((response * scatter)[fitting].sum() / response[fitting].sum())
+        unit = total((response * scatter)[fitting]) / total(response[fitting])
     scatter = torch.where(fitting[:, None], scatter, unit)
     alike = bool(((scatter - unit).abs() <= ALIKE * unit).all())
     spread = None if alike else vectors @ torch.diag_embed(scatter) @ vectors.mT
     unit_normal = normal / normal.norm(dim=-1, keepdim=True)
     mix = vectors @ torch.diag_embed(response.sqrt()) @ vectors.mT / end_sigma_rad(arcs, unit_normal)[:, None, :]
-    share = float(values.sum()) ** 2 / (values.numel() * float(values.square().sum()))
-    excess = float(second[fitting].mean() / first[fitting].mean() ** 2)
-    return Weighting(mix=mix, scatter=spread, unit=unit, expected=level**2 * float(values.sum()), share=share, excess=excess)
+    share = total(values) ** 2 / (values.numel() * total(values.square()))
+    excess = first[fitting].numel() * total(second[fitting]) / total(first[fitting]) ** 2
+    return Weighting(mix=mix, scatter=spread, unit=unit, expected=level**2 * total(values), share=share, excess=excess)
 
 
 def _expectations(weights: Float[Tensor, "n 2"], loss: Loss, level: float) -> tuple[Tensor, Tensor]:

@@ -57,8 +57,11 @@ class LineChart:
         mismatch = (distance - scale[track]).abs()
         least = torch.full_like(scale, torch.inf).scatter_reduce(0, track, mismatch, "amin")
         nearest = torch.nonzero(mismatch <= least[track]).squeeze(-1)
-        camera = torch.full_like(lines.direction, torch.nan)
-        camera[track[nearest]] = centres[nearest]
+        # Two cameras beside the median are equally near: without a rule it were the one that a thread of torch writes last.
+        row = torch.full_like(scale, len(track), dtype=torch.int64).scatter_reduce(
+            0, track[nearest], nearest, "amax", include_self=False
+        )
+        camera = torch.cat([centres, torch.full_like(centres[:1], torch.nan)])[row]
         foot = lines.closest_point(camera)
         away = camera - foot
         return LineChart.from_lines(lines, foot + away * (scale / away.norm(dim=-1))[:, None], scale)

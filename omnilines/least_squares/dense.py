@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.least_squares.levenberg_marquardt import LEAST_DAMPING, Minimum, Outcome, Progress, S, Step, minimise
 from omnilines.least_squares.losses import Loss
 from omnilines.least_squares.schur import (
@@ -144,7 +145,7 @@ class DenseEngine(Generic[S]):
     def cost(self, state: S) -> float:
         """Sum of the loss, and of the prior."""
         at, _ = self._linearised(state)
-        return float(self.loss((at.residual**2).sum(-1))[0].sum()) + at.prior_cost
+        return total(self.loss((at.residual**2).sum(-1))[0]) + at.prior_cost
 
     def equations(self, state: S) -> NormalEquations:
         """The normal equations of a state; those of the last one are kept."""

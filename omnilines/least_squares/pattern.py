@@ -13,6 +13,12 @@ from jaxtyping import Int
 from numba import njit
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+MOST_PIECES = 16
+PAIRS_OF_A_BLOCK = 8
+"""To add a block of one piece to that of all takes about as long as a pair of observations."""
+LEAST_OF_PIECE = 200
+"""Eliminated blocks."""
+
 
 @dataclass(frozen=True)
 class PairPattern:
@@ -30,6 +36,13 @@ class PairPattern:
     def reach(self) -> int:
         """Largest j - i."""
         return int((self.column - self.row).max()) if len(self.row) else 0
+
+    def blocks_of(self, index: Int[np.ndarray, " n"]) -> tuple[int, int]:
+        """The first block, and one after the last, of pairs of some kept blocks; numbers from `kept` on are none."""
+        index = index[index < self.kept]
+        if not len(index):
+            return 0, 0
+        return int(self.block_of[self.window[index.min()]]), int(np.searchsorted(self.row, index.max(), side="right"))
 
     @property
     def diagonal(self) -> Int[np.ndarray, " kept"]:
@@ -78,6 +91,18 @@ def pair_pattern(start: Int[np.ndarray, " t1"], index: Int[np.ndarray, " n"], ke
     block_of[places] = np.arange(len(places), dtype=np.int32)
     row = np.searchsorted(window, places, side="right") - 1
     return PairPattern(kept, window, block_of, row, places - window[row] + row)
+
+
+def summed_pieces(start: Int[np.ndarray, " t1"], pattern: PairPattern) -> list[int]:
+    """Bounds of pieces of the eliminated blocks, of about equal work, that are summed each by itself and then in order.
+
+    They do not depend on the number of threads, nor do then the sums.
+    """
+    views = np.diff(start)
+    work = np.concatenate([[0], np.cumsum(views * (views + 8))])
+    pairs = int(views @ (views + 1)) // 2
+    count = min(MOST_PIECES, len(views) // LEAST_OF_PIECE, pairs // (PAIRS_OF_A_BLOCK * max(1, len(pattern.row))))
+    return np.searchsorted(work, work[-1] * np.arange(max(1, count) + 1) / max(1, count)).tolist()
 
 
 def narrower_order(pattern: PairPattern) -> Int[np.ndarray, " kept"] | None:

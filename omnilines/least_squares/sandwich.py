@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.least_squares.schur import NormalEquations, Reduced, chunk_of
 from omnilines.least_squares.structure import SizeClass
 
@@ -54,7 +55,7 @@ class Sandwich:
         """tr(H^-1 K)."""
         seen = self._seen
         own = torch.cholesky_solve(self.scores.eliminated[seen], self.reduced.factor[seen])
-        return float(own.diagonal(dim1=1, dim2=2).sum()) + float((self.inverse * self.reduced_scores).sum())
+        return total(own.diagonal(dim1=1, dim2=2)) + total(self.inverse * self.reduced_scores)
 
     @cached_property
     def _seen(self) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.least_squares.devices import free_bytes
 from omnilines.least_squares.structure import Cells, Structure
 
@@ -47,7 +48,7 @@ class Linearisation:
     @property
     def prior_cost(self) -> float:
         """Sum of the squared residuals of the prior."""
-        return 0.0 if self.prior is None else float(self.prior.residual.square().sum())
+        return 0.0 if self.prior is None else total(self.prior.residual.square())
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class CellLinearisation:
     @property
     def prior_cost(self) -> float:
         """Sum of the squared residuals of the prior."""
-        return 0.0 if self.prior is None else float(self.prior.residual.square().sum())
+        return 0.0 if self.prior is None else total(self.prior.residual.square())
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,9 @@ class NormalEquations:
     def promised_decrease(self, kept: Float[Tensor, " k"], eliminated: Float[Tensor, "count e"], damping: float) -> float:
         """Decrease of sum w |r|^2 that the linear model promises for a damped step d: d' g + damping d' diag(H) d."""
         diagonal = torch.diagonal(self.eliminated, dim1=-2, dim2=-1)
-        linear = (kept * self.kept_gradient).sum() + (eliminated * self.eliminated_gradient).sum()
-        quadratic = (kept**2 * torch.diagonal(self.kept)).sum() + (eliminated**2 * diagonal).sum()
-        return float(linear + damping * quadratic)
+        linear = total(kept * self.kept_gradient) + total(eliminated * self.eliminated_gradient)
+        quadratic = total(kept**2 * torch.diagonal(self.kept)) + total(eliminated**2 * diagonal)
+        return linear + damping * quadratic
 
 
 def normal_equations(structure: Structure, at: Linearisation | CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:

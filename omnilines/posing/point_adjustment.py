@@ -17,13 +17,13 @@ from torch import Tensor
 
 from camera_models.pose import Pose, adjoint
 from omnilines.least_squares import Outcome, Step, minimise
-from omnilines.least_squares.pattern import narrower_order, pair_pattern
+from omnilines.least_squares.pattern import narrower_order, pair_pattern, summed_pieces
 from omnilines.least_squares.reduced_system import ReducedSystem
 from omnilines.posing.kernels import point as point_kernel
 from omnilines.posing.kernels.point import FrameSums, PointBlocks, Sightings
 from omnilines.posing.options import ResectionOptions
 from omnilines.posing.tracks import Observations
-from omnilines.progress import in_shares, threads_for
+from omnilines.progress import in_shares
 
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
@@ -98,9 +98,7 @@ class PointEngine:
         rows = seen.rows[self.order] @ own.rotation
         b, p, arm = (np.ascontiguousarray(array.numpy()) for array in (bearings, rows, own.centre))
         self.seen = Sightings(start, places, b, p, arm, loss_scale)
-        work = np.concatenate([[0], np.cumsum(np.diff(start) * (np.diff(start) + 8))])
-        threads = threads_for(points)
-        self.shares = np.searchsorted(work, work[-1] * np.arange(threads + 1) / threads).tolist()
+        self.shares = summed_pieces(start, self.pattern)
 
     def cost(self, state: PosesAndPoints) -> float:
         """Sum of the loss."""
@@ -125,7 +123,7 @@ class PointEngine:
             return point_kernel.follow_frames(low, high, self.seen, pose, moved_pose, step, at, damping, found.solved, moved)
 
         parts = in_shares(follow, self.shares)
-        promised = float(kept @ found.gradient + damping * (kept**2 @ found.diagonal))
+        promised = float((kept * (found.gradient + damping * kept * found.diagonal)).sum())
         return Step(trial, float(sum(part[0] for part in parts)), promised + float(sum(part[1] for part in parts)))
 
     def reduce(self, state: PosesAndPoints, damping: float) -> _Reduction | None:

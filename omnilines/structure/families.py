@@ -21,6 +21,7 @@ from scipy.special import bdtrc, chdtrc
 from torch import Tensor
 
 from camera_models.errors import InputError
+from camera_models.repeatable import total
 from omnilines.records import Lines
 from omnilines.structure.directions import across, angle_with_sigma, common_direction, line_directions, squared_distance
 from omnilines.structure.options import FamilyOptions
@@ -223,8 +224,8 @@ def _described(
     chi_square, spread = np.empty(len(d)), np.empty(len(d))
     for k, (own, noise) in enumerate(zip(d, c, strict=True)):
         among_noise, _ = common_direction(own, noise, u[k], 0.0)
-        chi_square[k] = float(squared_distance(*across(own, noise, among_noise, 0.0)[:2]).sum())
-        spread[k] = float(across(own, noise, u[k], 0.0)[0].square().sum(-1).mean().sqrt())
+        chi_square[k] = total(squared_distance(*across(own, noise, among_noise, 0.0)[:2]))
+        spread[k] = math.sqrt(total(across(own, noise, u[k], 0.0)[0].square()) / len(own))
     pairs = torch.triu_indices(len(u), len(u), 1).T
     angle, sigma = angle_with_sigma(u[pairs[:, 0]], covariance[pairs[:, 0]], u[pairs[:, 1]], covariance[pairs[:, 1]])
     right = (math.pi / 2 - angle) ** 2 <= options.right_angle_sigmas**2 * (sigma**2 + options.tolerance_rad**2)

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import bdtrc, ndtr
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.triangulation.candidates import candidate_batches
 from omnilines.triangulation.consensus import majority
 from omnilines.triangulation.observations import PlaneObservations
@@ -110,8 +111,8 @@ def standing_out(observations: PlaneObservations, image: Int[Tensor, " n"], rows
     tracks_told = int(tells.sum())
     if not tracks_told:
         return StandOut(0, 0, 1.0, 0.5)
-    by_chance = float((1.0 / (1.0 + choices[tells])).mean())
-    return StandOut(tracks_told, int((worse[tells] == 0).sum()), by_chance, float((worse[tells] / choices[tells]).mean()))
+    by_chance = total(1.0 / (1.0 + choices[tells])) / tracks_told
+    return StandOut(tracks_told, int((worse[tells] == 0).sum()), by_chance, total(worse[tells] / choices[tells]) / tracks_told)
 
 
 def _mixed(track: Int[Tensor, "c m"], number: Int[Tensor, "c m"], views: Int[Tensor, " t"]) -> Bool[Tensor, "c t"]:

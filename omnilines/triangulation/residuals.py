@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from camera_models.repeatable import total
 from omnilines.geometry.line import PlueckerLines, weighted_median_by_group
 from omnilines.geometry.line_chart import LineChart
 from omnilines.triangulation.compiled import chart_about_cameras, information, on_processor
@@ -138,7 +139,7 @@ def noise_variance(cost: Float[Tensor, " t"], degrees: Float[Tensor, " t"]) -> f
     typical = cost / chi_square_limit(degrees, 0.0)
     start = weighted_median_by_group(typical, degrees, torch.zeros_like(cost, dtype=torch.int64), 1)
     within = cost <= start * chi_square_limit(degrees)
-    return float(cost[within].sum() / degrees[within].sum()) if bool(within.any()) else float(start)
+    return total(cost[within]) / total(degrees[within]) if bool(within.any()) else float(start)
 
 
 def line_covariance(observations: PlaneObservations, chart: LineChart) -> tuple[Float[Tensor, "t 4 4"], float]:

@@ -5,6 +5,7 @@ takes a majority, three members at least: a track of three views with a wrong on
 named `inconsistent`. Whether arcs overlap along the line is not judged: parts of one line seen apart from each other are common.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from camera_models.errors import InputError
+from camera_models.repeatable import total
 from omnilines.geometry.line import PlueckerLines
 from omnilines.records import LINE_STATUSES
 from omnilines.triangulation import triangulate
@@ -119,7 +121,8 @@ def _rounding_level(observations: PlaneObservations) -> float:
     """ROUNDING_RAD in the unit of the residuals."""
     if observations.noise is None or not len(observations.track):
         return ROUNDING_RAD
-    return ROUNDING_RAD / float((observations.noise.square().sum((-2, -1)) / 2).mean().sqrt())
+    square = observations.noise.square().sum((-2, -1)) / 2
+    return ROUNDING_RAD / math.sqrt(total(square) / square.numel())
 
 
 def _suspects(observations: PlaneObservations, variance: float, options: ConsensusOptions) -> Bool[Tensor, " t"]:

@@ -129,14 +129,15 @@ def bench_memory_is_what_the_formula_says(tmp_path: pathlib.Path) -> None:
         found = json.loads(done.stdout.splitlines()[-1])["memory_mb"]
         arcs, poses = scene.arcs(), scene.poses
         state = LinesAndPoses(poses, LineChart.about_cameras(scene.lines, poses.centre[arcs.image], arcs.track))
-        pattern = layout(LineProblem(arcs, "sector", Freedom(torch.zeros(len(poses), dtype=torch.bool)), state)).pattern
+        laid_out = layout(LineProblem(arcs, "sector", Freedom(torch.zeros(len(poses), dtype=torch.bool)), state))
+        pattern = laid_out.pattern
         own = engine_bytes(
             observations=len(arcs),
             lines=arcs.tracks,
             free=len(poses),
             pairs=len(pattern.row),
             width=band_width(pattern, 6),
-            threads=1,
+            summed=sum(last - first for first, last in laid_out.blocks_of_shares),
         )
         expected = (BASE + ARC * len(arcs) + own) / 1024**2
         rows.append([size_of(scene), f"{found:.0f}", f"{expected:.0f}", f"{expected / found:.2f}"])

@@ -58,6 +58,8 @@ class Pairs(NamedTuple):
     """Number of free frames; the places of held ones follow."""
     window: np.ndarray
     block_of: np.ndarray
+    first: int
+    """Number of the first block of sums that hold a part of them."""
 
 
 class FrameSums(NamedTuple):

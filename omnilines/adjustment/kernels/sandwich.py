@@ -63,7 +63,7 @@ def add_scatter(pairs, frame, scatter, low, high, z, y, t, p, blocks):
                 s01 -= z[i, x] * t[j, 4 + x] + y[i, x] * z[j, 4 + x]
                 s10 -= z[i, 4 + x] * t[j, x] + y[i, 4 + x] * z[j, x]
                 s11 -= z[i, 4 + x] * t[j, 4 + x] + y[i, 4 + x] * z[j, 4 + x]
-            b = pairs.block_of[base + frame[m]]
+            b = pairs.block_of[base + frame[m]] - pairs.first
             if m == k:
                 s00, s01 = s00 + scatter[k, 0, 0], s01 + scatter[k, 0, 1]
                 s10, s11 = s10 + scatter[k, 1, 0], s11 + scatter[k, 1, 1]

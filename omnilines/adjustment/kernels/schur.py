@@ -114,7 +114,7 @@ def add_pairs(pairs, frame, low, high, z, p, blocks):
                 s01 -= z[i, x] * z[j, 4 + x]
                 s10 -= z[i, 4 + x] * z[j, x]
                 s11 -= z[i, 4 + x] * z[j, 4 + x]
-            b = pairs.block_of[base + frame[m]]
+            b = pairs.block_of[base + frame[m]] - pairs.first
             if m == k:
                 s00, s11 = 1.0 + s00, 1.0 + s11
             add_block(blocks, b, p, i, j, s00, s01, s10, s11)
