@@ -89,18 +89,15 @@ def without_doubtful_angles(
         return done, lines, ()
     lines = _without_right_angles(lines)
     done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
-    note = (
-        f"{doubt(found)} The focal length stays near that of the start, and its standard deviation says so; add photos from other "
-        "sides, with the camera tilted, or of a board."
-    )
-    return done, lines, (note,)
+    note = "The focal length stays near that of the start, and its standard deviation says so; add photos from other sides, "
+    return done, lines, (f"{doubt(found)} {note}with the camera tilted, or of a board.",)
 
 
 def asked_by_lines(
     model: CameraModel, arcs: Chains, lines: LinesOptions, progress: ProgressCallback = silent
 ) -> tuple[LineAdjustment, tuple[str, ...]]:
-    """The camera that lines ask for in the place of a given one, without right angles where these tell no scale, and what a person
-    should know. Where they tell another scale they count: the given camera is wrong by them."""
+    """The camera that lines ask for in the place of a given one, without right angles where these tell no scale, and what a
+    person should know. Where they tell another scale they count: the given camera is wrong by them."""
     asked = asked_camera(model, arcs, lines.adjustment, lines.directions, progress)
     if not asked.families.frames:
         return asked, ()
@@ -108,10 +105,9 @@ def asked_by_lines(
     if found.decisive:
         return asked, ()
     lines = _without_right_angles(lines)
-    note = (
-        f"{doubt(found)} Whether the focal length is right is not seen; add photos from other sides, or with the camera tilted."
-    )
-    return asked_camera(model, arcs, lines.adjustment, lines.directions, progress), (note,)
+    asked = asked_camera(model, arcs, lines.adjustment, lines.directions, progress)
+    note = "A wrong focal length is not found so; add photos from other sides, or with the camera tilted."
+    return asked, (f"{doubt(found)} {note}",)
 
 
 def _without_right_angles(lines: LinesOptions) -> LinesOptions:
@@ -123,8 +119,8 @@ def doubt(found: ToldScale) -> str:
     walls = "right angles" if found.rival_angle_rad is None else f"walls at {math.degrees(found.rival_angle_rad):.0f} degrees"
     far, way = 100 * abs(found.rival_factor - 1), "longer" if found.rival_factor > 1 else "shorter"
     return (
-        "Right angles are not used, as these photos do not decide that they are there: the directions of their lines are explained "
-        f"about as well in other ways, as by a focal length {far:.0f} percent {way} with {walls}."
+        "Right angles are not used, as these photos do not decide that they are there: the directions of their lines are "
+        f"explained about as well in other ways, as by a focal length {far:.0f} percent {way} with {walls}."
     )
 
 

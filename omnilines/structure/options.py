@@ -139,13 +139,13 @@ class RightAngleOptions(NamedTuple):
     false_scales: float = 1e-3
     """Scales that are expected where directions are at random, at most."""
     told_directions: float = 1.0
-    """Directions that are expected in a photo by chance, at most, where it is asked whether right angles tell a scale: those of chance
-    make pairs at any angle, which counts."""
+    """Directions that are expected in a photo by chance, at most, where it is asked whether right angles tell a scale: those of
+    chance make pairs at any angle, which counts."""
     told_lines: float = 3.0
     """Lines that a direction has at least, there: two place it."""
     told_factors: int = 1200
     """Scales that are compared, at equal steps of their logarithms."""
-    told_strays_rad: tuple[float, ...] = tuple(math.radians(t) for t in (0.05, 0.1, 0.2, 0.5))
+    told_strays_rad: tuple[float, ...] = tuple(map(math.radians, (0.05, 0.1, 0.2, 0.5)))
     """Standard deviations of a direction of things built, in each of two: which one it is is not known."""
     angles: int = 400
     """Between walls that do not meet at right angles, tried at equal steps of their cosines."""

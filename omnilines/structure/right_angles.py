@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from omnilines.structure.meeting import Meeting
 from omnilines.structure.options import RightAngleOptions
@@ -49,18 +49,23 @@ class Pairs:
     of_first: Float[np.ndarray, "p 3 3"]
     of_second: Float[np.ndarray, "p 3 3"]
     weight: Float[np.ndarray, " p"]
+    pair: Int[np.ndarray, "p 2"]
+    """The two, by their place among the directions of all photos."""
 
     @staticmethod
-    def of(photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"]) -> "Pairs":
+    def all_of(photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"]) -> "Pairs":
         """All pairs of each photo."""
         directions, covariances = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3, 3))]
+        of, before = [np.zeros((0, 2), dtype=np.int64)], 0
         for one in photos:
             both = np.stack(np.triu_indices(len(one), 1), -1)
             directions.append(one.direction[both])
             covariances.append(one.covariance[both])
+            of.append(both + before)
+            before += len(one)
         direction, covariance = np.concatenate(directions), np.concatenate(covariances)
         weight = np.repeat(weights, [len(one) * (len(one) - 1) // 2 for one in photos])
-        return Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1], weight)
+        return Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1], weight, np.concatenate(of))
 
     def cosines(self, q: float) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Of the angle of each pair at a factor on z, and the variances that directions make."""
@@ -80,7 +85,7 @@ def scale_peaks(
 ) -> list[ScalePeak]:
     """Factors on z, the most likely first, from the directions of photos that were found with the factor 1. Photos that show the
     same have weights that add up to 1."""
-    pairs = Pairs.of(photos, weights)
+    pairs = Pairs.all_of(photos, weights)
     if not len(pairs.first):
         return []
     far = math.log(options.max_factor)
