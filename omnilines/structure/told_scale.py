@@ -7,9 +7,10 @@ of one photo show is explained in one of two ways, as likely before anything is 
 - A: one direction of a photo at most, the vertical, is at right angles to the others; these, the walls, are at an angle t to one
   another that all photos share (t or 180 degrees - t, the cosine of t uniform); or pairs are at any angle by chance.
 
-Which direction is the vertical, and from which side a photo shows walls (t or 180 degrees - t), is what explains it best, and costs
-A nothing: photos are mostly held upright, and taken from the same side. With t of 90 degrees A is R, so that the odds of R over A
-are those by which what is seen makes t of 90 degrees more likely (J. M. Dickey, 1971): they do not grow with what both explain.
+Which direction is the vertical, and from which side a photo shows walls (t or 180 degrees - t), is what explains it best, and
+costs A nothing: photos are mostly held upright, and taken from the same side. With t of 90 degrees A is R, so that the odds of R
+over A are those by which what is seen makes t of 90 degrees more likely (J. M. Dickey, 1971): they do not grow with what both
+explain.
 
 Of neither q is known, but that its logarithm is between two bounds, nor the standard deviation s by which things built stray from
 their directions, but that it is one of a few. So the likelihood of R at a scale, L_R(q), is the mean over s, that of A, L_A(q),
