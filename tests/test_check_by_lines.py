@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from drawn_chains import FISHEYE, OPTIONS, disturbed, true_chains
+from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
 from camera_models import CameraModel
@@ -14,6 +14,8 @@ from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
+from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.structure.options import DirectionsOptions
 
 
@@ -61,6 +63,24 @@ def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> No
     assert wrong.sigma_px < 2.0 * right.sigma_px
     assert (np.abs(wrong.change[:2] + off) < 4.0 * wrong.change_sigma[:2]).all()
     assert (off > 5.0 * wrong.change_sigma[:2]).all()
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
+def test_walls_that_do_not_meet_at_right_angles_do_not_refuse_the_right_camera(seed: int) -> None:
+    """Walls at 89 degrees are taken for right ones in each photo."""
+    asked, notes = asked_by_lines(FISHEYE, level_chains(FISHEYE, seed, 89.0), LinesOptions())
+    found = line_check(FISHEYE, asked, None, significance=0.001)
+    assert found.probability > 0.001 and not found.frames and "Right angles are not used" in notes[0]
+
+
+def test_right_angles_refuse_a_camera_at_another_scale() -> None:
+    chains = level_chains(FISHEYE, 0, 90.0)
+    right, notes = asked_by_lines(FISHEYE, chains, LinesOptions())
+    wrong, also = asked_by_lines(disturbed(FISHEYE, fx=2.3, fy=2.308), chains, LinesOptions())
+    assert right.families.frames and wrong.families.frames and not notes and not also
+    assert line_check(FISHEYE, right, None, significance=0.001).probability > 0.001
+    off = disturbed(FISHEYE, fx=2.3, fy=2.308)
+    assert line_check(off, wrong, None, significance=0.001).refused(0.001, 0.1)
 
 
 @pytest.mark.full

@@ -48,6 +48,7 @@ def check(
         check_data(result),
         checks=(Check("drift beyond chance", drift, options.tolerance_px, "px", result.holds),),
         files=files,
+        warnings=result.notes,
         details=result.skipped,
         photos=len(refs),
         then=with_calibration(calibration),

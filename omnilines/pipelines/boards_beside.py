@@ -13,8 +13,9 @@ from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.check_options import CheckOptions
-from omnilines.pipelines.line_camera import asked_camera, prior_with_boards
+from omnilines.pipelines.line_camera import prior_with_boards
 from omnilines.pipelines.line_options import LinesOptions
+from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.progress import ProgressCallback
 
 OUTLINE_POINTS = 40
@@ -70,7 +71,7 @@ def prior_of_boards(boards: CalibrationResult, chains: Chains, lines: LinesOptio
 
 def contradiction(boards: CalibrationResult, chains: Chains, lines: LinesOptions, progress: ProgressCallback) -> tuple[str, ...]:
     """One sentence where lines refuse the camera of the boards, beyond what its covariance allows."""
-    asked = asked_camera(boards.camera, chains, lines.adjustment, lines.directions, progress)
+    asked, _ = asked_by_lines(boards.camera, chains, lines, progress)
     limits = CheckOptions()
     model, known = boards.camera.calibrated_form(), torch.as_tensor(boards.covariance)
     found = line_check(model, asked, known, significance=limits.significance)

@@ -18,7 +18,7 @@ from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.arcs import calibration_of, check_mask, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
-from omnilines.pipelines.line_camera import asked_camera
+from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail
 
@@ -40,6 +40,8 @@ class CheckResult:
     """Photos that were left out, and why."""
     inputs: Mapping[str, Any]
     """What it was made from."""
+    notes: tuple[str, ...] = ()
+    """What a person should know."""
 
     @property
     def verdict(self) -> str:
@@ -110,9 +112,9 @@ def check(
     lines = options.lines
     known_rad = known_angles_rad(estimate)
     chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_rad, progress=progress)
-    asked = asked_camera(model, chains, lines.adjustment, lines.directions, progress)
+    asked, notes = asked_by_lines(model, chains, lines, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
-    return CheckResult(found, holds, options, chains.images, skipped, inputs)
+    return CheckResult(found, holds, options, chains.images, skipped, inputs, notes)

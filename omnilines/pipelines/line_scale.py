@@ -20,12 +20,12 @@ from omnilines.calibration.lines.camera import LineAdjustment
 from omnilines.calibration.select import Candidate
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.chain_starts import CameraStart
-from omnilines.pipelines.line_camera import adjusted_camera
+from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
 from omnilines.pipelines.line_families import chain_circles
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.structure.meeting import Meeting, meeting_directions
-from omnilines.structure.right_angles import RivalScale, better_scale, rival_scale
+from omnilines.structure.told_scale import ToldScale, told_scale
 
 AZIMUTHS = 16
 ANGLES = 100
@@ -44,8 +44,8 @@ def with_scale_of_all(
 ) -> tuple[CameraStart, LineAdjustment]:
     """The adjustment from the scale at which the directions of all photos are at right angles, where that is another one; and the
     start with it."""
-    found = better_scale(*directions_of_all(done, lines, progress), lines.right_angles)
-    if found is None:
+    found = scale_of_all(done, lines, progress)
+    if found.here or not found.decisive:
         return start, done
     reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
     other = scaled(done.model, found.factor, reach, **guide.options)
@@ -80,32 +80,55 @@ def _middle_focal_px(model: CameraModel) -> float:
 def without_doubtful_angles(
     done: LineAdjustment, arcs: Chains, lines: LinesOptions, progress: ProgressCallback = silent
 ) -> tuple[LineAdjustment, LinesOptions, tuple[str, ...]]:
-    """The adjustment as it is where right angles are decisive; else one to straightness and parallels alone, with the options for
-    it, and what a person should know."""
-    rival = rival_of(done, lines, progress)
-    if rival is None:
-        return done, lines, ()
-    lines = replace(lines, adjustment=replace(lines.adjustment, right_angles=False))
-    done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
-    return done, lines, (doubt(rival),)
-
-
-def rival_of(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback = silent) -> RivalScale | None:
-    """Another scale that explains the directions of all photos about as well, where right angles count."""
+    """The adjustment as it is where right angles tell its scale, or boards do; else one to straightness and parallels alone, with
+    the options for it, and what a person should know."""
     if not done.families.frames or done.prior.boards:
-        return None
-    return rival_scale(*directions_of_all(done, lines, progress), lines.right_angles)
+        return done, lines, ()
+    found = scale_of_all(done, lines, progress)
+    if found.decisive and found.here:
+        return done, lines, ()
+    lines = _without_right_angles(lines)
+    done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
+    note = "The focal length stays near that of the start, and its standard deviation says so; add photos from other sides, "
+    return done, lines, (f"{doubt(found)} {note}with the camera tilted, or of a board.",)
 
 
-def doubt(rival: RivalScale) -> str:
-    """What a person should know of it."""
-    walls = "right angles" if rival.angle_rad is None else f"walls at {math.degrees(rival.angle_rad):.0f} degrees"
-    far, way = 100 * abs(rival.factor - 1), "longer" if rival.factor > 1 else "shorter"
+def asked_by_lines(
+    model: CameraModel, arcs: Chains, lines: LinesOptions, progress: ProgressCallback = silent
+) -> tuple[LineAdjustment, tuple[str, ...]]:
+    """The camera that lines ask for in the place of a given one, without right angles where these tell no scale, and what a
+    person should know. Where they tell another scale they count: the given camera is wrong by them."""
+    asked = asked_camera(model, arcs, lines.adjustment, lines.directions, progress)
+    if not asked.families.frames:
+        return asked, ()
+    found = scale_of_all(asked, lines, progress)
+    if found.decisive:
+        return asked, ()
+    lines = _without_right_angles(lines)
+    asked = asked_camera(model, arcs, lines.adjustment, lines.directions, progress)
+    note = "A wrong focal length is not found so; add photos from other sides, or with the camera tilted."
+    return asked, (f"{doubt(found)} {note}",)
+
+
+def _without_right_angles(lines: LinesOptions) -> LinesOptions:
+    return replace(lines, adjustment=replace(lines.adjustment, right_angles=False))
+
+
+def doubt(found: ToldScale) -> str:
+    """Why right angles do not count."""
+    walls = "right angles" if found.rival_angle_rad is None else f"walls at {math.degrees(found.rival_angle_rad):.0f} degrees"
+    far, way = 100 * abs(found.rival_factor - 1), "longer" if found.rival_factor > 1 else "shorter"
     return (
-        f"Right angles are not used, as these photos do not decide that they are there: a focal length {far:.0f} percent {way}, "
-        f"with {walls}, explains the directions of their lines as well. The focal length stays near that of the start, and its "
-        "standard deviation says so; add photos from other sides, with the camera tilted, or of a board."
+        "Right angles are not used, as these photos do not decide that they are there: the directions of their lines are "
+        f"explained about as well in other ways, as by a focal length {far:.0f} percent {way} with {walls}."
     )
+
+
+def scale_of_all(done: LineAdjustment, lines: LinesOptions, progress: ProgressCallback) -> ToldScale:
+    """What the right angles of all photos of an adjustment tell of its scale."""
+    told = lines.right_angles
+    directions = replace(lines.directions, false_directions=told.told_directions, min_lines=told.told_lines)
+    return told_scale(*directions_of_all(done, replace(lines, directions=directions), progress), told)
 
 
 def directions_of_all(

@@ -138,11 +138,20 @@ class RightAngleOptions(NamedTuple):
     """Scales that are given back."""
     false_scales: float = 1e-3
     """Scales that are expected where directions are at random, at most."""
-    angles: int = 60
+    told_directions: float = 1.0
+    """Directions that are expected in a photo by chance, at most, where it is asked whether right angles tell a scale: those of
+    chance make pairs at any angle, which counts."""
+    told_lines: float = 3.0
+    """Lines that a direction has at least, there: two place it."""
+    told_factors: int = 1200
+    """Scales that are compared, at equal steps of their logarithms."""
+    told_strays_rad: tuple[float, ...] = tuple(map(math.radians, (0.05, 0.1, 0.2, 0.5)))
+    """Standard deviations of a direction of things built, in each of two: which one it is is not known."""
+    angles: int = 400
     """Between walls that do not meet at right angles, tried at equal steps of their cosines."""
     same_sigmas: float = 5.0
-    """A scale nearer than so many standard deviations is the same one, where it is told better than `same_scale`."""
-    same_scale: float = 0.05
-    """Scales that differ by less are not told apart, however uncertain they are."""
+    """Scales nearer than so many standard deviations are the same one."""
+    same_scale: float = 0.2
+    """Scales whose logarithms differ by more are not the same one, however uncertain they are."""
     decisive: float = 10.0
-    """Right angles tell the scale where it is so many times as likely as any other one, with walls at any angle."""
+    """Right angles tell the scale where they are so many times as likely there as all other explanations together."""

@@ -9,10 +9,7 @@ Each pair of directions of one photo may be at right angles, then cos(q) is zero
 and a stray), or at any other angle, with cos(q) uniform from -1 to 1. The sum over all pairs of the log likelihood over that of
 chance is compared for all q; by chance it is x or more with a probability of at most exp(-x) for each q (Markov's inequality).
 
-Walls need not meet at right angles. Those at an angle t make pairs at t or at 180 degrees - t, and no q brings both to right
-angles: where each photo shows one of them, some of the photos agree on a wrong q. So a scale has rivals: any other one, with
-pairs at right angles, or at these and at one more angle that all photos share. The latter has more freedom, and the likelihood is
-the mean over all t (Bayes factor).
+Whether right angles tell it is another question: `told_scale.py`.
 """
 
 import math
@@ -21,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from omnilines.structure.meeting import Meeting
 from omnilines.structure.options import RightAngleOptions
@@ -44,18 +41,7 @@ class ScalePeak:
 
 
 @dataclass(frozen=True)
-class RivalScale:
-    """A factor on z that explains directions as well as another does."""
-
-    factor: float
-    gain: float
-    """log likelihood over that of chance."""
-    angle_rad: float | None
-    """Of walls that do not meet at right angles, which it takes; None where right angles explain it."""
-
-
-@dataclass(frozen=True)
-class _Pairs:
+class Pairs:
     """Two directions of one photo each, and their covariances."""
 
     first: Float[np.ndarray, "p 3"]
@@ -63,18 +49,35 @@ class _Pairs:
     of_first: Float[np.ndarray, "p 3 3"]
     of_second: Float[np.ndarray, "p 3 3"]
     weight: Float[np.ndarray, " p"]
+    pair: Int[np.ndarray, "p 2"]
+    """The two, by their place among the directions of all photos."""
 
     @staticmethod
-    def of(photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"]) -> "_Pairs":
+    def all_of(photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"]) -> "Pairs":
         """All pairs of each photo."""
         directions, covariances = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3, 3))]
+        of, before = [np.zeros((0, 2), dtype=np.int64)], 0
         for one in photos:
             both = np.stack(np.triu_indices(len(one), 1), -1)
             directions.append(one.direction[both])
             covariances.append(one.covariance[both])
+            of.append(both + before)
+            before += len(one)
         direction, covariance = np.concatenate(directions), np.concatenate(covariances)
         weight = np.repeat(weights, [len(one) * (len(one) - 1) // 2 for one in photos])
-        return _Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1], weight)
+        return Pairs(direction[:, 0], direction[:, 1], covariance[:, 0], covariance[:, 1], weight, np.concatenate(of))
+
+    def cosines(self, q: float) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """Of the angle of each pair at a factor on z, and the variances that directions make."""
+        scale = np.array([1.0, 1.0, q])
+        x, y = self.first * scale, self.second * scale
+        long_x, long_y = (np.linalg.norm(z, axis=-1, keepdims=True) for z in (x, y))
+        x, y = x / long_x, y / long_y
+        cosine = (x * y).sum(-1, keepdims=True)
+        by_first, by_second = scale * (y - cosine * x) / long_x, scale * (x - cosine * y) / long_y
+        variance = np.einsum("pi,pij,pj->p", by_first, self.of_first, by_first)
+        variance += np.einsum("pi,pij,pj->p", by_second, self.of_second, by_second)
+        return cosine[:, 0], variance
 
 
 def scale_peaks(
@@ -82,7 +85,7 @@ def scale_peaks(
 ) -> list[ScalePeak]:
     """Factors on z, the most likely first, from the directions of photos that were found with the factor 1. Photos that show the
     same have weights that add up to 1."""
-    pairs = _Pairs.of(photos, weights)
+    pairs = Pairs.all_of(photos, weights)
     if not len(pairs.first):
         return []
     far = math.log(options.max_factor)
@@ -93,81 +96,26 @@ def scale_peaks(
     return sorted((_refined(pairs, places[top], places[1] - places[0], options) for top in tops), key=lambda peak: -peak.gain)
 
 
-def better_scale(
-    photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
-) -> ScalePeak | None:
-    """The factor on z under which directions found with the factor 1 are at right angles, where it is more likely than 1 by more
-    than chance makes."""
-    peaks = scale_peaks(photos, weights, options)
-    if not peaks or not peaks[0].stands:
-        return None
-    now = _gain(_Pairs.of(photos, weights), 1.0, options)
-    return peaks[0] if peaks[0].gain - now >= _beyond_chance(options) else None
-
-
-def rival_scale(
-    photos: Sequence[Meeting], weights: Float[np.ndarray, " photos"], options: RightAngleOptions = RightAngleOptions()
-) -> RivalScale | None:
-    """The other scale that explains the pairs best, where the factor 1, with which directions were found, is not `decisive` times
-    as likely: so it is where no photo shows a pair."""
-    pairs = _Pairs.of(photos, weights)
-    far = math.log(options.max_factor)
-    places = np.linspace(-far, far, options.factors)
-    now = _refined(pairs, 0.0, places[1] - places[0], options)
-    near = min(options.same_sigmas * now.sigma, options.same_scale)
-    found = [_rival(pairs, place, options) for place in places[np.abs(places - math.log(now.factor)) > near]]
-    best = max(found, key=lambda rival: rival.gain, default=None)
-    if best is None or best.gain <= now.gain - math.log(options.decisive):
-        return None
-    return best
-
-
-def _rival(pairs: _Pairs, place: float, options: RightAngleOptions) -> RivalScale:
-    """How likely a scale is, with right angles alone or with one more angle that is as likely, whichever is more."""
-    q, other = math.exp(place), (np.arange(options.angles)[:, None] + 0.5) / options.angles
-    seen = _cosines(pairs, q, options)
-    ratio = 0.5 * _over_chance(*seen, 0.0) + 0.25 * (_over_chance(*seen, -other) + _over_chance(*seen, other))
-    gains = np.log1p(options.share * (ratio - 1.0)) @ pairs.weight
-    best = int(np.argmax(gains))
-    mean = float(gains[best] + math.log(np.exp(gains - gains[best]).mean()))
-    right = _gain(pairs, q, options)
-    return RivalScale(q, right, None) if right >= mean else RivalScale(q, mean, math.acos(float(other[best, 0])))
-
-
 def _beyond_chance(options: RightAngleOptions) -> float:
     """Gain that the best of all scales tried has by chance with a probability of `false_scales` at most."""
     return math.log(options.factors / options.false_scales)
 
 
-def _gain(pairs: _Pairs, q: float, options: RightAngleOptions) -> float:
+def _gain(pairs: Pairs, q: float, options: RightAngleOptions) -> float:
     """log likelihood of all pairs over that of chance."""
-    return float(pairs.weight @ np.log1p(options.share * (_over_chance(*_cosines(pairs, q, options), 0.0) - 1.0)))
+    cosine, variance = pairs.cosines(q)
+    ratio = over_chance(cosine, variance + 2.0 * options.stray_rad**2)
+    return float(pairs.weight @ np.log1p(options.share * (ratio - 1.0)))
 
 
-def _cosines(pairs: _Pairs, q: float, options: RightAngleOptions) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-    """Of the angle of each pair, and their variances."""
-    scale = np.array([1.0, 1.0, q])
-    x, y = pairs.first * scale, pairs.second * scale
-    long_x, long_y = (np.linalg.norm(z, axis=-1, keepdims=True) for z in (x, y))
-    x, y = x / long_x, y / long_y
-    cosine = (x * y).sum(-1, keepdims=True)
-    by_first, by_second = scale * (y - cosine * x) / long_x, scale * (x - cosine * y) / long_y
-    variance = np.einsum("pi,pij,pj->p", by_first, pairs.of_first, by_first)
-    variance += np.einsum("pi,pij,pj->p", by_second, pairs.of_second, by_second) + 2.0 * options.stray_rad**2
-    return cosine[:, 0], variance
-
-
-def _over_chance(
-    cosine: Float[np.ndarray, " p"], variance: Float[np.ndarray, " p"], mean: float | Float[np.ndarray, "a 1"]
-) -> Float[np.ndarray, "*a p"]:
-    """A normal distribution cut off at -1 and 1, over a density of 1/2."""
-    per = np.sqrt(0.5 / variance)
-    inside = 0.5 * torch.erf(torch.as_tensor(np.stack([(1.0 - mean) * per, (1.0 + mean) * per]))).numpy().sum(0)
-    ratio: Float[np.ndarray, "*a p"] = 2.0 * np.exp(-0.5 * np.square(cosine - mean) / variance)
+def over_chance(cosine: Float[np.ndarray, " p"], variance: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+    """Of pairs at right angles: a normal distribution cut off at -1 and 1, over a density of 1/2."""
+    inside = torch.erf(torch.as_tensor(np.sqrt(0.5 / variance))).numpy()
+    ratio: Float[np.ndarray, " p"] = 2.0 * np.exp(-0.5 * np.square(cosine) / variance)
     return ratio / (np.sqrt(2.0 * np.pi * variance) * inside)
 
 
-def _refined(pairs: _Pairs, place: float, step: float, options: RightAngleOptions) -> ScalePeak:
+def _refined(pairs: Pairs, place: float, step: float, options: RightAngleOptions) -> ScalePeak:
     """The top near log q on a finer grid, and the curvature there."""
     near = place + step * np.linspace(-1.0, 1.0, FINER)
     gains = np.array([_gain(pairs, math.exp(one), options) for one in near])

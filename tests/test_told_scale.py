@@ -1,0 +1,72 @@
+"""Whether right angles tell the scale of a camera: directions of walls at known angles, seen by a camera that is off."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from omnilines.structure.meeting import Meeting
+from omnilines.structure.options import RightAngleOptions
+from omnilines.structure.told_scale import ToldScale, told_scale
+
+SIGMA_RAD = 1e-3
+QUICK = RightAngleOptions(told_factors=400, angles=150)
+
+
+def photo(directions: np.ndarray, factor: float, rng: np.random.Generator) -> Meeting:
+    """Directions, with noise, as a camera sees them whose bearings have z times `factor` in the place of their own."""
+    seen = (directions + SIGMA_RAD * rng.normal(size=directions.shape)) * [1.0, 1.0, factor]
+    seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
+    across = np.eye(3) - seen[:, :, None] * seen[:, None]
+    return Meeting(seen, SIGMA_RAD**2 * across, np.full(0, -1), 0.0)
+
+
+def told(headings_deg: Sequence[float], walls_deg: float, factor: float, tilt_deg: float = 0.0) -> ToldScale:
+    """Of the verticals and both walls, y down, seen level or looking down, at headings from between the walls."""
+    rng, half, tilt = np.random.default_rng(0), math.radians(walls_deg) / 2, math.radians(tilt_deg)
+    look = np.array([[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]])
+    photos = []
+    for heading in np.radians(headings_deg):
+        ways = np.array([[math.sin(a), 0.0, math.cos(a)] for a in (heading - half, heading + half)])
+        photos.append(photo(np.concatenate([ways, [[0.0, 1.0, 0.0]]]) @ look.T, factor, rng))
+    return told_scale(photos, np.ones(len(photos)))
+
+
+def test_right_angles_seen_from_several_sides_tell_the_scale_wherever_it_is() -> None:
+    for factor in (1.0, 1.15, 0.6):
+        found = told([5.0, 40.0, 95.0, -30.0], 90.0, factor)
+        assert found.decisive and found.here is (factor == 1.0)
+        assert abs(math.log(found.factor * factor)) < 3.0 * found.sigma < found.reach < 0.03
+
+
+def test_walls_at_85_degrees_seen_from_several_sides_explain_themselves() -> None:
+    found = told([5.0, 40.0, 95.0, -30.0], 85.0, 1.1)
+    assert not found.decisive and found.odds < 1.0
+    assert abs(found.rival_factor * 1.1 - 1.0) < 0.01
+    assert found.rival_angle_rad is not None and abs(math.degrees(found.rival_angle_rad) - 85.0) < 0.3
+
+
+def test_one_pair_and_walls_seen_from_one_side_tell_nothing() -> None:
+    """Any one angle is a right one at some scale, and photos from the same side repeat it."""
+    for walls_deg in (85.0, 90.0):
+        for headings in ([0.0], [5.0] * 6):
+            assert not told(headings, walls_deg, 1.0).decisive
+    assert not told_scale([], np.zeros(0)).decisive
+
+
+def test_walls_at_85_degrees_are_not_right_ones_in_tilted_photos_either() -> None:
+    """Verticals tell the scale there, and that walls are not at right angles at it."""
+    found = told([20.0, 75.0, -50.0, 120.0], 85.0, 1.1, 15.0)
+    assert not found.decisive and abs(found.rival_factor * 1.1 - 1.0) < 0.01
+    assert told([20.0, 75.0, -50.0, 120.0], 90.0, 1.1, 15.0).decisive
+
+
+def test_directions_at_random_tell_a_scale_no_more_often_than_odds_say() -> None:
+    """Where odds of ten decide, at most one in eleven of what is told may be wrong; here all of it would be."""
+    rng, wrong = np.random.default_rng(1), 0
+    for _ in range(40):
+        directions = rng.normal(size=(4, 3, 3))
+        photos = [photo(one / np.linalg.norm(one, axis=-1, keepdims=True), 1.0, rng) for one in directions]
+        wrong += told_scale(photos, np.ones(4), QUICK).decisive
+    # Of 40, with a probability of 1/11 each, once in 1e4 more.
+    assert wrong <= 11
