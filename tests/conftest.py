@@ -15,9 +15,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import pytest
 import torch
-from jaxtyping import install_import_hook
+from enforced import enforce
 
-install_import_hook(["camera_models", "calib_patterns", "omnilines"], "beartype.beartype")
+enforce(["camera_models", "calib_patterns", "omnilines"])
 
 torch.set_num_threads(1)
 cv2.setNumThreads(1)

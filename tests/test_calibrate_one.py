@@ -58,9 +58,10 @@ def test_a_target_is_that_of_its_corners(photos: Path, tmp_path: Path) -> None:
 
 
 def test_lines_are_those_of_their_pipeline(photos: Path) -> None:
-    result = ol.calibrate(str(photos / "room"), "lines", model=LENS)
+    quick = ol.LinesOptions(adjustment=LineOptions(most_starts=1, rounds=1))
+    result = ol.calibrate(str(photos / "room"), "lines", model=LENS, lines=quick)
     assert isinstance(result, LineResult) and result.boards is None
-    assert same(result, calibrate_lines(photos / "room", model=LENS))
+    assert same(result, calibrate_lines(photos / "room", model=LENS, lines=quick))
 
 
 def test_a_target_and_lines_are_one_adjustment(photos: Path, tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_steps_are_found_where_they_are() -> None:
     height = rng.uniform(20.0, 60.0, (300, 3, 3)) * rng.choice([-1.0, 1.0], (300, 1, 3))
     present = np.arange(3) < count[:, None]
     steps = ndtr((offsets[None, :, None] - place[:, None]) / 0.7) * present[:, None]
-    profile = 90.0 + np.einsum("nks,nsc->nck", steps, height)
+    profile = np.ascontiguousarray(90.0 + np.einsum("nks,nsc->nck", steps, height), np.float32)
     start = np.zeros((300, MOST_STEPS))
     start[:, :3] = place + rng.uniform(-0.2, 0.2, (300, 3))
     sigma = np.full(300, 0.01)
@@ -346,7 +346,7 @@ def test_mean_profiles_are_cubic_convolution_up_to_the_seam_and_the_last_pixel(c
     image = rng.integers(0, 256, (20, 30, channels), dtype=np.uint8)
     pixel, across = rng.uniform([-0.5, 1.0], [29.5, 17.9], (200, 2)), np.tile([1.0, 0.0], (200, 1))
     at = Samples(
-        np.zeros(200, dtype=np.int64), np.arange(201), across[:, 0], pixel, across, np.ones(200), np.ones(200, dtype=bool)
+        np.zeros(200, dtype=np.int64), np.arange(201), across[:, 0].copy(), pixel, across, np.ones(200), np.ones(200, dtype=bool)
     )
     mean, whole = mean_profiles(Picture(image, 1.0, True), at, np.arange(201), np.ones(200, dtype=bool), np.zeros(1))
     first = np.floor(pixel).astype(np.int64) - 1

@@ -51,7 +51,7 @@ def photo_tensor(image: np.ndarray) -> np.ndarray:
 def test_products_of_derivatives_are_those_of_opencv(closed: bool) -> None:
     """Gaussian and Scharr's masks; all rows, and some of them; an image that is smaller than the Gaussian."""
     weight = cv2.getGaussianKernel(7, 0.6, cv2.CV_32F)[:, 0]
-    for image in (drawn(), drawn()[:3, :4]):
+    for image in (drawn(), drawn()[:3, :4].copy()):
         height, width = image.shape[:2]
         side = 12 if closed else 0
         wide = cv2.copyMakeBorder(image, 0, 0, side, side, cv2.BORDER_WRAP).astype(np.float32)
@@ -285,7 +285,7 @@ def test_one_more_step_explains_what_least_squares_say(twice: bool) -> None:
     steps = ndtr((OFFSETS_PX[None, :, None] - place[:, None, :3]) / blur) * (np.arange(3) < count[:, None])[:, None]
     profile = 90.0 + np.einsum("nks,nsc->nck", steps, rng.uniform(-60.0, 60.0, (20, 3, 3)))
     profile += 15.0 * ndtr((OFFSETS_PX - 3.7) / blur) + rng.standard_normal((20, 3, len(OFFSETS_PX)))
-    profile, whole = profile.astype(np.float32), rng.random(20) < 0.8
+    profile, whole = np.ascontiguousarray(profile, np.float32), rng.random(20) < 0.8
     weight = window_weights(2.0)
     window = Window(0, OFFSETS_PX, weight)
     gain, height, left = one_more_step(Stepped(profile, place, count), starts, whole, window, blur, CANDIDATES_PX, 0.7)

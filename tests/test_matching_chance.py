@@ -29,7 +29,7 @@ def test_the_chance_of_so_many_is_that_of_all_outcomes() -> None:
     chance = rng.uniform(0.0, 1.0, (6, 5))
     could = rng.random((6, 5)) < 0.8
     times = rng.integers(0, 4, 6)
-    for line, found in enumerate(at_least(chance[could], np.nonzero(could)[0], times)):
+    for line, found in enumerate(at_least(chance[could], np.nonzero(could)[0].copy(), times)):
         expected = 0.0
         for outcome in itertools.product((0, 1), repeat=int(could[line].sum())):
             come = np.array(outcome, dtype=bool)

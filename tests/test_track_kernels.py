@@ -69,7 +69,7 @@ def test_lines_near_arcs_are_those_of_a_plain_search(name: str) -> None:
     chosen = rng.random((arcs.images, len(ends))) < 0.5
     starts = np.concatenate([[0], np.cumsum(chosen.sum(1))])
     lines_of = (truth.direction.numpy(), truth.moment.numpy(), spans)
-    some_arc, some_line = near_lines(rows, arcs.image, arcs.packed, *lines_of, gate[rows], starts, np.nonzero(chosen)[1])
+    some_arc, some_line = near_lines(rows, arcs.image, arcs.packed, *lines_of, gate[rows], starts, np.nonzero(chosen)[1].copy())
     kept = chosen[arcs.image[arc], line]
     assert 0 < kept.sum() < len(kept)
     np.testing.assert_array_equal(np.stack([some_arc, some_line]), np.stack([arc[kept], line[kept]]))

@@ -8,8 +8,10 @@ Everything is imported once; each run is a process forked from that, which kills
 """
 
 import contextlib
+import importlib
 import itertools
 import os
+import pkgutil
 import shutil
 import signal
 import sys
@@ -21,6 +23,7 @@ import cv2
 import torch
 from hostile.good import give
 
+import omnilines
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING
 from omnilines import cli
@@ -135,6 +138,10 @@ def main(wanted: int, names: Sequence[str]) -> int:
     """Spread a number of kills over commands and their moments."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
+    # What commands import where they need it too.
+    for module in pkgutil.walk_packages(omnilines.__path__, "omnilines."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
     each = -(-wanted // (2 * len(names)))
 
     def chosen(moments: int) -> list[int]:
