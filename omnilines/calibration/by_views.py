@@ -1,8 +1,8 @@
 """How certain a camera is where its photos contradict each other by more than the noise of their corners.
 
-A board that bends in the hand, a model that is not quite the lens, or blur moves all corners of a photo together: however many they are,
-they do not average it out, and residuals show it as little as noise. What photos say by themselves of the camera shows it
-(`least_squares.groups`). Where they differ by more than the noise explains, the covariance is that which their differences bear out.
+A board that bends in the hand, a model that is not quite the lens, or blur moves all corners of a photo together: however many
+they are, they do not average it out, and residuals show it as little as noise. What photos say by themselves of the camera shows
+it (`least_squares.groups`). Where they differ by more than the noise explains, the covariance is what their differences bear out.
 """
 
 import math
@@ -45,7 +45,7 @@ def stated_covariance(
     note = (
         f"Photos contradict each other about the camera {found.ratio:.2g} times as much as the noise of their corners explains "
         f"({'chi-square' if noise.holds else 'F'} test): a board that bends or is not flat, a model that does not suit, or blur "
-        f"moves all corners of a photo together. The standard deviations hold that: they are {beyond:.2g} times those of the noise "
-        "alone."
+        f"moves all corners of a photo together. The standard deviations hold that: they are {beyond:.2g} times those of the "
+        "noise alone."
     )
     return StatedCovariance(covariance, found.factor, beyond, (note,))

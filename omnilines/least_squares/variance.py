@@ -54,8 +54,8 @@ def contradiction(
 ) -> Contradiction | None:
     """Of groups whose mean square is larger than the noise explains, at this `significance`; None where it is not.
 
-    `squares` are the sum of all squared residuals with so many degrees of freedom, `within` what was made of them. The noise is the
-    stated one where that holds (chi-square test), else that of the residuals within groups (F test).
+    `squares` are the sum of all squared residuals with so many degrees of freedom, `within` what was made of them. The noise is
+    the stated one where that holds (chi-square test), else that of the residuals within groups (F test).
     """
     between, count = groups.between
     rest = freedom - count

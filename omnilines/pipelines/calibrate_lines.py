@@ -21,7 +21,7 @@ from omnilines.pipelines.boards_beside import contradiction, off_boards, prior_o
 from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
-from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
+from omnilines.pipelines.line_camera import adjusted_camera, is_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import with_scale_of_all, without_doubtful_angles
 from omnilines.pipelines.pages import claimed_report
@@ -234,15 +234,24 @@ def _started(
     rough = replace(lines.adjustment, settled_sigmas=max(lines.adjustment.settled_sigmas, ROUGHLY_SETTLED_SIGMAS))
     best: tuple[CameraStart, LineAdjustment] | None = None
     failure: GeometryError | None = None
+    passed = list[CameraModel]()
     for start in starts[: lines.adjustment.most_starts]:
+        way = list[CameraModel]()
+
+        def passed_before(done: LineAdjustment, way: list[CameraModel] = way) -> bool:
+            """Whether an earlier start came through this camera: the one at hand would go on, and end, as that did."""
+            way.append(done.model)
+            return any(is_camera(done, one, lines.adjustment.settled_sigmas) for one in passed)
+
         try:
             camera = start.camera(guide.model, **guide.options)
-            done = adjusted_camera(camera, chains, rough, lines.directions, progress=progress)
+            done = adjusted_camera(camera, chains, rough, lines.directions, met=passed_before, progress=progress)
         except GeometryError as error:
             failure = error
             continue
-        if best is None or done.chains.misfit < NO_BETTER * best[1].chains.misfit:
+        if best is None or not passed_before(done) and done.chains.misfit < NO_BETTER * best[1].chains.misfit:
             best = start, done
+        passed += way
     if best is None:
         raise failure or GeometryError("Edges that are straight in the world were expected, found none; add photos.")
     return best
