@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -234,27 +235,28 @@ def _started(
     rough = replace(lines.adjustment, settled_sigmas=max(lines.adjustment.settled_sigmas, ROUGHLY_SETTLED_SIGMAS))
     best: tuple[CameraStart, LineAdjustment] | None = None
     failure: GeometryError | None = None
-    passed = list[CameraModel]()
+    passed, sigmas = list[CameraModel](), lines.adjustment.settled_sigmas
     for start in starts[: lines.adjustment.most_starts]:
         way = list[CameraModel]()
-
-        def passed_before(done: LineAdjustment, way: list[CameraModel] = way) -> bool:
-            """Whether an earlier start came through this camera: the one at hand would go on, and end, as that did."""
-            way.append(done.model)
-            return any(is_camera(done, one, lines.adjustment.settled_sigmas) for one in passed)
-
+        met = partial(_passed_before, passed, way, sigmas)
         try:
             camera = start.camera(guide.model, **guide.options)
-            done = adjusted_camera(camera, chains, rough, lines.directions, met=passed_before, progress=progress)
+            done = adjusted_camera(camera, chains, rough, lines.directions, met=met, progress=progress)
         except GeometryError as error:
             failure = error
             continue
-        if best is None or not passed_before(done) and done.chains.misfit < NO_BETTER * best[1].chains.misfit:
+        if best is None or (not met(done) and done.chains.misfit < NO_BETTER * best[1].chains.misfit):
             best = start, done
         passed += way
     if best is None:
         raise failure or GeometryError("Edges that are straight in the world were expected, found none; add photos.")
     return best
+
+
+def _passed_before(passed: Sequence[CameraModel], way: list[CameraModel], sigmas: float, done: LineAdjustment) -> bool:
+    """Whether an earlier start came through this camera: this one would go on, and end, as that did. The `way` is added to."""
+    way.append(done.model)
+    return any(is_camera(done, one, sigmas) for one in passed)
 
 
 def _trial(
