@@ -11,6 +11,7 @@ from torch import Tensor
 
 from camera_models import GeometryError
 from camera_models.formats.camera_doubts import model_doubts
+from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,
     refuse_open_camera,
@@ -69,8 +70,10 @@ def camera_result(
     # Noise is what the fit with all terms leaves: its freedom is counted, also where terms were held afterwards.
     cost = min(solution.cost, minima[0].cost)
     factor = variance_factor(cost, _freedom(final, solution), stated, thresholds.noise.significance)
-    variance, q = factor.value, basis.shape[1]
-    covariance = basis @ unit[:q, :q] @ basis.mT * variance
+    groups = BoardProblem(final.points, basis, final.weight, state.shape).by_views(state)
+    certain = stated_covariance(groups, unit, factor, cost, _freedom(final, solution), thresholds.noise.significance)
+    q = basis.shape[1]
+    covariance = basis @ certain.covariance[:q, :q] @ basis.mT
     covariance = 0.5 * (covariance + covariance.mT)
     squared, count = np.sum(state.residual_px(final.points).numpy() ** 2), len(final.points.view)
     rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
@@ -78,15 +81,16 @@ def camera_result(
         refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
     notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model)) + notes
     refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
-    refuse_open_camera(model, covariance, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
+    by_noise = basis @ unit[:q, :q] @ basis.mT * factor.value
+    refuse_open_camera(model, by_noise, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
     residual = np.full((len(corners), 2), np.nan)
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
-    curved = camera_intervals(problem, minima[0], minima[1:], factor)
-    intervals = linear_intervals(model.parameters, covariance, factor.sigmas(SHARE)) if curved is None else curved
+    curved = camera_intervals(problem, minima[0], minima[1:], certain.factor)
+    intervals = linear_intervals(model.parameters, covariance, certain.factor.sigmas(SHARE)) if curved is None else curved
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
-    notes += noise_notes(factor, stated, thresholds.noise) + (() if curved is None else (CURVED,))
+    notes += noise_notes(factor, stated, thresholds.noise) + certain.note + (() if curved is None else (CURVED,))
     views = view_results(
         corners,
         final.rows,
@@ -111,9 +115,10 @@ def camera_result(
         iterations=solution.iterations,
         notes=notes + _data_notes(final, solution, everywhere, leverage),
         board=state.shape,
-        board_sigma=dict(zip(state.shape.free_names, (unit.diagonal()[q:] * variance).sqrt().tolist(), strict=True)),
+        board_sigma=dict(zip(state.shape.free_names, certain.covariance.diagonal()[q:].sqrt().tolist(), strict=True)),
         interval_95=intervals.numpy(),
-        corner_sigma_px=math.sqrt(variance),
+        corner_sigma_px=math.sqrt(factor.value),
+        beyond_noise=certain.beyond_noise,
         curved=curved is not None,
     )
 

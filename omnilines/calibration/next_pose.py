@@ -55,6 +55,8 @@ class NextViews:
     worst_at_px: tuple[float, float]
     worst_where: str
     corner_sigma_px: float
+    view_sigma_px: float
+    """With which corners of one more view count: more than that of a corner where photos contradict each other."""
     limits: tuple[str, ...]
     """What limits the calibration, the gravest first, one sentence each."""
     noisy: bool
@@ -104,7 +106,8 @@ def next_views(
     place = np.full(len(fit.views), -1)
     place[used] = np.arange(len(used))
     seen = SeenBoards.of(torch.as_tensor(board), poses, torch.as_tensor(place[corners.view[fit.kept]]), pixels)
-    proposed = _best_in_turn(known, seen, fit.corner_sigma_px, thresholds)
+    view_sigma_px = fit.corner_sigma_px * fit.beyond_noise
+    proposed = _best_in_turn(known, seen, view_sigma_px, thresholds)
     sigma = known.sigma_px
     worst = known.pixels[int(sigma.argmax())]
     return NextViews(
@@ -113,6 +116,7 @@ def next_views(
         worst_at_px=(float(worst[0]), float(worst[1])),
         worst_where=place_words(field, worst),
         corner_sigma_px=fit.corner_sigma_px,
+        view_sigma_px=view_sigma_px,
         limits=limits_of(field, pixels, poses, seen, fit.corner_sigma_px, thresholds),
         noisy=fit.corner_sigma_px > thresholds.noisy_px,
         poses=proposed,
@@ -133,14 +137,14 @@ def _board_of(corners: Corners, kept: Bool[np.ndarray, " n"]) -> Float[np.ndarra
 
 
 def _best_in_turn(
-    known: KnownProjection, seen: SeenBoards, corner_sigma_px: float, thresholds: ShootingThresholds
+    known: KnownProjection, seen: SeenBoards, view_sigma_px: float, thresholds: ShootingThresholds
 ) -> tuple[NextPose, ...]:
     """The pose that helps most, then the one that helps most with it, and so on, as long as they help."""
     tried = candidates(known.field, seen, thresholds)
     found: list[NextPose] = []
     if not len(tried):
         return ()
-    of_parameters = view_information(known.field, tried.poses, seen.board_m) / corner_sigma_px**2
+    of_parameters = view_information(known.field, tried.poses, seen.board_m) / view_sigma_px**2
     information = known.factor.mT @ of_parameters @ known.factor
     before = float(known.sigma_px.max())
     left = torch.ones(len(tried), dtype=torch.bool)

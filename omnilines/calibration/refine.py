@@ -13,6 +13,7 @@ from camera_models.pose import Pose, hat
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, Solution, Structure, solve
+from omnilines.least_squares.groups import Groups
 from omnilines.least_squares.variance import NORMAL_MAD
 
 
@@ -71,6 +72,14 @@ class BoardProblem:
             turned = state.cam_from_board.rotation[self.points.view] @ (state.shape.by_terms(self.points.board) @ self.free_terms)
             by_kept = torch.cat([by_kept, by_point @ turned], -1)
         return Linearisation(residual, by_pose, (by_kept,) if self.structure.groups else ())
+
+    def by_views(self, state: CameraAndBoards) -> Groups:
+        """What each view adds to the normal equations of the kept block, its pose eliminated."""
+        at = self.linearise(state)
+        gram = self.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
+        own, coupling, rest = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
+        reduced = rest - coupling.mT @ torch.linalg.solve(own, coupling)
+        return Groups(reduced[:, :-1, :-1], -reduced[:, :-1, -1])
 
     def retract(self, state: CameraAndBoards, kept: Tensor, eliminated: Tensor) -> CameraAndBoards:
         """Parameters and board terms move along their columns, poses by exp(delta) T."""

@@ -19,7 +19,7 @@ class CameraCalibration:
     model: CameraModel
     covariance: Float[np.ndarray, "p p"]
     """Of the parameters in their order, scaled by the stated noise of the corners where the residuals bear it out, else by the
-    residuals."""
+    residuals, or by how much photos contradict each other."""
     rms_px_per_axis: float
     rms_px_per_point: float
     residual_px: Float[np.ndarray, "n 2"]
@@ -38,7 +38,9 @@ class CameraCalibration:
     interval_95: Float[np.ndarray, "p 2"]
     """Lowest and highest value of each parameter, which hold it in 95 of 100 cases."""
     corner_sigma_px: float
-    """Standard deviation of a corner per axis (root mean square) that the covariance rests on."""
+    """Standard deviation of a corner per axis (root mean square) by noise."""
+    beyond_noise: float = 1.0
+    """Standard deviations of the parameters over those of that noise alone: more than 1 where photos contradict each other."""
     curved: bool = False
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
     line_delay: LineDelay | None = None

@@ -80,9 +80,5 @@ def view_leverage(
 ) -> Float[Tensor, " v"]:
     """Share of the estimated camera and board terms that each view decides: trace(C S_v) / k with the view's term S_v of the
     reduced normal matrix over the k columns, C its inverse. The shares of all views add up to 1."""
-    problem = BoardProblem(points, basis, weight, state.shape)
-    at = problem.linearise(state)
-    gram = points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept], -1))
-    own, coupling, kept = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
-    reduced = kept - coupling.mT @ torch.linalg.solve(own, coupling)
+    reduced = BoardProblem(points, basis, weight, state.shape).by_views(state).matrix
     return (reduced * covariance).sum((-2, -1)) / len(covariance)

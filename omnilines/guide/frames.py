@@ -47,13 +47,13 @@ def refusal(frame: Frame, kept: list[Frame], options: GuideOptions) -> str | Non
     return None
 
 
-def information_of(frame: Frame, pattern: Pattern, known: KnownProjection, corner_sigma_px: float) -> Float[Tensor, "r r"] | None:
+def information_of(frame: Frame, pattern: Pattern, known: KnownProjection, view_sigma_px: float) -> Float[Tensor, "r r"] | None:
     """What the corners of a frame tell of the unknowns of a camera; None where the camera does not say where the board is."""
     pose = resected(pattern, known.field.model, frame.found)
     if pose is None:
         return None
     board = torch.as_tensor(pattern.points_m[frame.found.ids])
-    told = view_information(known.field, Pose(pose.rotation[None], pose.translation[None]), board)[0] / corner_sigma_px**2
+    told = view_information(known.field, Pose(pose.rotation[None], pose.translation[None]), board)[0] / view_sigma_px**2
     return known.factor.mT @ told @ known.factor
 
 

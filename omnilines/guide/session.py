@@ -109,7 +109,7 @@ class Session:
                 return "the camera is being calibrated", False
             return f"kept, {len(self.kept) + 1} of the first {self._needed}: tilt the board, show it all over the image", True
         projection = self.known.projection
-        told = information_of(frame, self.pattern, projection, self.known.advice.corner_sigma_px)
+        told = information_of(frame, self.pattern, projection, self.known.advice.view_sigma_px)
         if told is None or gain(projection, told) <= self.options.least_gain:
             return "it would add little", False
         self.known = replace(self.known, projection=projection.with_view(told)[0])

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from camera_models.pose import Pose
 from omnilines.calibration.line_delay import LineDelay
-from omnilines.calibration.rig.links import Link
+from omnilines.calibration.rig.links import Link, translation_covariance
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.pages.calibration import calibration_verdict, line_delay_data
 from omnilines.pages.limits import rig_advice
@@ -113,9 +114,9 @@ def centre_covariance(pose: Pose, covariance: Float[np.ndarray, "6 6"]) -> Float
 
 
 def _board_text(result: RigCalibration, board: int) -> str:
-    place = result.target_from_board[board].translation.tolist()
-    sigma = np.sqrt(np.diag(result.board_covariance[board])[3:]).tolist()
-    return _millimetres(place, sigma)
+    pose = result.target_from_board[board]
+    spread = translation_covariance(pose, torch.as_tensor(result.board_covariance[board]))
+    return _millimetres(pose.translation.tolist(), spread.diagonal().clamp_min(0).sqrt().tolist())
 
 
 def _millimetres(place_m: Sequence[float], sigma_m: Sequence[float]) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -21,7 +22,7 @@ from omnilines.pipelines.boards_beside import contradiction, off_boards, prior_o
 from omnilines.pipelines.calibrate import GUIDE, CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart, start_from_chains
 from omnilines.pipelines.chains import PhotoChains, chains_of
-from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
+from omnilines.pipelines.line_camera import adjusted_camera, is_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import with_scale_of_all, without_doubtful_angles
 from omnilines.pipelines.pages import claimed_report
@@ -236,18 +237,28 @@ def _started(
     rough = replace(lines.adjustment, settled_sigmas=max(lines.adjustment.settled_sigmas, ROUGHLY_SETTLED_SIGMAS))
     best: tuple[CameraStart, LineAdjustment] | None = None
     failure: GeometryError | None = None
+    passed, sigmas = list[CameraModel](), lines.adjustment.settled_sigmas
     for start in starts[: lines.adjustment.most_starts]:
+        way = list[CameraModel]()
+        met = partial(_passed_before, passed, way, sigmas)
         try:
             camera = start.camera(guide.model, **guide.options)
-            done = adjusted_camera(camera, chains, rough, lines.directions, progress=progress)
+            done = adjusted_camera(camera, chains, rough, lines.directions, met=met, progress=progress)
         except GeometryError as error:
             failure = error
             continue
-        if best is None or done.chains.misfit < NO_BETTER * best[1].chains.misfit:
+        if best is None or (not met(done) and done.chains.misfit < NO_BETTER * best[1].chains.misfit):
             best = start, done
+        passed += way
     if best is None:
         raise failure or GeometryError("Edges that are straight in the world were expected, found none; add photos.")
     return best
+
+
+def _passed_before(passed: Sequence[CameraModel], way: list[CameraModel], sigmas: float, done: LineAdjustment) -> bool:
+    """Whether an earlier start came through this camera: this one would go on, and end, as that did. The `way` is added to."""
+    way.append(done.model)
+    return any(is_camera(done, one, sigmas) for one in passed)
 
 
 def _trial(

@@ -1,5 +1,6 @@
 """Chains of edge points and a start camera -> the camera that makes them straight, and lets parallel ones meet."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from jaxtyping import Float
@@ -35,9 +36,11 @@ def adjusted_camera(
     directions: DirectionsOptions = DirectionsOptions(),
     *,
     prior: CameraPrior | None = None,
+    met: Callable[[LineAdjustment], bool] = lambda _: False,
     progress: ProgressCallback = silent,
 ) -> LineAdjustment:
-    """Rounds of families, weights and least squares from `start` until the camera stays where it is.
+    """Rounds of families, weights and least squares from `start` until the camera stays where it is, or `met` says of a round
+    that there is no need for more.
 
     `prior` is that of an earlier start, where this one comes of it. Raises GeometryError where too few chains are straight.
     """
@@ -54,9 +57,14 @@ def adjusted_camera(
         families = families_of(model, weighted, options, directions, progress)
         done = _solved(model, weighted, families, angles, prior, options)
         model, angles = done.model, _angles(done)
-        if done.settled:
+        if met(done) or done.settled:
             break
     return done
+
+
+def is_camera(done: LineAdjustment, other: CameraModel, sigmas: float) -> bool:
+    """Whether an adjustment is at another camera of its model, to so many of its standard deviations (root mean square)."""
+    return _sigmas(done.prior.basis.mT @ (done.model.parameters - other.parameters), done.scores) < sigmas
 
 
 def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOptions) -> LineAdjustment:

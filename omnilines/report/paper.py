@@ -79,17 +79,22 @@ class _Reader(HTMLParser):
         self.found: list[PaperFigure] = []
         self._plot: tuple[str, float] | None = None
         self._inside = False
+        self._heading, self._camera = False, ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         own = dict(attrs)
+        self._heading = tag == "h2"
         if own.get("class") == "plot":
             self._plot = own.get("aria-label") or "figure", float((own.get("style") or "").rpartition(":")[2] or 1.5)
         self._inside = self._plot is not None and tag == "script" and own.get("type") == "application/json"
 
     def handle_data(self, data: str) -> None:
+        if self._heading:
+            # Sections of one camera of several are called after it.
+            self._camera, self._heading = data.rpartition(": ")[0], False
         if self._inside and self._plot is not None:
             label, aspect = self._plot
-            words = re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
+            words = re.sub(r"[^a-z0-9]+", "-", f"{self._camera} {label}".lower()).strip("-")
             self.found.append(PaperFigure(f"{len(self.found) + 1:02d}-{words}", json.loads(data), aspect))
             self._plot, self._inside = None, False
 

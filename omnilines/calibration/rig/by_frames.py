@@ -1,13 +1,7 @@
 """How certain a rig is where frames differ by more than the noise of corners: boards that move between two shutters, or bend.
 
 The corners of such a frame are wrong together, so that many of them do not average it out. What one frame says of the estimate
-is told by leaving it out: with the pose of the target eliminated, frame f adds S_f = A_f' A_f and g_f = A_f' e_f, and without it
-the estimate moves by
-
-    d_f = (S - S_f)^-1 g_f,    Cov = (F - 1) / F sum (d_f - mean) (d_f - mean)'
-
-(the jackknife by groups; B. Efron 1982). Few frames leave directions in which they seem to agree, so that it is added to what the
-noise of the corners says and does not replace it.
+is told by leaving it out, with the pose of the target eliminated (`least_squares.groups`).
 """
 
 import torch
@@ -17,6 +11,7 @@ from torch import Tensor
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigState
+from omnilines.least_squares.groups import Groups
 from omnilines.least_squares.schur import normal_equations, reduce
 
 LEAST_FRAMES = 4
@@ -24,14 +19,14 @@ LEAST_FRAMES = 4
 
 def spread_of_frames(data: RigData, points: RigPoints, state: RigState) -> Float[Tensor, "k k"] | None:
     """Covariance of the kept parameters as frames contradict each other; None with too few frames to tell."""
-    matrix, gradient = _of_each(data, points, state)
-    frames = len(matrix)
-    if frames < LEAST_FRAMES:
-        return None
-    steps = _steps_without(matrix, gradient)
-    steps = steps - steps.mean(0)
-    spread = (frames - 1) / frames * steps.mT @ steps
-    return 0.5 * (spread + spread.mT)
+    groups = groups_of_frames(data, points, state)
+    return None if groups is None else groups.jackknife()
+
+
+def groups_of_frames(data: RigData, points: RigPoints, state: RigState) -> Groups | None:
+    """What each frame adds to the normal equations of the kept parameters; None with too few frames to tell."""
+    groups = Groups(*_of_each(data, points, state))
+    return None if len(groups.matrix) < LEAST_FRAMES else groups
 
 
 def spread_of_runs(data: RigData, points: RigPoints, state: RigState) -> Float[Tensor, " k"] | None:
@@ -64,14 +59,3 @@ def _of_each(data: RigData, points: RigPoints, state: RigState) -> tuple[Float[T
         matrices.append(reduced.matrix)
         gradients.append(reduced.right_side)
     return torch.stack(matrices), torch.stack(gradients)
-
-
-def _steps_without(matrix: Float[Tensor, "f k k"], gradient: Float[Tensor, "f k"]) -> Float[Tensor, "f k"]:
-    """How the estimate moves without each frame; without one that alone decides something, as if it stayed in."""
-    total = matrix.sum(0)
-    scale = total.diagonal().clamp_min(1e-300).rsqrt()
-    within = matrix * scale[:, None] * scale
-    factor, info = torch.linalg.cholesky_ex(within.sum(0) - within)
-    whole = torch.linalg.cholesky(within.sum(0))
-    factor = torch.where((info == 0)[:, None, None], factor, whole)
-    return scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]

@@ -135,7 +135,7 @@ def _of_estimates(outcome: RigOutcome) -> tuple[Float[Tensor, "q q"], Float[Tens
     show it, how much frames contradict each other and, of corners found in photos, what they have in common."""
     solution = outcome.solution
     kept = outcome.kept_covariance
-    frames = solution.eliminated_covariance() * outcome.factor.value
+    frames = solution.eliminated_covariance() * outcome.certain_factor.value
     if outcome.frame_spread is not None and outcome.frame_factors is not None:
         kept = kept + outcome.frame_spread
         frames = frames * float(outcome.frame_factors.median()) ** 2
@@ -194,7 +194,7 @@ def _members(
 ) -> tuple[RigMember, ...]:
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
-    sigmas = outcome.factor.sigmas(SHARE)
+    sigmas = outcome.certain_factor.sigmas(SHARE)
     free = _free_clocks(data)
     clocks = {k: place - len(free) for place, k in enumerate(free)}
     for k, c in enumerate(data.cameras):

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from camera_models.pose import Pose, adjoint
+from camera_models.pose import Pose, adjoint, hat
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Link:
     rotation_sigma_deg: float
     """Standard deviation of the relative rotation about its least certain axis."""
     translation_sigma_m: float
-    """Standard deviation of the relative translation in its least certain direction."""
+    """Standard deviation of the place of the second camera, in the frame of the first, in its least certain direction."""
 
 
 def links(
@@ -54,9 +54,10 @@ def links(
         shared = np.isin(frame, common)
         both = shared & np.isin(camera, (first, second))
         relative, spread = relative_pose(cam_from_rig, covariance, first, second)
+        placed = translation_covariance(relative, spread)
         baseline = relative.translation.norm()
         along = relative.translation / baseline.clamp_min(1e-300)
-        worst = [math.sqrt(max(0.0, float(torch.linalg.eigvalsh(block)[-1]))) for block in (spread[:3, :3], spread[3:, 3:])]
+        worst = [math.sqrt(max(0.0, float(torch.linalg.eigvalsh(block)[-1]))) for block in (spread[:3, :3], placed)]
         found.append(
             Link(
                 first=first,
@@ -65,7 +66,7 @@ def links(
                 corners=len(np.intersect1d(keys[camera == first], keys[camera == second])),
                 rms_px_per_point=float(np.sqrt((residual_px[both] ** 2).sum(-1).mean())),
                 baseline_m=float(baseline),
-                baseline_sigma_m=math.sqrt(max(0.0, float(along @ spread[3:, 3:] @ along))),
+                baseline_sigma_m=math.sqrt(max(0.0, float(along @ placed @ along))),
                 rotation_sigma_deg=math.degrees(worst[0]),
                 translation_sigma_m=worst[1],
             )
@@ -93,6 +94,12 @@ def relative_pose(
     jacobian[:, 6 * first : 6 * first + 6] = torch.eye(6, dtype=torch.float64)
     jacobian[:, 6 * second : 6 * second + 6] -= adjoint(pose)
     return pose, jacobian @ covariance @ jacobian.mT
+
+
+def translation_covariance(pose: Pose, covariance: Float[Tensor, "6 6"]) -> Float[Tensor, "3 3"]:
+    """Of the translation t of a pose from that of its left perturbation (w, v), which moves it by w x t + v."""
+    jacobian = torch.cat([-hat(pose.translation), torch.eye(3, dtype=torch.float64)], -1)
+    return jacobian @ covariance @ jacobian.mT
 
 
 def weakest_link(found: Sequence[Link], cameras: int) -> Link | None:

@@ -66,19 +66,27 @@ def rig_notes(
 
 
 def _excess_notes(outcome: RigOutcome) -> list[str]:
-    """Why the rig fits worse than its cameras alone, and what that does to the standard deviations."""
+    """Why the rig fits worse than its cameras alone, or frames contradict each other, and what that does to the standard
+    deviations."""
+    found = outcome.contradiction
+    if found is not None:
+        return [
+            f"Frames contradict each other {found.ratio:.2g} times as much as the noise of their corners explains "
+            f"({'chi-square' if outcome.factor.holds else 'F'} test): a board that bends or is not flat, a model that does not "
+            "suit, or blur moves all corners of a photo together. The standard deviations hold that."
+        ]
     if not outcome.worse:
         return []
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.thresholds.rig)
-    found = [cause] if cause else []
+    told = [cause] if cause else []
     factors = outcome.frame_factors
     if factors is not None and len(factors):
-        found.append(
+        told.append(
             "Frames contradict each other by more than the noise of their corners: the estimate is "
             f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would "
             "make it, as leaving out each frame in turn shows; the standard deviations hold that."
         )
-    return found
+    return told
 
 
 def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:

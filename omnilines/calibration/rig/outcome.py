@@ -13,13 +13,13 @@ from torch import Tensor
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
-from omnilines.calibration.rig.by_frames import spread_of_frames, spread_of_runs
+from omnilines.calibration.rig.by_frames import groups_of_frames, spread_of_frames, spread_of_runs
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.shutters import Shutters
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
-from omnilines.least_squares.variance import VarianceFactor, variance_factor
+from omnilines.least_squares.variance import Contradiction, VarianceFactor, contradiction, variance_factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,23 @@ class RigOutcome:
         return variance_factor(self.solution.cost, self.freedom, stated, self.thresholds.noise.significance)
 
     @cached_property
+    def contradiction(self) -> Contradiction | None:
+        """Frames that contradict each other by more than the noise of their corners, although each camera fits the rig as well as
+        alone; None where they do not, or where that is told by other means (motions of the board, runs of frames)."""
+        data = self.data
+        if self.worse or self.shutters is not None or data.readout is not None or data.runs is not None:
+            return None
+        groups = groups_of_frames(data, self.fit.points.chosen(self.fit.kept), self.solution.state)
+        if groups is None:
+            return None
+        return contradiction(self.factor, self.solution.cost, self.freedom, groups, self.thresholds.noise.significance)
+
+    @property
+    def certain_factor(self) -> VarianceFactor:
+        """That of the covariance: of the noise, or of the differences between frames."""
+        return self.factor if self.contradiction is None else self.contradiction.factor
+
+    @cached_property
     def worse(self) -> tuple[int, ...]:
         """Members whose corners fit the rig worse than their camera alone."""
         points, limit = self.fit.points.chosen(self.fit.kept), self.thresholds.rig.worse_than_alone_factor
@@ -99,7 +116,7 @@ class RigOutcome:
         """Of the kept columns of the problem by the noise of the corners, as the residuals show it, and the motion of the board
         where that is estimated. That knows of the spread of frames; what else makes them differ (a board that bends) shows in the
         jackknife: a column that is less certain by it is taken to be so."""
-        covariance, ticking = self.solution.kept_covariance() * self.factor.value, self.data.ticking
+        covariance, ticking = self.solution.kept_covariance() * self.certain_factor.value, self.data.ticking
         if ticking and self.moving_share is not None:
             surer = torch.ones(len(covariance), dtype=torch.float64)
             surer[-ticking:] = self.moving_share
@@ -122,8 +139,9 @@ class RigOutcome:
 
     @cached_property
     def frame_spread(self) -> Float[Tensor, "q q"] | None:
-        """Covariance of the kept columns by how much frames contradict each other, where the rig fits worse than its cameras."""
-        if not self.worse:
+        """Covariance of the kept columns by how much frames contradict each other, where the rig fits worse than its cameras or
+        that is more than noise."""
+        if not self.worse and self.contradiction is None:
             return None
         points = self.fit.points.chosen(self.fit.kept)
         return spread_of_frames(self.data, points, self.solution.state)
