@@ -19,6 +19,7 @@ from torch import Tensor
 from camera_models import model_class
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
+from camera_models.typed import typed
 
 FITTED, MEASURED = 60, 180
 """Pixels of the source along the longer side of the image at which the target is fitted, and at which its error is measured."""
@@ -69,6 +70,7 @@ class Conversion:
     """The same errors ring by ring, from the centre outwards; rings without a pixel are left out."""
 
 
+@typed
 def convert(
     model: CameraModel,
     target_name: str,
@@ -86,6 +88,11 @@ def convert(
     angle, a mirror where the target has none, a model without parameters to fit.
     """
     target = model_class(target_name)
+    for given, known in ((held or {}, target.PARAMETER_NAMES), (options, target.variant_options())):
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            names = " ".join(sorted(known)) or "no options"
+            raise InputError(f"Camera model {target_name} has {names}, found '{unknown[0]}'; leave it out.")
     axis = model.unproject(model.centre_px)[0].detach()
     pixels, bearings, half = _seen(model, axis, FITTED, fov_deg)
     if half >= target.LARGEST_ANGLE:

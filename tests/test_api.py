@@ -267,7 +267,7 @@ def test_what_is_no_path_or_calibration_is_refused_in_a_sentence() -> None:
     """Without the hook, as users call: it would refuse the wrong type before the verb does."""
     script = """
 import numpy as np, omnilines as ol
-for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check([np.zeros((8, 8), np.uint8)], None)):
+for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check({"a": np.zeros((8, 8), np.uint8)}, None)):
     try:
         call()
     except ol.InputError as error:
@@ -276,5 +276,5 @@ for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check([np.zeros((8, 8), np
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.splitlines() == [
         "The path of a calibration file was expected, found ndarray; give a path.",
-        "A camera model or a calibration was expected, found NoneType; give what `load` returns.",
+        "`camera` of check was expected as CameraModel or Calibration, found NoneType; give one.",
     ]

@@ -75,10 +75,11 @@ def write_atomically(path: str | Path, data: str | bytes) -> None:
                 os.unlink(temporary)
             raise
         tell("after", target)
-    except OSError as error:
-        raise InputError(
-            f"{target} cannot be written ({error.strerror or error}); give a path in a folder that can be."
-        ) from error
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        if isinstance(error, InputError):
+            raise
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise InputError(f"{target} cannot be written ({why}); give a path in a folder that can be.") from error
 
 
 def tell(when: str, target: Path) -> None:
