@@ -249,6 +249,7 @@ def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsy
         (f"convert {rendered}/calibration.yaml {rendered}/nothing", "name the format with --to."),
         (f"{photos} --set calibration.degree=1", "omnilines: --degree was expected to be at least 2, found 1"),
         (f"{photos} --set detection.fit.max_sigma_px=0.0001", "found in none"),
+        (f"{photos} --set calibration.degree", "A value was expected behind calibration.degree, found none; give it as"),
         (f"{photos} --set calibration.degre=4", "found 'calibration.degre=4', of which no option has the name; did you mean"),
     )
     camera_models.save(rendered / "large.yaml", {"cam0": camera_models.OpenCVFisheye.examples()[0]})
