@@ -22,7 +22,7 @@ def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | 
     """
     device = None if like is None else like.device
     try:
-        if np.iscomplexobj(values):
+        if values.is_complex() if isinstance(values, torch.Tensor) else np.iscomplexobj(values):
             raise TypeError("complex numbers")
         return torch.as_tensor(values, dtype=torch.float64, device=device)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
