@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Typed
+
 INF = float("inf")
 
 
@@ -257,7 +259,7 @@ class SharpnessOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DetectionOptions:
+class DetectionOptions(Typed):
     """All that decides which corners are found in photos."""
 
     min_corners: int = 6

@@ -7,6 +7,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import torch
 
+from camera_models.errors import InputError
+
 Array = torch.Tensor | np.ndarray
 
 P = ParamSpec("P")
@@ -14,9 +16,17 @@ T = TypeVar("T")
 
 
 def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | None = None) -> torch.Tensor:
-    """A float64 tensor of `values`, on the device of `like` where one is given; a float64 tensor is returned as it is."""
+    """A float64 tensor of `values`, on the device of `like` where one is given; a float64 tensor is returned as it is.
+
+    Raises InputError where they are no real numbers, or rows of different length.
+    """
     device = None if like is None else like.device
-    return torch.as_tensor(values, dtype=torch.float64, device=device)
+    try:
+        if values.is_complex() if isinstance(values, torch.Tensor) else np.iscomplexobj(values):
+            raise TypeError("complex numbers")
+        return torch.as_tensor(values, dtype=torch.float64, device=device)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise InputError(f"An array of real numbers was expected, found {type(values).__name__} ({error}); correct it.") from None
 
 
 def _to_numpy(value: Any) -> Any:

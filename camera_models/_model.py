@@ -18,6 +18,29 @@ from torch import Tensor
 from camera_models._arrays import Array, array_function, as_tensor
 from camera_models.errors import InputError
 
+_LEAST_NORM = 0.5
+"""Of a bearing that is one; nothing that is not a number is larger."""
+
+
+def _size(given: Any) -> tuple[int, int]:
+    """Width and height of an image. Raises InputError where they are none."""
+    try:
+        width, height = given
+        whole = (int(width), int(height))
+        if whole == (width, height) and min(whole) > 0:
+            return whole
+    except (TypeError, ValueError, OverflowError):
+        pass  # what is wrong with them is said below
+    raise InputError(f"An image was expected to be (width, height) in whole pixels above 0, found {given!r}; correct it.")
+
+
+def _vectors(values: Any, sides: int, what: str) -> Tensor:
+    """Raises InputError where these are no vectors of so many sides."""
+    if not isinstance(values, Tensor) or values.shape[-1:] != (sides,):
+        found = f"an array {tuple(values.shape)}" if isinstance(values, Tensor) else type(values).__name__
+        raise InputError(f"{what} were expected as an array (..., {sides}), found {found}; give them so.")
+    return values
+
 
 class CameraModel(ABC):
     """A central camera. Immutable; `with_parameters` makes a neighbour with another parameter vector.
@@ -46,7 +69,7 @@ class CameraModel(ABC):
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
         self.parameters: Tensor = as_tensor(parameters)
-        self.image_size = (int(image_size[0]), int(image_size[1]))
+        self.image_size = _size(image_size)
         if self.parameters.shape != (len(self.PARAMETER_NAMES),):
             raise InputError(
                 f"Camera model {self.NAME} expects the {len(self.PARAMETER_NAMES)} parameters "
@@ -113,9 +136,14 @@ class CameraModel(ABC):
     def project(self, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
         """Pixels of points (or bearings, of any positive scale) in the camera frame, and where that is defined.
 
-        `valid` is false beyond `max_angle` and at the camera centre; the pixel there is finite and means nothing.
+        `valid` is false beyond `max_angle`, at the camera centre, and for numbers that are none (NaN, infinity) or beyond
+        computing; the pixel there is finite and means nothing. Raises InputError where points are none.
         """
-        return self._project(points)  # type: ignore[arg-type]
+        pixels, valid = self._project(_vectors(points, 3, "Points"))
+        known = pixels.isfinite().all(-1)
+        if not bool(known.all()):
+            pixels, valid = torch.where(known[..., None], pixels, self.centre_px), valid & known
+        return pixels, valid
 
     @overload
     def unproject(self, pixels: Tensor) -> tuple[Tensor, Tensor]: ...
@@ -125,8 +153,16 @@ class CameraModel(ABC):
 
     @array_function
     def unproject(self, pixels: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
-        """Unit bearings of pixels, and where that is defined; elsewhere the bearing is a unit vector that means nothing."""
-        return self._unproject(pixels)  # type: ignore[arg-type]
+        """Unit bearings of pixels, and where that is defined; elsewhere the bearing is a unit vector that means nothing.
+
+        Raises InputError where pixels are none.
+        """
+        bearings, valid = self._unproject(_vectors(pixels, 2, "Pixels"))
+        known = bearings.norm(dim=-1) > _LEAST_NORM
+        if not bool(known.all()):
+            ahead = torch.tensor([0.0, 0.0, 1.0], dtype=bearings.dtype, device=bearings.device)
+            bearings, valid = torch.where(known[..., None], bearings, ahead), valid & known
+        return bearings, valid
 
     def unproject_jacobian(self, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3 2"]:
         """d bearing / d pixel, by the inverse-function theorem from the Jacobian of `project` on the tangent plane."""

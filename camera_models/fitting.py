@@ -6,7 +6,7 @@ bearing keeps its direction, so poses and lines stay what they are.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from torch import Tensor
 from camera_models import model_class
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
+from camera_models.typed import typed
 
 FITTED, MEASURED = 60, 180
 """Pixels of the source along the longer side of the image at which the target is fitted, and at which its error is measured."""
@@ -69,6 +70,7 @@ class Conversion:
     """The same errors ring by ring, from the centre outwards; rings without a pixel are left out."""
 
 
+@typed
 def convert(
     model: CameraModel,
     target_name: str,
@@ -86,6 +88,7 @@ def convert(
     angle, a mirror where the target has none, a model without parameters to fit.
     """
     target = model_class(target_name)
+    _require_known(target_name, options, target.variant_options())
     axis = model.unproject(model.centre_px)[0].detach()
     pixels, bearings, half = _seen(model, axis, FITTED, fov_deg)
     if half >= target.LARGEST_ANGLE:
@@ -93,6 +96,7 @@ def convert(
     # A model is its own start, with all its coefficients, unless options ask for others.
     own = type(model) is target and target.CALIBRATED and not options
     start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
+    _require_known(target_name, (*(held or ()), *tied), start.PARAMETER_NAMES)
     fitted = refine(start, bearings, pixels, held, tied)
     for rival in fitted.rivals(half):
         other = refine(rival, bearings, pixels, held, tied)
@@ -120,6 +124,15 @@ def convert(
         fov_deg=2 * whole.to_deg,
         rings=rings,
     )
+
+
+def _require_known(model: str, given: Iterable[str], known: Collection[str]) -> None:
+    """Raises InputError where a parameter or an option is named that the model has not."""
+    unknown = [name for name in given if name not in known]
+    if unknown:
+        raise InputError(
+            f"Camera model {model} has {' '.join(sorted(known)) or 'no options'}, found '{unknown[0]}'; leave it out."
+        )
 
 
 def refine(

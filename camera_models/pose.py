@@ -8,6 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models._arrays import Array, as_tensor
+from camera_models.errors import InputError
+from camera_models.typed import require_fields
+
+ROUNDED = 1e-4
+"""By which the rows of a rotation may be off, as they are where its numbers are rounded."""
 
 
 def hat(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -89,9 +94,32 @@ class Pose:
 
     @staticmethod
     def of(rotation: Array | list[Any], translation: Array | list[Any]) -> "Pose":
-        """A pose from arrays of any kind."""
+        """A pose from arrays of any kind. Raises InputError where they are no rotations (rows orthonormal to 1e-4, right-handed)
+        and as many translations."""
         r = as_tensor(rotation)
-        return Pose(r, as_tensor(translation, like=r))
+        t = as_tensor(translation, like=r)
+        if r.shape[-2:] != (3, 3) or t.shape != r.shape[:-1]:
+            raise InputError(
+                f"Rotations (..., 3, 3) and as many translations (..., 3) were expected, found {tuple(r.shape)} and "
+                f"{tuple(t.shape)}; correct them."
+            )
+        pose = Pose(r, t)
+        pose.require_rigid()
+        return pose
+
+    def require_rigid(self) -> None:
+        """Raises InputError where a rotation is none, or a number is not finite."""
+        require_fields(self)
+        off = (self.rotation @ self.rotation.mT - torch.eye(3, dtype=self.rotation.dtype, device=self.rotation.device)).abs()
+        wrong = ~((off.amax((-2, -1)) <= ROUNDED) & (torch.linalg.det(self.rotation) > 0))
+        if bool(wrong.any()):
+            rows = self.rotation[wrong][0].tolist()
+            raise InputError(
+                "A rotation was expected as a matrix whose rows are orthonormal and right-handed, found "
+                f"{[[round(value, 4) for value in row] for row in rows]}; correct it."
+            )
+        if not bool(self.translation.isfinite().all()):
+            raise InputError("A translation was expected of finite numbers, found one that is not; correct it.")
 
     @staticmethod
     def identity(*batch: int) -> "Pose":

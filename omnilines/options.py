@@ -63,7 +63,9 @@ def with_settings(options: O, settings: Iterable[str], prefix: str = "") -> O:
     known = {f"{prefix}{name}": value for name, value, _ in walk(options)}
     for setting in settings:
         name, equals, text = setting.partition("=")
-        if not equals or name not in known:
+        if not equals and name in known:
+            raise InputError(f"A value was expected behind {name}, found none; give it as {name}=VALUE.")
+        if name not in known:
             near = difflib.get_close_matches(name, known, 3, 0.4)
             meant = f"; did you mean {' or '.join(near)}?" if near else "; docs/options.md lists them."
             raise InputError(f"An option was expected as NAME=VALUE, found '{setting}', of which no option has the name{meant}")

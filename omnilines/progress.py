@@ -62,7 +62,7 @@ def interruptible(work: Callable[[], R], cancel: Callable[[], None]) -> R:
         task = pool.submit(work)
         try:
             return task.result()
-        except KeyboardInterrupt:
+        except BaseException:  # Ctrl-C, and the signals that end a command
             cancel()
             raise
 

@@ -6,15 +6,40 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from camera_models.errors import InputError
 from camera_models.pose import Pose
+from camera_models.typed import Typed
 
 LARGEST_M = 1e9
 """Of a coordinate in a file; those of the Earth and its orbits are within it."""
 
 
+def _require(holds: bool | np.bool_, what: str, expected: str, found: object) -> None:
+    """Raises InputError where a table is none."""
+    if not holds:
+        raise InputError(f"{what} was expected to be {expected}, found {found}; correct it.")
+
+
+def _require_index(index: Int[np.ndarray, " n"], low: int, count: int, what: str) -> None:
+    """Raises InputError where a row names something beyond a list of so many."""
+    wrong = index[(index < low) | (index >= count)]
+    _require(not len(wrong), what, f"from {low} to {count - 1}, as many as are named", wrong[:1])
+
+
+def _require_finite(values: Float[np.ndarray, "n *more"], what: str) -> None:
+    bad = ~np.isfinite(values)
+    _require(not bad.any(), what, "finite numbers", f"{values[bad][:1]} in row {np.argwhere(bad)[:1, 0]}")
+
+
+def _require_sigmas(sigma_px: Float[np.ndarray, " n"] | None, what: str) -> None:
+    if sigma_px is not None:
+        _require((np.isfinite(sigma_px) & (sigma_px > 0)).all(), what, "standard deviations above 0", sigma_px.min(initial=0.0))
+
+
 @dataclass(frozen=True)
-class Corners:
-    """Observed target corners, one row each; a view is one board pose at one instant in one photo."""
+class Corners(Typed):
+    """Observed target corners, one row each; a view is one board pose at one instant in one photo. Raises InputError where
+    columns are of different length, of other kinds than stated, or hold numbers that are not finite."""
 
     view: Int[np.ndarray, " n"]
     """Index of each row's view into `images` and `view_names`."""
@@ -35,6 +60,19 @@ class Corners:
     """Board of each view; None where there is one board."""
     times_s: Float[np.ndarray, " v"] | None = None
     """When each view was taken, by the clock of its camera."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no table."""
+        super().__post_init__()
+        views = len(self.view_names)
+        _require_index(self.view, 0, views, "`view` of Corners")
+        for name in ("images", "cameras", "frames", "boards", "times_s"):
+            values = getattr(self, name)
+            count = views if values is None else len(values)
+            _require(count == views, f"`{name}` of Corners", f"of {views} views", count)
+        for name in ("board_m", "pixels") + (("times_s",) if self.times_s is not None else ()):
+            _require_finite(getattr(self, name), f"`{name}` of Corners")
+        _require_sigmas(self.sigma_px, "`sigma_px` of Corners")
 
     def __len__(self) -> int:
         return len(self.view)
@@ -77,8 +115,9 @@ class Detail:
 
 
 @dataclass(frozen=True)
-class Segments:
-    """Observed image segments (chords of arcs), one row each."""
+class Segments(Typed):
+    """Observed image segments (chords of arcs), one row each. Raises InputError where columns are of different length, of other
+    kinds than stated, or hold numbers that are not finite, or covariances that are none."""
 
     image: Int[np.ndarray, " n"]
     """Index of each row's photo into `images`."""
@@ -94,13 +133,28 @@ class Segments:
     cameras: tuple[str, ...] | None = None
     """Camera of each photo where the file names it."""
 
+    def __post_init__(self) -> None:
+        """Refuse what is no table."""
+        super().__post_init__()
+        _require_index(self.image, 0, len(self.images), "`image` of Segments")
+        _require_index(self.track, -1, len(self.tracks), "`track` of Segments")
+        count, named = len(self.images), len(self.images if self.cameras is None else self.cameras)
+        _require(named == count, "`cameras` of Segments", f"of {count} photos", named)
+        _require_finite(self.endpoints_px, "`endpoints_px` of Segments")
+        _require_sigmas(self.sigma_px, "`sigma_px` of Segments")
+        if self.covariance_px2 is not None:
+            suu, suv, svu, svv = np.moveaxis(self.covariance_px2.reshape(-1, 4), 1, 0)
+            one = (suu > 0) & (svv > 0) & (np.abs(suv) <= np.sqrt(suu * svv) * (1 + 1e-9)) & np.isclose(suv, svu)
+            wrong = self.covariance_px2[~one.reshape(-1, 2).all(1)][:1]
+            _require(one.all(), "`covariance_px2` of Segments", "symmetric, with variances above 0", wrong.tolist())
+
     def __len__(self) -> int:
         return len(self.image)
 
 
 @dataclass(frozen=True)
-class ImagePoses:
-    """`cam_from_world` of photos."""
+class ImagePoses(Typed):
+    """`cam_from_world` of photos. Raises InputError where there is not a pose of each, or one is none."""
 
     images: tuple[str, ...]
     cam_from_world: Pose
@@ -109,6 +163,17 @@ class ImagePoses:
     """Of the left perturbation (rotation_rad, translation_m) of each pose, in the gauge the adjustment states."""
     frames: tuple[str, ...] | None = None
     """Instant of each photo of a rig."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no table."""
+        super().__post_init__()
+        self.cam_from_world.require_rigid()
+        shape = tuple(self.cam_from_world.translation.shape)
+        _require(shape == (len(self), 3), "`cam_from_world` of ImagePoses", f"poses of {len(self)} photos", shape)
+        for name in ("cameras", "frames"):
+            values = getattr(self, name)
+            count = len(self if values is None else values)
+            _require(count == len(self), f"`{name}` of ImagePoses", f"of {len(self)} photos", count)
 
     def __len__(self) -> int:
         return len(self.images)
@@ -154,8 +219,8 @@ class LengthUnit(Enum):
 
 
 @dataclass(frozen=True)
-class Lines:
-    """3D lines, one row per track."""
+class Lines(Typed):
+    """3D lines, one row per track. Raises InputError where columns are of different length or of other kinds than stated."""
 
     tracks: tuple[str, ...]
     ends_m: Float[np.ndarray, "n 2 3"]

@@ -249,6 +249,7 @@ def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsy
         (f"convert {rendered}/calibration.yaml {rendered}/nothing", "name the format with --to."),
         (f"{photos} --set calibration.degree=1", "omnilines: --degree was expected to be at least 2, found 1"),
         (f"{photos} --set detection.fit.max_sigma_px=0.0001", "found in none"),
+        (f"{photos} --set calibration.degree", "A value was expected behind calibration.degree, found none; give it as"),
         (f"{photos} --set calibration.degre=4", "found 'calibration.degre=4', of which no option has the name; did you mean"),
     )
     camera_models.save(rendered / "large.yaml", {"cam0": camera_models.OpenCVFisheye.examples()[0]})
@@ -267,7 +268,7 @@ def test_what_is_no_path_or_calibration_is_refused_in_a_sentence() -> None:
     """Without the hook, as users call: it would refuse the wrong type before the verb does."""
     script = """
 import numpy as np, omnilines as ol
-for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check([np.zeros((8, 8), np.uint8)], None)):
+for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check({"a": np.zeros((8, 8), np.uint8)}, None)):
     try:
         call()
     except ol.InputError as error:
@@ -276,5 +277,5 @@ for call in (lambda: ol.load(np.zeros(3)), lambda: ol.check([np.zeros((8, 8), np
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.splitlines() == [
         "The path of a calibration file was expected, found ndarray; give a path.",
-        "A camera model or a calibration was expected, found NoneType; give what `load` returns.",
+        "`camera` of check was expected as CameraModel or Calibration, found NoneType; give one.",
     ]

@@ -99,6 +99,38 @@ def test_a_scheduler_of_dask_finds_what_this_process_does_and_one_that_is_not_th
     scene.arcs = mine
 
 
+NO_SCHEDULER = """
+import socket, sys, threading, time
+from omnilines.commands import cluster
+
+first = bytes.fromhex(sys.argv[1])
+server = socket.create_server(("127.0.0.1", 0))
+taken = []
+
+def serve():
+    while True:
+        taken.append(server.accept()[0])
+        taken[-1].sendall(first)
+
+threading.Thread(target=serve, daemon=True).start()
+cluster.ANSWER_S = 0.5
+try:
+    with cluster.workers(f"127.0.0.1:{server.getsockname()[1]}"):
+        pass
+except cluster.InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("first", [b"", bytes(64), b"SSH-2.0-OpenSSH_9.0\r\n"], ids=["silent", "zeros", "ssh"])
+def test_a_server_that_is_no_scheduler_is_told_and_not_waited_for(first: bytes) -> None:
+    """Dask waits without end for one that says nothing, and reads what another says as lengths of messages."""
+    command = [sys.executable, "-c", NO_SCHEDULER, first.hex()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "found none that answers as one within 0.5 seconds" in done.stdout and "Traceback" not in done.stderr
+
+
 FAKE_SLURM = {
     # Of Slurm: what it says of a job that it would not take, and one process group for each job.
     "sbatch": """#!/bin/sh

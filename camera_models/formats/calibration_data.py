@@ -99,6 +99,12 @@ class Calibration(Mapping[str, CameraModel]):
     def __post_init__(self) -> None:
         if not self.cameras:
             raise InputError("A calibration must hold at least one camera, found none; add one.")
+        for name, model in self.cameras.items():
+            if not (isinstance(name, str) and isinstance(model, CameraModel)):
+                raise InputError(
+                    f"A calibration was expected to be camera models by their names, found {name!r}: {type(model).__name__}; "
+                    "correct it."
+                )
         known = ", ".join(self.cameras)
         named = [("estimates", name) for name in self.estimates] + [("views", view.camera) for view in self.views]
         for part, name in [*named, *(("rig", name) for name in self.rig)]:

@@ -9,7 +9,7 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +75,11 @@ def write_atomically(path: str | Path, data: str | bytes) -> None:
                 os.unlink(temporary)
             raise
         tell("after", target)
-    except OSError as error:
-        raise InputError(
-            f"{target} cannot be written ({error.strerror or error}); give a path in a folder that can be."
-        ) from error
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        if isinstance(error, InputError):
+            raise
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise InputError(f"{target} cannot be written ({why}); give a path in a folder that can be.") from error
 
 
 def tell(when: str, target: Path) -> None:
@@ -187,3 +188,17 @@ def read_text(path: str | Path) -> str:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8.") from None
+
+
+@contextlib.contextmanager
+def locked(folder: Path, wait: bool = False) -> Iterator[None]:
+    """Raises OSError where another process has the folder, or none can have it."""
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)

@@ -40,6 +40,7 @@ from camera_models.formats.values import (
 )
 from camera_models.formats.yaml_text import read_yaml, yaml_text
 from camera_models.pose import Pose
+from camera_models.typed import typed
 
 FORMAT = "omnilines-calibration"
 VERSION = 1
@@ -60,13 +61,16 @@ def load(path: str | Path) -> Calibration:
         raise InputError(f"{path}: {error}") from None
 
 
+@typed
 def save(path: str | Path, calibration: Mapping[str, CameraModel]) -> None:
     """Write a calibration, or a plain mapping of camera name to model; the file is replaced in one step.
 
-    Raises InputError where a number is NaN or infinite (an unknown one is None), the name of an image is none inside a folder, or
-    the file cannot be written; the file that was there is then untouched.
+    Raises InputError where a number is NaN or infinite (an unknown one is None), a camera is none that `load` takes, an image's
+    name is none inside a folder, or the file cannot be written; the file that was there is then untouched.
     """
-    write_atomically(path, calibration_text(calibration))
+    entire = calibration if isinstance(calibration, Calibration) else Calibration(dict(calibration))
+    check_cameras(entire)
+    write_atomically(path, calibration_text(entire))
 
 
 def calibration_text(calibration: Mapping[str, CameraModel]) -> str:

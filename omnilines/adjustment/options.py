@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+from camera_models.typed import Typed
+
 
 @dataclass(frozen=True)
-class AdjustmentOptions:
+class AdjustmentOptions(Typed):
     """What decides how lines are started, weighed and judged."""
 
     loss_scale: float = 2.0

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from camera_models import InputError, model_class
+from camera_models.typed import require_fields
 from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
@@ -37,6 +38,7 @@ class CalibrationOptions(CalibrationThresholds):
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
+        require_fields(self)
         # Loaded with the first options and not with their class, whose defaults the help of the command line shows.
         from omnilines.least_squares import Loss
 
@@ -49,6 +51,8 @@ class CalibrationOptions(CalibrationThresholds):
             )
         Loss(self.loss)
         require_refinable(self.refine_board)
+        if self.searches < 0:
+            raise InputError(f"`searches` was expected to be 0 or more, found {self.searches}; correct it.")
         if self.degree is not None and self.degree < 2:
             raise InputError(f"`degree` was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
         if self.coefficients not in (None, 0, 5, 8):

@@ -7,8 +7,9 @@ with workers("slurm:jobs=10") as executor:      # jobs of Slurm (`slurm.py`)
 
 import logging
 import re
+import threading
 from collections.abc import Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from types import ModuleType
 from typing import Any
@@ -54,16 +55,31 @@ def workers(where: str | None, *, progress: ProgressCallback = silent, wait_s: f
             _wait(client, "of Slurm", jobs.wait_s, look)
             yield client.get_executor(pure=False)
         return
-    try:
-        client = distributed.Client(address, timeout=ANSWER_S)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"A Dask scheduler was expected at {where}, found none that answers within {ANSWER_S} seconds "
-            f"({type(error).__name__}); start one with `dask scheduler`, or check host and port."
-        ) from None
+    client = _client(distributed, str(address), where)
     with _settings(), client:
         _wait(client, f"at the scheduler {where}", wait_s, f"start workers with `dask worker {where} --nthreads 1`")
         yield client.get_executor(pure=False)
+
+
+def _client(distributed: ModuleType, address: str, where: str) -> Any:
+    """Of the scheduler there. It is made in a thread that is left alone where nothing comes of it: Dask waits without end for a
+    server that takes the connection and says nothing. Raises InputError where no scheduler answers."""
+    made: Future[Any] = Future()
+
+    def make() -> None:
+        try:
+            made.set_result(distributed.Client(address, timeout=ANSWER_S))
+        except BaseException as error:
+            made.set_exception(error)
+
+    threading.Thread(target=make, daemon=True).start()
+    try:
+        return made.result(2 * ANSWER_S)
+    except Exception as error:  # whatever a server of another kind says is read as lengths and messages
+        raise InputError(
+            f"A Dask scheduler was expected at {where}, found none that answers as one within {ANSWER_S} seconds "
+            f"({type(error).__name__}); start one with `dask scheduler`, or check host and port."
+        ) from None
 
 
 def _wait(client: Any, whose: str, wait_s: float, advice: str) -> None:

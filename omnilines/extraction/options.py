@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Typed
+
 
 class EdgeOptions(NamedTuple):
     """Edge points."""
@@ -222,7 +224,7 @@ class ImageCircleOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ExtractionOptions:
+class ExtractionOptions(Typed):
     """Of `extract_arcs`."""
 
     min_length_px: float = 25.0
@@ -272,7 +274,7 @@ class SmoothOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SmoothChainOptions:
+class SmoothChainOptions(Typed):
     """Of `smooth_chains`."""
 
     edges: EdgeOptions = EdgeOptions()

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_text
+from camera_models.typed import typed
 from omnilines.files.frames import LATEST_S
 from omnilines.files.tables import (
     LARGEST_PX,
@@ -104,6 +105,7 @@ def _corners(table: Table, view: Int[np.ndarray, " n"], view_names: tuple[str, .
     return Corners(view, view_names, images, board, table.within(LARGEST_PX, "u_px", "v_px"), sigma, ids)
 
 
+@typed
 def write_corners(path: str | Path, corners: Corners) -> None:
     """Write corners in one step; views without a corner leave no trace. Raises InputError on NaN or an unwritable path."""
     x, y, z = corners.board_m.T

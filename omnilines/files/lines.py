@@ -7,6 +7,7 @@ import numpy as np
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
+from camera_models.typed import typed
 from omnilines.files.tables import name_cells, number_cells, read_table, write_table
 from omnilines.records import LINE_STATUSES, ImagePoses, Lines
 
@@ -48,6 +49,7 @@ def read_lines(path: str | Path) -> Lines:
     return Lines(tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status, shown_share=share)
 
 
+@typed
 def write_lines(path: str | Path, lines: Lines) -> None:
     """Write lines in one step, coordinates empty unless the status is `ok` or `weak`; raises InputError where those have none."""
     columns = {"track": name_cells(lines.tracks, None, path, "track")}

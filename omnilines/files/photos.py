@@ -13,7 +13,7 @@ from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
-from camera_models.formats.values import is_text
+from camera_models.formats.values import is_text, stray
 from omnilines.machine import available_bytes
 from omnilines.photo_file import MOST_PIXELS, read_photo
 from omnilines.photo_size import size_of_photo
@@ -75,8 +75,11 @@ def photos_of(photos: Photos) -> list[Photo]:
 
 
 def _photo_array(name: str, pixels: Any) -> PhotoArray:
+    why = stray(name) if isinstance(name, str) and name.strip() else "is none; give it a name"
+    if why is not None:
+        raise InputError(f"A photo was expected under a name, as tables have it, found that {name!r} {why}.")
     array = np.asarray(pixels)
-    if array.dtype not in (np.uint8, np.uint16) or array.shape[2:] not in ((), (3,)) or array.ndim < 2:
+    if array.dtype not in (np.uint8, np.uint16) or array.shape[2:] not in ((), (3,)) or array.ndim < 2 or not array.size:
         raise InputError(
             f"The photo {name} was expected as an array (h, w) or (h, w, 3) of 8 or 16 bits, found {array.shape} of "
             f"{array.dtype}; convert it."

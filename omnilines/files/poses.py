@@ -7,6 +7,7 @@ import torch
 
 from camera_models.formats.quaternions import quaternion_for_file, rotation_from_file
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.files.tables import name_cells, number_cells, read_table, write_table
 from omnilines.records import LARGEST_M, ImagePoses
 
@@ -37,6 +38,7 @@ def read_poses(path: str | Path) -> ImagePoses:
     return ImagePoses(images, Pose(rotation, torch.from_numpy(table.within(LARGEST_M, "tx", "ty", "tz"))), cameras, None, frames)
 
 
+@typed
 def write_poses(path: str | Path, poses: ImagePoses) -> None:
     """Write poses in one step, `camera` empty where none is named; raises InputError on NaN or an unwritable path.
 

@@ -25,7 +25,8 @@ class SceneTables:
 
 
 def read_scene(folder: str | Path) -> SceneTables:
-    """The scene that `reconstruct` or `adjust` wrote into a folder; raises InputError where a table is missing or damaged."""
+    """The scene that `reconstruct` or `adjust` wrote into a folder; raises InputError where a table is missing or damaged,
+    or poses are of other photos than segments."""
     place = Path(folder)
     absent = [name for name in SCENE_TABLES if not (place / name).is_file()]
     if absent:
@@ -37,4 +38,10 @@ def read_scene(folder: str | Path) -> SceneTables:
     calibration = load(place / cameras)
     unit = LengthUnit.OPEN if calibration.provenance.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
     known = replace(read_lines(place / lines), unit=unit)
-    return SceneTables(calibration, read_poses(place / poses), read_segments(place / segments), known)
+    tables = SceneTables(calibration, read_poses(place / poses), read_segments(place / segments), known)
+    if not {*tables.poses.images} & {*tables.segments.images}:
+        raise InputError(
+            f"{place}: {poses} and {segments} were expected to be of the same photos, found {tables.poses.images[0]} in one and "
+            f"{tables.segments.images[0]} in the other; name a folder as it was written."
+        )
+    return tables

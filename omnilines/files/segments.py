@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from camera_models.errors import InputError
+from camera_models.typed import typed
 from omnilines.files.tables import LARGEST_PX, LEAST_SIGMA_PX, Table, name_cells, number_cells, read_table, write_table
 from omnilines.records import Segments
 
@@ -68,6 +69,7 @@ def _covariance(table: Table) -> Float[np.ndarray, "n 2 2 2"] | None:
     return np.stack([suu1, suv1, suv1, svv1, suu2, suv2, suv2, svv2], 1).reshape(-1, 2, 2, 2)
 
 
+@typed
 def write_segments(path: str | Path, segments: Segments) -> None:
     """Write segments in one step; photos without one leave no trace; raises InputError on NaN or an unwritable path."""
     columns = {"image": name_cells(segments.images, segments.image, path, "image")}

@@ -21,7 +21,7 @@ from pathlib import Path
 from camera_models import InputError
 from camera_models.errors import OmnilinesError
 from camera_models.formats import disk
-from camera_models.formats.disk import MANIFEST, MOVING, fcntl
+from camera_models.formats.disk import MANIFEST, MOVING, locked
 from omnilines.files.fingerprint import content_hash
 from omnilines.files.folders import Written, check_results, way_out, write_list, written
 
@@ -158,13 +158,13 @@ def _stage(folder: Path) -> Iterator[Path]:
     """A hidden folder, locked as long as this process lives, and gone at the end; those of dead processes are removed."""
     with _told(folder):
         for left in [path for path in folder.iterdir() if _STAGED.fullmatch(path.name) and path.is_dir()]:
-            with contextlib.suppress(OSError), _locked(left):
+            with contextlib.suppress(OSError), locked(left):
                 shutil.rmtree(left)
         stage = Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=folder))
     try:
         with contextlib.ExitStack() as held:
             with contextlib.suppress(OSError):  # file systems without locks
-                held.enter_context(_locked(stage))
+                held.enter_context(locked(stage))
             yield stage
     finally:
         shutil.rmtree(stage, ignore_errors=True)
@@ -175,22 +175,8 @@ def _alone(folder: Path) -> Iterator[None]:
     """Other processes that move results into a folder are waited for."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
-            held.enter_context(_locked(folder, wait=True))
+            held.enter_context(locked(folder, wait=True))
         yield
-
-
-@contextmanager
-def _locked(folder: Path, wait: bool = False) -> Iterator[None]:
-    """Raises OSError where another process has the folder, or none can have it."""
-    if fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
 
 
 @contextmanager

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+from camera_models.typed import Typed
+
 
 @dataclass(frozen=True)
-class FrameOptions:
+class FrameOptions(Typed):
     """Of every video of a command."""
 
     most_of_target: int = 40

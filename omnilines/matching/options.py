@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Typed
+
 
 class AppearanceOptions(NamedTuple):
     """Which pixels beside an arc are its colours."""
@@ -183,7 +185,7 @@ class PlacingOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MatchingOptions:
+class MatchingOptions(Typed):
     """All options of matching."""
 
     appearance: AppearanceOptions = AppearanceOptions()

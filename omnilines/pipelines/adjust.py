@@ -10,7 +10,9 @@ import torch
 from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
+from camera_models._arrays import as_tensor
 from camera_models.pose import Pose
+from camera_models.typed import found, typed
 from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.least_squares.devices import usable_device
@@ -30,6 +32,7 @@ from omnilines.triangulation.observations import PlaneObservations
 from omnilines.triangulation.result import Triangulation
 
 
+@typed
 def adjust(
     segments: Segments,
     poses: PhotoPoses | ImagePoses | Pose,
@@ -149,6 +152,7 @@ def _judged(scene: AdjustedScene, given: Pose, cameras: Calibration, options: Sc
     return judge_tracks(arcs, given, list(cameras.values()), refined=end, options=options.judge, seed=options.seed)
 
 
+@typed
 def triangulate(
     segments: Segments,
     poses: PhotoPoses | ImagePoses | Pose,
@@ -191,26 +195,30 @@ def segments_of_arrays(
 ) -> Segments:
     """A table of segments from arrays: both ends of each, the number of its photo, and that of its line (-1 for none).
 
-    Raises InputError where their lengths differ.
+    Raises InputError where their lengths differ, or they are no segments (`Segments`).
 
         >>> ends_px = np.array([[[10.0, 10.0], [50.0, 12.0]], [[8.0, 30.0], [9.0, 70.0]]])
         >>> ol.segments_of_arrays(ends_px, [0, 1], [0, 0]).images
         ('0', '1')
     """
-    photo, line = np.asarray(image), np.asarray(track)
-    if not len(photo) == len(line) == len(endpoints_px):
-        raise InputError(
-            f"As many ends, `image` and `track` were expected, found {len(endpoints_px)}, {len(photo)} and {len(line)}; correct."
-        )
+    photo, line = _indices(image, "image"), _indices(track, "track")
     return Segments(
         photo,
-        tuple(str(k) for k in range(int(photo.max()) + 1)),
+        tuple(str(k) for k in range(int(photo.max(initial=-1)) + 1)),
         line,
-        tuple(str(k) for k in range(int(line.max()) + 1)),
-        np.asarray(endpoints_px, dtype=np.float64),
-        None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64),
-        None if covariance_px2 is None else np.asarray(covariance_px2, dtype=np.float64),
+        tuple(str(k) for k in range(int(line.max(initial=-1)) + 1)),
+        as_tensor(endpoints_px).numpy(),
+        None if sigma_px is None else as_tensor(sigma_px).numpy(),
+        None if covariance_px2 is None else as_tensor(covariance_px2).numpy(),
     )
+
+
+def _indices(given: np.ndarray | torch.Tensor | Sequence[int], name: str) -> Int[np.ndarray, " n"]:
+    """Numbers of photos or lines. Raises InputError where they are none."""
+    numbers = np.asarray(given)
+    if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+        raise InputError(f"`{name}` was expected as whole numbers in a row, found {found(given)}; correct it.")
+    return numbers.astype(np.int64)
 
 
 def _table_of(poses: PhotoPoses | ImagePoses | Pose, segments: Segments) -> ImagePoses:

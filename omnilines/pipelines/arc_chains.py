@@ -9,7 +9,7 @@ from omnilines.extraction.edge_chains import arc_chains
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
-from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.chains import joined_chains
 from omnilines.pipelines.copies import copies
 from omnilines.progress import ProgressCallback, on_all_cores, silent
@@ -47,5 +47,5 @@ def arc_chains_of(
         if isinstance(one, str)
     )
     if not used:
-        raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos and calibration.")
+        raise none_usable([str(one) for one in found], "photos and calibration")
     return joined_chains(used, model.image_size), left_out

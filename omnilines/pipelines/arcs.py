@@ -12,8 +12,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError
+from camera_models.formats.camera_check import check_cameras
 from camera_models.formats.disk import read_bytes
 from camera_models.formats.forms import listed
+from camera_models.typed import typed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
@@ -36,6 +38,7 @@ BYTES_PER_PIXEL = 80
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
 
 
+@typed
 def extract(
     photos: Photos,
     camera: CameraModel | Calibration,
@@ -104,12 +107,15 @@ def extract(
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
-    """A camera alone as a calibration, of the name cam0. Raises InputError for anything else than one of both."""
+    """A camera alone as a calibration, of the name cam0. Raises InputError for anything else than one of both, and for cameras
+    that see nothing, as `load` does."""
     if not isinstance(camera, CameraModel | Calibration):
         raise InputError(
             f"A camera model or a calibration was expected, found {type(camera).__name__}; give what `load` returns."
         )
-    return camera if isinstance(camera, Calibration) else Calibration({"cam0": camera})
+    cameras = camera if isinstance(camera, Calibration) else Calibration({"cam0": camera})
+    check_cameras(cameras)
+    return cameras
 
 
 def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str, str]:
@@ -131,7 +137,9 @@ def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str
 
 
 def check_mask(mask: Bool[np.ndarray, "h w"], cameras: Sequence[CameraModel]) -> None:
-    """Raises InputError where a mask has not the size of the photos of all cameras."""
+    """Raises InputError where a mask has not the size of the photos of all cameras, or is false everywhere."""
+    if not mask.any():
+        raise InputError("A mask was expected to be true where photos are looked at, found it false everywhere; correct it.")
     for camera in cameras:
         if mask.shape[::-1] != camera.image_size:
             raise InputError(
@@ -148,8 +156,15 @@ def skipped(photo: Photo, camera: str, reason: str) -> FoundArcs:
 
 def require_any(found: Sequence[FoundArcs], what: str) -> None:
     """Raises InputError where every photo was skipped."""
-    if all(arcs.reason is not None for arcs in found):
-        raise InputError(f"No photo of {len(found)} can be used (first reason: {found[0].reason}); check {what}.")
+    reasons = [arcs.reason for arcs in found if arcs.reason is not None]
+    if len(reasons) == len(found):
+        raise none_usable(reasons, what)
+
+
+def none_usable(reasons: Sequence[str], what: str) -> InputError:
+    """The error that no photo can be used, each for its reason."""
+    first = reasons[0].rstrip(".")
+    return InputError(f"No photo of {len(reasons)} can be used (first reason: {first}); check {what}.")
 
 
 class _Item(NamedTuple):

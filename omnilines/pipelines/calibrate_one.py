@@ -8,6 +8,7 @@ from typing import Any, Literal, Unpack, overload
 
 from calib_patterns import DetectionOptions, Pattern
 from camera_models import InputError
+from camera_models.typed import typed
 from omnilines.calibration.options import CalibrationFields, CalibrationOptions
 from omnilines.files import Photos, find_photos
 from omnilines.pipelines.calibrate import CalibrationResult, calibrate_corners
@@ -92,6 +93,7 @@ def calibrate(
 ) -> CalibrationResult | LineResult: ...
 
 
+@typed
 def calibrate(
     given: Any,
     /,

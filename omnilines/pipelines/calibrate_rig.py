@@ -14,6 +14,7 @@ from jaxtyping import Float
 from camera_models import Calibration, CameraModel, InputError, model_class, save
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.formats.disk import write_atomically
+from camera_models.typed import typed
 from omnilines.calibration.next_pose import NextViews
 from omnilines.calibration.options import AUTO, CalibrationFields, CalibrationOptions
 from omnilines.calibration.record import calibration_record, rig_record
@@ -197,6 +198,7 @@ class RigResult:
             return write_rig_page(self, path)
 
 
+@typed
 def calibrate_rig(
     corners: RigCorners | Corners,
     image_size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None,

@@ -12,7 +12,7 @@ from omnilines.extraction.options import SmoothChainOptions
 from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
 from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
-from omnilines.pipelines.arcs import BYTES_PER_PIXEL
+from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.copies import copies
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Detail
@@ -59,7 +59,7 @@ def chains_of(
     found = [one if why is None else why for one, why in zip(found, alike, strict=True)]
     sizes = Counter(one[0] for one in found if not isinstance(one, str))
     if not sizes:
-        raise InputError(f"No photo of {len(refs)} can be used (first reason: {found[0]}); check photos.")
+        raise none_usable([str(one) for one in found], "photos")
     size = sizes.most_common(1)[0][0]
     if mask is not None and mask.shape[::-1] != size:
         raise InputError(

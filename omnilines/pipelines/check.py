@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool
 
 from camera_models import Calibration, CameraModel, InputError
+from camera_models.typed import typed
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.files import Photos, photo_folder, photos_of
 from omnilines.files.sets import claimed
@@ -81,6 +82,7 @@ class CheckResult:
         return (Path(folder) / CHECK,)
 
 
+@typed
 def check(
     photos: Photos,
     camera: CameraModel | Calibration,

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, field
 
+from camera_models.typed import Typed
 from omnilines.pipelines.line_options import LinesOptions
 
 
 @dataclass(frozen=True)
-class CheckOptions:
+class CheckOptions(Typed):
     """Of `check`."""
 
     significance: float = 0.001

@@ -13,6 +13,7 @@ from camera_models.formats.camera_doubts import camera_doubts
 from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
+from camera_models.typed import typed
 from omnilines.files.sets import claimed
 from omnilines.provenance import provenance
 
@@ -78,6 +79,7 @@ class ConversionResult:
         return text.getvalue()
 
 
+@typed
 def convert(
     source: str | Path | Calibration,
     out: str | Path,

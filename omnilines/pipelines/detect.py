@@ -13,6 +13,7 @@ from calib_patterns import pattern as parse_pattern
 from calib_patterns.guided import seen_ids
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.files import Photo, Photos, photo_folder, photos_of
 from omnilines.files.orientation import turned_otherwise
 from omnilines.pipelines.batches import look_at
@@ -80,6 +81,7 @@ class _Again:
         return known if whole is None else whole
 
 
+@typed
 def detect(
     photos: Photos,
     pattern: Pattern | str,

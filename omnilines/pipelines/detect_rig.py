@@ -13,6 +13,7 @@ import numpy as np
 from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
+from camera_models.typed import typed
 from omnilines.calibration.numbering import Lattice, Numbering
 from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of
@@ -46,6 +47,7 @@ def shared_frames(photos: Sequence[Photo]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.parts[0] for name in names)) if common else ()
 
 
+@typed
 def detect_rig(
     photos: Photos,
     patterns: str | Sequence[str],

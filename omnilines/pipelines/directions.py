@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
 from omnilines.files.sets import claimed
@@ -141,6 +142,7 @@ class PhotoDirections:
             return write_report(path, "Directions", directions_sections(self))
 
 
+@typed
 def directions(
     arcs: PhotoArcs,
     *,

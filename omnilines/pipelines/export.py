@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from camera_models import InputError
+from camera_models.typed import typed
 from omnilines.files.dxf import write_dxf
 from omnilines.files.geojson import write_geojson
 from omnilines.files.glb import write_glb
@@ -77,6 +78,7 @@ class SceneExport:
         return (out,), lost
 
 
+@typed
 def export(
     scene: str | Path | Scene,
     out: str | Path,

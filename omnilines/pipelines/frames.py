@@ -9,6 +9,7 @@ import numpy as np
 from calib_patterns import DetectionOptions, Pattern
 from calib_patterns import pattern as parse_pattern
 from camera_models import InputError
+from camera_models.typed import typed
 from omnilines.files import PhotoArray
 from omnilines.files.footage import Footage
 from omnilines.files.split import Split
@@ -26,6 +27,7 @@ LOOKED_FIRST = 16
 """Frames of each video, evenly spread over it, that show how a board of tags is printed."""
 
 
+@typed
 def frames(
     videos: str | Path | Sequence[str | Path],
     pattern: Pattern | str | Sequence[Pattern] | None = None,

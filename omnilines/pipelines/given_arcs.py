@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, InputError
+from camera_models.typed import typed
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
@@ -16,6 +17,7 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Segments
 
 
+@typed
 def given_arcs(
     segments: Segments,
     photos: Photos,

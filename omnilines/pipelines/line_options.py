@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from camera_models.typed import Typed
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.extraction import ExtractionOptions
 from omnilines.extraction.options import SmoothChainOptions
@@ -9,7 +10,7 @@ from omnilines.structure.options import DirectionsOptions, RightAngleOptions
 
 
 @dataclass(frozen=True)
-class LinesOptions:
+class LinesOptions(Typed):
     """Options of the stages."""
 
     chains: SmoothChainOptions = SmoothChainOptions()

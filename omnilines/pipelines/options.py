@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from camera_models.typed import Typed
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.matching.options import MatchingOptions
 from omnilines.posing.options import PosingOptions
@@ -112,7 +113,7 @@ class JudgeOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SceneOptions:
+class SceneOptions(Typed):
     """How a line scene is made."""
 
     refine: tuple[str, ...] = ("lines",)

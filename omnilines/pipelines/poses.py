@@ -14,6 +14,7 @@ import torch
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.files import Photo, PhotoRef, Photos, photos_of
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
@@ -80,6 +81,7 @@ def require_pattern(source: str, pattern: str | None) -> None:
         )
 
 
+@typed
 def estimate_poses(
     photos: Photos | PhotoArcs,
     camera: CameraModel | Calibration,

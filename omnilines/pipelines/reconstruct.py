@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
+from camera_models.typed import typed
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost
 from omnilines.files import photo_folder, write_poses
@@ -57,10 +58,13 @@ def check_options(options: SceneOptions, cameras: Calibration) -> None:
             f"`min_views` of 3 or more and a `tolerance_px` above 0 were expected, found {options.min_views} and "
             f"{options.tolerance_px}; correct the options."
         )
+    if options.seed < 0:
+        raise InputError(f"A `seed` of 0 or more was expected, found {options.seed}; correct it.")
     if "rig" in options.refine and not cameras.rig:
         raise InputError("`refine` rig was expected with the calibration of a rig, found cameras without one; leave it out.")
 
 
+@typed
 def reconstruct(
     arcs: PhotoArcs | Segments,
     poses: PhotoPoses | ImagePoses,

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.formats.forms import listed
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from camera_models.views import View, axis_from_camera, views
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo, Photos, photos_of
@@ -30,6 +31,7 @@ from omnilines.records import ImagePoses
 from omnilines.structure.options import DirectionsOptions
 
 
+@typed
 def rectify(
     photos: Photos,
     camera: CameraModel | Calibration,

@@ -12,6 +12,7 @@ from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models import CameraModel, InputError
 from camera_models.pose import Pose
+from camera_models.typed import require_fields, typed
 from omnilines.files import find_photos, read_photo
 from omnilines.files.true_edges import TrueEdges
 from omnilines.pipelines.rendered import Photo, RenderedPhotos, RenderedScene, RenderedTargets
@@ -62,6 +63,7 @@ class RenderOptions:
 
     def __post_init__(self) -> None:
         """Refuse what no photo can have before any is rendered."""
+        require_fields(self)
         if self.views < 1:
             raise InputError(f"At least 1 view was expected, found {self.views}; give more.")
         if self.blur_px < 0 or self.noise_grey < 0 or not 0 <= self.vignetting <= 1:
@@ -84,6 +86,7 @@ class RenderFields(TypedDict, total=False):
     seed: int
 
 
+@typed
 def render(
     shown: str | Pattern | PolygonScene,
     model: str | CameraModel = MODEL,

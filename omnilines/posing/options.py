@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Typed
+
 
 class FeatureOptions(NamedTuple):
     """Features of a photo."""
@@ -174,7 +176,7 @@ class GivenOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PosingOptions:
+class PosingOptions(Typed):
     """All options of posing."""
 
     features: FeatureOptions = FeatureOptions()

@@ -4,7 +4,10 @@ features as bearings (features.py) -> matches (feature_matches.py) -> COLMAP on 
 matches, resection of what COLMAP could not place, and a last adjustment of all poses with all bearings (growth.py).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
+from camera_models.formats.disk import locked
 from camera_models.pose import Pose, adjoint
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
@@ -66,7 +70,8 @@ def sfm_poses(
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts = map_photos(given, Path(work_folder) / "colmap", seed, progress, options)
+    with _own_folder(Path(work_folder)) as folder:
+        parts = map_photos(given, folder, seed, progress, options)
     if not parts:
         raise GeometryError(
             f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
@@ -76,6 +81,23 @@ def sfm_poses(
         start = start_from(Frames(torch.tensor(frame), rig), parts[0])
         grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
     return _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+
+
+@contextmanager
+def _own_folder(work: Path) -> Iterator[Path]:
+    """A folder for COLMAP, gone at the end: another run may be at work beside. Those of runs that were killed are removed."""
+    work.mkdir(parents=True, exist_ok=True)
+    for left in work.glob("colmap.*"):
+        with suppress(OSError), locked(left):
+            shutil.rmtree(left)
+    folder = Path(tempfile.mkdtemp(prefix="colmap.", dir=work))
+    try:
+        with ExitStack() as held:
+            with suppress(OSError):  # file systems without locks
+                held.enter_context(locked(folder))
+            yield folder / "mapper"
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _features(

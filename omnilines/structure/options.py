@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Typed
+
 
 class ClippingOptions(NamedTuple):
     """Where a line begins and ends, by the arcs that show it."""
@@ -78,7 +80,7 @@ class UprightOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class StructureOptions:
+class StructureOptions(Typed):
     """All options of the structure of a scene."""
 
     clipping: ClippingOptions = ClippingOptions()
@@ -92,7 +94,7 @@ class StructureOptions:
 
 
 @dataclass(frozen=True)
-class DirectionsOptions:
+class DirectionsOptions(Typed):
     """All options of the directions in which the lines of one photo meet."""
 
     used_arcs: int = 400

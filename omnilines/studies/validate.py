@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from camera_models.typed import typed
 from omnilines.files import Photos
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.calibrate_one import calibrate
@@ -14,6 +15,7 @@ from omnilines.studies.scene_validation import RebuiltScene, SceneValidation, co
 from omnilines.studies.validation import Validation, compare
 
 
+@typed
 def validate(
     rendered: RenderedTargets | RenderedScene, *, photos: Photos | None = None, progress: ProgressCallback = silent
 ) -> Validation | SceneValidation:

@@ -69,6 +69,11 @@ SPOILT_ROWS: dict[str, tuple[str, Bytes, str]] = {
     "lines:status-of-none": ("lines.csv", rows(lambda table: [row.replace(b",ok", b",fine") for row in table]), "lines.csv"),
     "lines:name-escape": ("lines.csv", cells(0, b"\x1b[31mred"), "lines.csv"),
     "poses:of-no-camera": ("poses.csv", cells(1, b"cam7"), "poses.csv"),
+    "poses:of-other-photos": (
+        "poses.csv",
+        rows(lambda table: [table[0], *(b"other" + row for row in table[1:])]),
+        "poses.csv and segments.csv",
+    ),
     "poses:quaternion-of-zero": (
         "poses.csv",
         rows(lambda table: [table[0], *(b",".join([*row.split(b",")[:2], *[b"0"] * 7]) for row in table[1:])]),

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
+from camera_models.typed import Typed
 from omnilines.calibration.thresholds import LineStartThresholds
 
 
 @dataclass(frozen=True)
-class LineOptions:
+class LineOptions(Typed):
     """Of the adjustment of a camera to chains of edge points."""
 
     most_chains: int = 200
