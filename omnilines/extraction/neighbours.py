@@ -19,7 +19,8 @@ from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.step_edge import ROUNDS
 from omnilines.extraction.kernels.tables import Places
 from omnilines.extraction.options import ExtractionOptions, NeighbourOptions, RefitOptions
-from omnilines.extraction.refit import floor_covariance, moved
+from omnilines.extraction.kernels.chroma import LUMA
+from omnilines.extraction.refit import correlation_of, floor_covariance, moved
 
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 BLUR_ARCS, BLUR_STRIDE = 40, 3
@@ -67,10 +68,10 @@ def step_fit(options: NeighbourOptions, taper_px: float, blur_px: float, rounds:
 
 def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], fit: StepFit, options: NeighbourOptions) -> tuple:
     """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
-    place, variance, _, _ = fit_places(blocks, start, fit)
+    place, variance, heights, _ = fit_places(blocks, start, fit)
     weight = 1.0 / (variance + options.scatter_px**2)
     places = Places(blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole)
-    return (*fit_circles(blocks.starts, places, options.max_shift_px), place, variance)
+    return (*fit_circles(blocks.starts, places, options.max_shift_px), place, variance, heights[:, 0])
 
 
 def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: NeighbourOptions, refit: RefitOptions) -> Arcs:
@@ -89,12 +90,12 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
     if not len(rows):
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
-    change, inverse, scatter, used, residual, place, variance = _circles(
-        blocks, blocks.place, step_fit(options, refit.taper_px, blur_px), options
-    )
+    narrow = step_fit(options, refit.taper_px, blur_px)
+    change, inverse, scatter, used, residual, place, variance, heights = _circles(blocks, blocks.place, narrow, options)
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.
     few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
-    covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    alike = _chroma_correlation(blocks, place, heights, residual, narrow)
+    covariance = inverse * (scatter * few * alike)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
     # To first order: it is a standard deviation.
     wide = step_fit(options, options.wide_taper_px, blur_px, 1)
     blurred = step_fit(options, refit.taper_px, options.blur_factor * blur_px, 1)
@@ -112,6 +113,33 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
         for field in fields(Arcs):
             getattr(result, field.name)[rows[those]] = getattr(better, field.name)[those]
     return result.centred()
+
+
+def _chroma_correlation(
+    blocks: Blocks,
+    place: Float[np.ndarray, "m s"],
+    height: Float[np.ndarray, "m c"],
+    residual: Float[np.ndarray, " m"],
+    fit: StepFit,
+) -> Float[np.ndarray, " n"]:
+    """As `correlation_of`, of blocks: those of luma are independent."""
+    if blocks.profile.shape[1] != len(LUMA):
+        return np.ones(blocks.arcs)
+    bright = replace(blocks, profile=np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None])
+    luma_place = fit_places(bright, place, replace(fit, rounds=1))[0][:, 0]
+    luma = height.sum(-1) * (height @ LUMA) / np.maximum(np.square(height).sum(-1), 1e-6)
+    # The part of chroma in the place, less its part of where the circle is.
+    noise = place[:, 0] - luma * luma_place - (1.0 - luma) * (place[:, 0] - residual)
+    good = np.isfinite(noise)
+    owner, noise, luma = blocks.owner[good], noise[good], luma[good]
+
+    def sums(values):
+        return np.bincount(owner, values, blocks.arcs)
+
+    count = np.maximum(sums(np.ones(len(owner))), 1.0)
+    return correlation_of(
+        1.0 - sums(luma) / count, sums(noise), sums(noise**2), np.maximum(sums(residual[good] ** 2), 1e-12), 1.0
+    )
 
 
 def _across(arcs: Arcs, covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:

@@ -16,7 +16,7 @@ from omnilines.extraction.kernels.tables import Edgels, Picture, Samples
 from omnilines.extraction.options import ExtractionOptions, RefitOptions, SupportOptions
 
 SETTLED = 0.25
-_PRIOR, MOST = 5.0, 0.5
+_PRIOR, MOST = 1.0, 0.5
 _LEAST_PAIRS = 50
 """Residuals so many px apart, from which on their correlation is known."""
 _ARCS = 4_000
@@ -123,7 +123,7 @@ def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float, o
     change = np.stack([own["a"], own["b"]], -1)
     bias = np.stack([own["wide_a"], own["wide_b"]], -1) - change
     matrix = np.stack([np.stack([own["m00"], own["m01"]], -1), np.stack([own["m01"], own["m11"]], -1)], -2)
-    alike = _alike(own, correlation)
+    alike = correlation_of(own["chroma"], own["chroma_sum"], own["chroma_squares"], own["squares"], correlation)
     covariance = inverse_2x2(matrix) * (own["variance"] * alike)[:, None, None] + _floor(
         kept, own["rate"], options.floor_px
     )
@@ -173,21 +173,21 @@ def _correlation(products: Float[np.ndarray, "lags 2"]) -> float:
     return total
 
 
-def _alike(found: Shaped[np.ndarray, " n"], correlation: float) -> Float[np.ndarray, " n"]:
+def correlation_of(chroma, total, squares, every, correlation) -> Float[np.ndarray, " n"]:
     """As `_correlation`, of each arc: between that of all residuals and that of chroma.
 
     Residuals about a fitted circle hide what is alike along most of an arc. Where luma says where the edge is, the place that
     chroma says for it lies about a circle that it had little part in: the mean over arcs of the square of the sum of n such
     residuals over the sum of their squares is what independent ones have 1 of.
     """
-    share = np.minimum(found["chroma_squares"] / np.maximum(found["squares"], 1e-12), 1.0)
-    luma = 1.0 - found["chroma"]
+    share = np.minimum(squares / np.maximum(every, 1e-12), 1.0)
+    luma = 1.0 - chroma
     told = np.where(luma > MOST, share, 0.0)
-    ratio = found["chroma_sum"] ** 2 / np.maximum(found["chroma_squares"] * luma**2, 1e-12)
+    ratio = total ** 2 / np.maximum(squares * luma**2, 1e-12)
     chroma = (_PRIOR * correlation + (told * ratio).sum()) / (_PRIOR + told.sum())
     import os
     if os.environ.get("CHROMA")=="0": chroma=correlation
-    if os.environ.get("CHROMA")=="v": print("T", round(correlation,2), round(chroma,2), "arcs", round(told.sum(),1), len(found))
+    if os.environ.get("CHROMA")=="v": print("T", round(correlation,2), round(chroma,2), "arcs", round(told.sum(),1), len(share))
     return correlation + share * max(chroma - correlation, 0.0)
 
 
