@@ -13,14 +13,15 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from camera_models import CameraModel
+from omnilines.extraction.alike import ChromaNoise, ToldChroma, correlations
 from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import LEAST_WEIGHT, Blocks, Profiled, StepFit, fit_places, window_weights
+from omnilines.extraction.kernels.chroma import LUMA
 from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.step_edge import ROUNDS
 from omnilines.extraction.kernels.tables import Places
 from omnilines.extraction.options import ExtractionOptions, NeighbourOptions, RefitOptions
-from omnilines.extraction.kernels.chroma import LUMA
-from omnilines.extraction.refit import correlation_of, floor_covariance, moved
+from omnilines.extraction.refit import floor_covariance, moved
 
 BLURS_PX = np.concatenate([np.arange(0.4, 1.0, 0.05), np.geomspace(1.0, 2.6, 8)])
 BLUR_ARCS, BLUR_STRIDE = 40, 3
@@ -67,7 +68,8 @@ def step_fit(options: NeighbourOptions, taper_px: float, blur_px: float, rounds:
 
 
 def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], fit: StepFit, options: NeighbourOptions) -> tuple:
-    """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
+    """Great circles through the places of the own steps: `fit_circles`, and all places, and variance and heights of the own
+    ones."""
     place, variance, heights, _ = fit_places(blocks, start, fit)
     weight = 1.0 / (variance + options.scatter_px**2)
     places = Places(blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole)
@@ -91,11 +93,13 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
     narrow = step_fit(options, refit.taper_px, blur_px)
-    change, inverse, scatter, used, residual, place, variance, heights = _circles(blocks, blocks.place, narrow, options)
+    change, inverse, scatter, used, residual, place, variance, height = _circles(blocks, blocks.place, narrow, options)
+    noise = _chroma_noise(blocks, place, height, residual, replace(narrow, rounds=1))
+    alike = correlations(noise, ToldChroma().with_more(noise), 1.0)
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.
     few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
-    alike = _chroma_correlation(blocks, place, heights, residual, narrow)
-    covariance = inverse * (scatter * few * alike)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    floor = floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    covariance = inverse * (scatter * few * alike)[:, None, None] + floor
     # To first order: it is a standard deviation.
     wide = step_fit(options, options.wide_taper_px, blur_px, 1)
     blurred = step_fit(options, refit.taper_px, options.blur_factor * blur_px, 1)
@@ -115,31 +119,24 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
     return result.centred()
 
 
-def _chroma_correlation(
+def _chroma_noise(
     blocks: Blocks,
     place: Float[np.ndarray, "m s"],
     height: Float[np.ndarray, "m c"],
     residual: Float[np.ndarray, " m"],
     fit: StepFit,
-) -> Float[np.ndarray, " n"]:
-    """As `correlation_of`, of blocks: those of luma are independent."""
-    if blocks.profile.shape[1] != len(LUMA):
-        return np.ones(blocks.arcs)
-    bright = replace(blocks, profile=np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None])
-    luma_place = fit_places(bright, place, replace(fit, rounds=1))[0][:, 0]
+) -> ChromaNoise:
+    """What chroma adds to the places of own steps of these heights, as in a refit: the rest of what luma by itself says, by its
+    share. Where luma has no step, its share is none."""
+    if height.shape[1] != len(LUMA):
+        return ChromaNoise(*np.zeros((4, blocks.arcs)))
     luma = height.sum(-1) * (height @ LUMA) / np.maximum(np.square(height).sum(-1), 1e-6)
-    # The part of chroma in the place, less its part of where the circle is.
-    noise = place[:, 0] - luma * luma_place - (1.0 - luma) * (place[:, 0] - residual)
-    good = np.isfinite(noise)
-    owner, noise, luma = blocks.owner[good], noise[good], luma[good]
-
-    def sums(values):
-        return np.bincount(owner, values, blocks.arcs)
-
-    count = np.maximum(sums(np.ones(len(owner))), 1.0)
-    return correlation_of(
-        1.0 - sums(luma) / count, sums(noise), sums(noise**2), np.maximum(sums(residual[good] ** 2), 1e-12), 1.0
-    )
+    bright = replace(blocks, profile=np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None])
+    noise = luma * (place[:, 0] - fit_places(bright, place, fit)[0][:, 0]) + (1.0 - luma) * residual
+    used = np.isfinite(residual)
+    values = np.stack([1.0 - luma, noise, noise**2, residual**2, np.ones(len(noise))], -1)
+    sums = np.stack([np.bincount(blocks.owner[used], column[used], blocks.arcs) for column in values.T])
+    return ChromaNoise(sums[0] / np.maximum(sums[4], 1.0), *sums[1:4])
 
 
 def _across(arcs: Arcs, covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
