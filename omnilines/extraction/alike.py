@@ -15,6 +15,8 @@ _LEAST_PAIRS = 50
 """Residuals so many px apart, from which on their correlation is known."""
 _LEAST_LUMA = 0.5
 """Share of luma in what tells the places of an arc, from which on it tells how far those of chroma are alike."""
+_MEDIAN = 0.4549
+"""Of chi-square of one degree of freedom."""
 
 
 class ChromaNoise(NamedTuple):
@@ -37,17 +39,26 @@ class ChromaNoise(NamedTuple):
 class ToldChroma(NamedTuple):
     """What arcs that luma places have told of how far places of chroma are alike."""
 
-    total: float = 0.0
-    arcs: float = 0.0
-    """As many as that; those count less in whose residuals chroma has less of a share."""
+    ratio: Float[np.ndarray, " m"] = np.zeros(0)
+    """(Sum of n residuals)^2 / (sum of their squares): chi-square of one degree of freedom where they are independent, and so
+    many times that where their mean has so many times the variance."""
+    weight: Float[np.ndarray, " m"] = np.zeros(0)
+    """The share of chroma in the squares of the residuals: arcs tell nothing of what they have no part of."""
 
     def with_more(self, noise: ChromaNoise) -> "ToldChroma":
-        """And of further arcs. The mean over arcs of (sum of n residuals)^2 / (sum of their squares) is 1 where they are
-        independent. The circle goes after chroma by its share: residuals about it lack that."""
+        """And of further arcs. The circle goes after chroma by its share: residuals about it lack that."""
         luma = 1.0 - noise.share
-        weight = np.where(luma >= _LEAST_LUMA, noise.noise_share, 0.0)
         ratio = noise.total**2 / np.maximum(noise.squares * luma**2, 1e-12)
-        return ToldChroma(self.total + float((weight * ratio).sum()), self.arcs + float(weight.sum()))
+        weight = np.where(luma >= _LEAST_LUMA, noise.noise_share, 0.0)
+        return ToldChroma(np.append(self.ratio, ratio), np.append(self.weight, weight))
+
+    def correlation(self, every: float) -> float:
+        """That of chroma, by the median, which edges beside an arc and false ones move least; at least that of `every` residual,
+        which counts like one arc of it."""
+        ratio, weight = np.append(self.ratio, every * _MEDIAN), np.append(self.weight, 1.0)
+        order = np.argsort(ratio, kind="stable")
+        below = np.cumsum(weight[order])
+        return max(float(ratio[order[np.searchsorted(below, 0.5 * below[-1])]]) / _MEDIAN, every)
 
 
 def correlation(products: Float[np.ndarray, "lags 2"]) -> float:
@@ -62,7 +73,5 @@ def correlation(products: Float[np.ndarray, "lags 2"]) -> float:
 
 
 def correlations(noise: ChromaNoise, told: ToldChroma, every: float) -> Float[np.ndarray, " n"]:
-    """Of each arc, between that of `every` residual and that of chroma, by the share of chroma in its own. `every` counts for
-    that of chroma like one arc that tells it."""
-    chroma = (every + told.total) / (1.0 + told.arcs)
-    return every + noise.noise_share * max(chroma - every, 0.0)
+    """Of each arc, between that of `every` residual and that of chroma, by the share of chroma in its own."""
+    return every + noise.noise_share * (told.correlation(every) - every)
