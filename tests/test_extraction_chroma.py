@@ -39,8 +39,8 @@ def drawn(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         inside = ndtr((half - np.abs((pixel - centre) @ way.T)) / BLUR_PX).prod(-1)
         colour = rng.uniform(-1.0, 1.0, 3)
         colour -= LUMA @ colour
-        colour *= rng.uniform(50.0, 80.0) / np.abs(colour).max()
-        change = colour if k % 3 == 0 else colour + rng.choice([-1.0, 1.0]) * rng.uniform(30.0, 70.0)
+        colour *= rng.uniform(50.0, 70.0) / np.abs(colour).max()
+        change = colour if k % 3 == 0 else colour + rng.choice([-1.0, 1.0]) * rng.uniform(20.0, 45.0)
         image[first[1] : first[1] + 120, first[0] : first[0] + 120] += inside[..., None] * change
         corners = first + centre + (np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half) @ way
         sides.append(np.stack([corners, np.roll(corners, -1, 0)], 1))
@@ -68,13 +68,13 @@ def distances(found: ExtractedArcs, sides: np.ndarray) -> tuple[np.ndarray, np.n
 
 @pytest.mark.parametrize(
     ("treat", "least_of_colour", "least_of_both"),
-    [(lambda image: image, 0.95, 0.95), (jpeg(75, 0x111111), 0.94, 0.9), (jpeg(75, 0x221111), 0.65, 0.92)],
+    [(lambda image: image, 0.97, 0.97), (jpeg(75, 0x111111), 0.95, 0.965), (jpeg(75, 0x221111), 0.55, 0.95)],
     ids=["as drawn", "JPEG, 4:4:4", "JPEG, 4:2:0"],
 )
 def test_edges_of_mere_colour_lie_where_their_covariance_says(
     treat: Callable[[np.ndarray], np.ndarray], least_of_colour: float, least_of_both: float
 ) -> None:
-    """In 4:2:0 they still lie there too seldom: 56 percent while chroma counted like luma."""
+    """While chroma counted like luma: 100, 94 and 47 percent, and of both 100, 95 and 91. In 4:2:0 it is too seldom still."""
     rng = np.random.default_rng(7)
     of_colour, of_both = [], []
     for _ in range(3):
@@ -115,7 +115,7 @@ def test_places_of_chroma_are_alike_as_far_as_luma_shows(width: int) -> None:
     """Places of 400 arcs: sums over `width` px of white noise, whose mean has that many times the variance; arcs that chroma
     alone tells have all of that, those without chroma nothing."""
     rng = np.random.default_rng(5)
-    length, share = 60, 0.3
+    length, share = 240, 0.3
     white = rng.standard_normal((400, length + width - 1))
     chroma = np.stack([white[:, k : k + width].sum(-1) for k in range(length)], -1)
     # The circle goes after chroma by its share.
