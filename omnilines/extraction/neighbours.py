@@ -131,8 +131,11 @@ def _chroma_noise(
     if height.shape[1] != len(LUMA):
         return ChromaNoise(*np.zeros((4, blocks.arcs)))
     luma = height.sum(-1) * (height @ LUMA) / np.maximum(np.square(height).sum(-1), 1e-6)
-    bright = replace(blocks, profile=np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None])
-    noise = luma * (place[:, 0] - fit_places(bright, place, fit)[0][:, 0]) + (1.0 - luma) * residual
+    # As much signal as in three channels that are all alike, against the same noise and the same stiffness of the places.
+    profile = math.sqrt(len(LUMA)) * np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None]
+    # One round each: both differ from `place` by what it lacks of its limit.
+    every, bright = (fit_places(some, place, fit)[0][:, 0] for some in (blocks, replace(blocks, profile=profile)))
+    noise = luma * (every - bright) + (1.0 - luma) * residual
     used = np.isfinite(residual)
     values = np.stack([1.0 - luma, noise, noise**2, residual**2, np.ones(len(noise))], -1)
     sums = np.stack([np.bincount(blocks.owner[used], column[used], blocks.arcs) for column in values.T])
