@@ -165,6 +165,20 @@ def test_the_rim_of_the_image_circle_is_no_arc(noise: float) -> None:
     assert len(extract_arcs(image, FISHEYE, mask=rays[..., 0] < 0.5)) == 0
 
 
+@pytest.mark.parametrize("quality", [90, 75])
+def test_the_rim_is_found_where_a_camera_sharpened_it(quality: int) -> None:
+    """Sharpening and JPEG darken the dark beside the light: where the rim nearly meets the border, it is darkest."""
+    apart = np.linalg.norm(np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1) - [161.2, 118.7], axis=-1)
+    image = 4.0 + 146.0 * ndtr((115.0 - apart) / 0.6)[..., None] + np.zeros(3)
+    image += np.random.default_rng(3).standard_normal(image.shape)
+    image += 0.8 * (image - cv2.GaussianBlur(image, (0, 0), 1.0))
+    photo = cv2.imdecode(cv2.imencode(".jpg", byte(image), [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
+    circle = image_circle(photo, FISHEYE)
+    assert circle is not None
+    np.testing.assert_allclose(circle, (161.2, 118.7, 115.0), atol=1.5)
+    assert len(extract_arcs(photo, FISHEYE)) == 0
+
+
 def test_what_the_mask_leaves_out_has_no_arcs() -> None:
     normal = unit(1.0, 0.2, 0.0)
     image = byte(painted(PINHOLE, normal, noise=1.0))

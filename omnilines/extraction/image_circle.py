@@ -1,6 +1,7 @@
 """The image circle of a lens or mirror, found in the photo: beyond it all is dark."""
 
 import functools
+import math
 
 import cv2
 import numpy as np
@@ -44,14 +45,7 @@ def circle_around(
     way = np.stack([np.cos(turn), np.sin(turn)], -1)
     room = np.where(way > 0, np.array([width, height]) - 1.0 - centre, centre) / np.maximum(np.abs(way), 1e-12)
     border = room.min(-1) - 1.0
-    # The outer half of the pixels that are dark, and the inner one.
-    depth_px = max(2, options.min_dark_px)
-    outermost = centre + np.maximum(border[:, None] - np.arange(depth_px), 0.0)[..., None] * way[:, None]
-    outer, inner = np.split(_brightest(image, outermost) / grey_unit(image), [depth_px // 2], axis=1)
-    dark = float(np.percentile(outer, 2))
-    # Noise in the dark is no light: how bright it gets on the darkest rays, of pixels that did not choose them.
-    darkest = inner[np.argsort(outer.mean(-1), kind="stable")[: max(1, int(options.min_dark_rays * RAYS))]]
-    threshold = max(dark + options.min_step_grey, float(np.percentile(darkest, 98)))
+    threshold = _least_light(_brightest(image, _outermost(centre, border, way, options)) / grey_unit(image), options)
     if threshold >= options.max_dark_grey:
         return None
     threshold *= grey_unit(image)
@@ -62,6 +56,29 @@ def circle_around(
         return None
     circle = _common_circle(centre + (border - light)[begins_dark, None] * way[begins_dark], options)
     return circle if circle is not None and _dark_outside(image, circle, options) else None
+
+
+def _outermost(
+    centre: Float[np.ndarray, "2"], border_px: Float[np.ndarray, " n"], way: Float[np.ndarray, "n 2"], options: ImageCircleOptions
+) -> Float[np.ndarray, "n k 2"]:
+    """Twice as many pixels of rays, from the border inwards, as are to be dark."""
+    depth = np.arange(2 * max(2, options.min_dark_px))
+    return centre + np.maximum(border_px[:, None] - depth, 0.0)[..., None] * way[:, None]
+
+
+def _least_light(grey: Float[np.ndarray, "n k"], options: ImageCircleOptions) -> float:
+    """Grey level from which on the outermost pixels of rays are light, of 255; infinite where too few rays begin in the dark.
+
+    Noise in the dark is no light: it is how bright it gets on the darkest rays, in pixels that did not choose them. Rays that
+    meet light soon are none of them: beside it, sharpening and JPEG make the dark darker.
+    """
+    depth_px, count = grey.shape[1] // 2, max(1, int(options.min_dark_rays * len(grey)))
+    outer, inner = grey[:, : depth_px // 2], grey[:, depth_px // 2 : depth_px]
+    rows = np.flatnonzero(grey.max(-1) < options.max_dark_grey)
+    if len(rows) < count:
+        return math.inf
+    darkest = inner[rows[np.argsort(outer[rows].mean(-1), kind="stable")[:count]]]
+    return max(float(np.percentile(outer, 2)) + options.min_step_grey, float(np.percentile(darkest, 98)))
 
 
 def _brightest(image: UInt[np.ndarray, "h w *channels"], places: Float[np.ndarray, "*n 2"]) -> UInt[np.ndarray, "*n"]:

@@ -13,8 +13,10 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from camera_models import CameraModel
+from omnilines.extraction.alike import ChromaNoise, ToldChroma, correlations
 from omnilines.extraction.arcs import Arcs
 from omnilines.extraction.blocks import LEAST_WEIGHT, Blocks, Profiled, StepFit, fit_places, window_weights
+from omnilines.extraction.kernels.chroma import LUMA
 from omnilines.extraction.kernels.circle import fit_circles
 from omnilines.extraction.kernels.step_edge import ROUNDS
 from omnilines.extraction.kernels.tables import Places
@@ -66,11 +68,12 @@ def step_fit(options: NeighbourOptions, taper_px: float, blur_px: float, rounds:
 
 
 def _circles(blocks: Blocks, start: Float[np.ndarray, "m s"], fit: StepFit, options: NeighbourOptions) -> tuple:
-    """Great circles through the places of the own steps: `fit_circles`, and all places and the variance of the own ones."""
-    place, variance, _, _ = fit_places(blocks, start, fit)
+    """Great circles through the places of the own steps: `fit_circles`, and all places, and variance and heights of the own
+    ones."""
+    place, variance, heights, _ = fit_places(blocks, start, fit)
     weight = 1.0 / (variance + options.scatter_px**2)
     places = Places(blocks.angle, blocks.rate, place[:, 0].copy(), weight, blocks.whole)
-    return (*fit_circles(blocks.starts, places, options.max_shift_px), place, variance)
+    return (*fit_circles(blocks.starts, places, options.max_shift_px), place, variance, heights[:, 0])
 
 
 def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: NeighbourOptions, refit: RefitOptions) -> Arcs:
@@ -89,12 +92,14 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
     if not len(rows):
         return arcs
     crowded, blocks = arcs.keep(rows), whole.keep(rows)
-    change, inverse, scatter, used, residual, place, variance = _circles(
-        blocks, blocks.place, step_fit(options, refit.taper_px, blur_px), options
-    )
+    narrow = step_fit(options, refit.taper_px, blur_px)
+    change, inverse, scatter, used, residual, place, variance, height = _circles(blocks, blocks.place, narrow, options)
+    noise = _chroma_noise(blocks, place, height, residual, replace(narrow, rounds=1))
+    alike = correlations(noise, ToldChroma().with_more(noise), 1.0)
     # Few places tell little of their scatter: Student's t in the place of the normal distribution.
     few = (stdtrit(np.maximum(used - 2.0, 1.0), 0.975) / 1.96) ** 2
-    covariance = inverse * (scatter * few)[:, None, None] + floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    floor = floor_covariance(crowded, blocks.owner, blocks.rate, options.floor_px)
+    covariance = inverse * (scatter * few * alike)[:, None, None] + floor
     # To first order: it is a standard deviation.
     wide = step_fit(options, options.wide_taper_px, blur_px, 1)
     blurred = step_fit(options, refit.taper_px, options.blur_factor * blur_px, 1)
@@ -112,6 +117,29 @@ def fit_together(model: CameraModel, known: Profiled, blur_px: float, options: N
         for field in fields(Arcs):
             getattr(result, field.name)[rows[those]] = getattr(better, field.name)[those]
     return result.centred()
+
+
+def _chroma_noise(
+    blocks: Blocks,
+    place: Float[np.ndarray, "m s"],
+    height: Float[np.ndarray, "m c"],
+    residual: Float[np.ndarray, " m"],
+    fit: StepFit,
+) -> ChromaNoise:
+    """What chroma adds to the places of own steps of these heights, as in a refit: the rest of what luma by itself says, by its
+    share. Where luma has no step, its share is none."""
+    if height.shape[1] != len(LUMA):
+        return ChromaNoise(*np.zeros((4, blocks.arcs)))
+    luma = height.sum(-1) * (height @ LUMA) / np.maximum(np.square(height).sum(-1), 1e-6)
+    # As much signal as in three channels that are all alike, against the same noise and the same stiffness of the places.
+    profile = math.sqrt(len(LUMA)) * np.einsum("c,mck->mk", LUMA, blocks.profile)[:, None]
+    # One round each: both differ from `place` by what it lacks of its limit.
+    every, bright = (fit_places(some, place, fit)[0][:, 0] for some in (blocks, replace(blocks, profile=profile)))
+    noise = luma * (every - bright) + (1.0 - luma) * residual
+    used = np.isfinite(residual)
+    values = np.stack([1.0 - luma, noise, noise**2, residual**2, np.ones(len(noise))], -1)
+    sums = np.stack([np.bincount(blocks.owner[used], column[used], blocks.arcs) for column in values.T])
+    return ChromaNoise(sums[0] / np.maximum(sums[4], 1.0), *sums[1:4])
 
 
 def _across(arcs: Arcs, covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from camera_models import CameraModel
+from omnilines.extraction.alike import ChromaNoise, ToldChroma, correlation, correlations
 from omnilines.extraction.arcs import Arcs, inverse_2x2
 from omnilines.extraction.curves import samples
 from omnilines.extraction.edgels import grey_unit
@@ -16,8 +17,6 @@ from omnilines.extraction.kernels.tables import Edgels, Picture, Samples
 from omnilines.extraction.options import ExtractionOptions, RefitOptions, SupportOptions
 
 SETTLED = 0.25
-_LEAST_PAIRS = 50
-"""Residuals so many px apart, from which on their correlation is known."""
 _ARCS = 4_000
 """Refitted at a time."""
 
@@ -54,17 +53,18 @@ class Refitted:
     """Whether the arc moved by less than SETTLED of its standard deviation across it."""
     cut: Arcs
     """What was cut off the arcs as they were: beyond a gap, or on another edge."""
+    told: ToldChroma
+    """What the arcs, and those of which a refit was told, say of chroma."""
 
     def keep(self, rows: Bool[np.ndarray, " n"]) -> "Refitted":
-        """Some of the arcs; what was cut off is that of all."""
-        columns = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name not in ("arcs", "cut")}
-        return Refitted(arcs=self.arcs.keep(rows), cut=self.cut, **columns)
+        """Some of the arcs; what was cut off and what is told of chroma is that of all."""
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return Refitted(arcs=self.arcs.keep(rows), cut=self.cut, told=self.told, **columns)
 
     def with_more(self, more: "Refitted") -> "Refitted":
-        """These arcs, and others after them; what was cut off the others."""
-        names = (field.name for field in fields(self) if field.name not in ("arcs", "cut"))
-        columns = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in names}
-        return Refitted(arcs=joined([self.arcs, more.arcs]), cut=more.cut, **columns)
+        """These arcs, and others after them; what was cut off the others, and what those were told and tell of chroma."""
+        columns = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in _COLUMNS}
+        return Refitted(arcs=joined([self.arcs, more.arcs]), cut=more.cut, told=more.told, **columns)
 
     def straight(self) -> Arcs:
         """The arcs, those that bend in two parts, and what was cut off."""
@@ -76,15 +76,20 @@ class Refitted:
         return joined([arcs.keep(~bent), *parts, self.cut]).centred()
 
 
+_COLUMNS = tuple(field.name for field in fields(Refitted) if field.name not in ("arcs", "cut", "told"))
+
+
 @functools.cache
 def _filters(options: RefitOptions) -> Filters:
     windows = np.stack([step_filters(options.taper_px), step_filters(options.wide_taper_px)])
     return Filters(windows, along_weights(options.along_px))
 
 
-def refit(photo: Photo, arcs: Arcs, growth_px: float, min_px: float, options: ExtractionOptions) -> Refitted:
+def refit(
+    photo: Photo, arcs: Arcs, growth_px: float, min_px: float, options: ExtractionOptions, told: ToldChroma = ToldChroma()
+) -> Refitted:
     """Fit arcs anew and let them end where their edges do, at most `growth_px` from where they ended; those that do not come out
-    at `min_px` are lost."""
+    at `min_px` are lost. `told` is what other arcs of the photo say of chroma."""
     limits = Limits(min_px, options.pieces.min_px, options.support, options.refit)
     found, products = np.zeros(len(arcs), dtype=FIGURES), np.zeros((LAGS, 2))
     for k in range(0, len(arcs), _ARCS):
@@ -101,7 +106,7 @@ def refit(photo: Photo, arcs: Arcs, growth_px: float, min_px: float, options: Ex
             table=found[rows],
             products=products,
         )
-    return _refitted(arcs, found, _correlation(products), options.refit)
+    return _refitted(arcs, found, correlation(products), told, options.refit)
 
 
 def joined(parts: list[Arcs]) -> Arcs:
@@ -115,21 +120,23 @@ def support_of(photo: Photo, at: Samples, options: SupportOptions) -> Shaped[np.
     return supported(photo.edgels, at.pixel, at.across, options) & at.valid
 
 
-def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float, options: RefitOptions) -> Refitted:
-    """Of what `refit_arcs` found."""
+def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], every: float, told: ToldChroma, options: RefitOptions) -> Refitted:
+    """Of what `refit_arcs` found; `every` is the correlation of the residuals of all arcs."""
     rows = np.flatnonzero(found["used"] > 0)
     kept, own = arcs.keep(rows), found[rows]
     change = np.stack([own["a"], own["b"]], -1)
     bias = np.stack([own["wide_a"], own["wide_b"]], -1) - change
     matrix = np.stack([np.stack([own["m00"], own["m01"]], -1), np.stack([own["m01"], own["m11"]], -1)], -2)
-    covariance = inverse_2x2(matrix) * (own["variance"] * correlation)[:, None, None] + _floor(
+    noise = ChromaNoise(own["chroma_share"], own["chroma_sum"], own["chroma_squares"], own["squares"])
+    told = told.with_more(noise)
+    covariance = inverse_2x2(matrix) * (own["variance"] * correlations(noise, told, every))[:, None, None] + _floor(
         kept, own["rate"], options.floor_px
     )
     # What lies beside the edge pulls a wide window more than a narrow one.
     covariance += options.bias_sigmas**2 * bias[:, :, None] * bias[:, None]
     low, high = own["low"], own["high"]
     # Angles are counted from the middle of the arc, which has moved.
-    bend = np.where(own["bend_ratio"] > options.min_bend_ratio * correlation, own["bend"] - 0.5 * (low + high), np.nan)
+    bend = np.where(own["bend_ratio"] > options.min_bend_ratio * every, own["bend"] - 0.5 * (low + high), np.nan)
     cut, settled = [], np.ones(len(rows), dtype=bool)
     for angle in (low, high):
         way = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -148,6 +155,7 @@ def _refitted(arcs: Arcs, found: Shaped[np.ndarray, " n"], correlation: float, o
         bend=bend,
         settled=settled,
         cut=joined(cut).centred(),
+        told=told,
     )
 
 
@@ -158,17 +166,6 @@ def moved(arcs: Arcs, change: Float[np.ndarray, "n 2"], covariance: Float[np.nda
     first = arcs.first - (arcs.first * normal).sum(-1, keepdims=True) * normal
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return Arcs(normal, first, arcs.low, arcs.high, covariance)
-
-
-def _correlation(products: Float[np.ndarray, "lags 2"]) -> float:
-    """1 + 2 sum of the correlations of residuals 1, 2, ... px apart, over all arcs: the mean of n of them has that many times
-    the variance of independent ones."""
-    mean, total = products[:, 0] / np.maximum(products[:, 1], 1.0), 1.0
-    for lag in range(1, LAGS):
-        if products[lag, 1] < _LEAST_PAIRS or mean[lag] <= 0.0:
-            break
-        total += 2.0 * float(mean[lag] / max(mean[0], 1e-12))
-    return total
 
 
 def floor_covariance(

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from numba import njit
 
 from omnilines.extraction.kernels.bend import bend_of
+from omnilines.extraction.kernels.chroma import chroma_noise
 from omnilines.extraction.kernels.circle import EVERY, LEFT, ROUNDS, fill_ways, fit_circle, own_places, scatter_of
 from omnilines.extraction.kernels.profile import (
     BLURS_PX,
@@ -44,14 +45,14 @@ _SIDES = side_weights()
 _NOTHING = np.zeros((0, 1), dtype=np.float32)
 _COLUMNS = (
     "used length_px support contrast blur_px rate low high a b wide_a wide_b m00 m01 m11 variance bend bend_ratio "
-    "before_low before_high after_low after_high"
+    "before_low before_high after_low after_high chroma_share chroma_sum chroma_squares squares"
 )
 FIGURES = np.dtype([(name, np.float64) for name in _COLUMNS.split()])
 """Of an arc: samples used (0: it is lost); its length; the share of samples beside which there are edge points; contrast, blur
 and mean rate; the angles of its ends; the change of its normal, and that in a wide window; the normal matrix, and the variance
 that its inverse is to be multiplied by; where two circles explain it best, and the ratio F for it (0 where they are one within
 `SupportOptions.within_px`); the ends of what was cut off before and after it (the low one below the high one where something
-was)."""
+was); what `chroma_noise` says of it."""
 
 
 class Limits(NamedTuple):
@@ -150,7 +151,8 @@ def _refit_arc(
     here, count = slice(begin, last + 1), last + 1 - begin
     angle, rate, usable = seen.angle[here], seen.rate[here], seen.support[here]
     share = np.sum(usable) / count
-    step, strength = projected(grey[here], smoothed(difference[here], usable, filters.along))
+    steady = smoothed(difference[here], usable, filters.along)
+    step, strength = projected(grey[here], steady)
     blur = best_blur(step, usable, filters.windows[0])
     shift = shifts(step, strength, filters.windows[0, blur, 0])
     most_px = limits.fit.max_shift_px
@@ -171,7 +173,10 @@ def _refit_arc(
     begins, ends = trim(residual, off, scale, limits.fit)
     if ends - begins + 1 < limits.min_px:
         return begin + begins, begin + ends
-    figures = row[0]
+    figures, filter_row = row[0], filters.windows[0, blur, 0]
+    figures.chroma_share, figures.chroma_sum, figures.chroma_squares, figures.squares = chroma_noise(
+        grey[here], steady, filter_row, room.places, chosen, places
+    )
     part, ratio, apart_px = bend_of(room.places, places, LEAST_PART, room.sums)
     if apart_px > limits.support.within_px:
         figures.bend, figures.bend_ratio = angle[chosen[part]], ratio
