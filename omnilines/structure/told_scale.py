@@ -17,8 +17,8 @@ their directions, but that it is one of a few. So the likelihood of R at a scale
 the mean over s and t. Right angles tell q where the sum of L_R over the scales about its top is `decisive` times the sum of L_R
 over all others and of L_A over all.
 
-Any one pair is at right angles at some scale, and explains itself. What tells is agreement: of walls seen from several sides, or of
-verticals and horizontals in photos that are tilted.
+Any one pair is at right angles at some scale, and explains itself. What tells is agreement: of walls seen from several sides, or
+of verticals and horizontals in photos that are tilted.
 
 Cosines of t are tried in steps: the uniform distribution within a step is in the variance of each cosine.
 """
@@ -135,10 +135,10 @@ def _log_likelihoods(
             at_other = np.sqrt(np.float32(2.0 / np.pi) / spread) * np.exp(off * (np.float32(-0.5) / spread))
             # From one side, from the other, and from either.
             sides = np.stack([at_other[0], at_other[1], at_other.mean(0)])
-            walls = np.log(chance + share * sides).reshape(-1, len(weight)) * weight
+            walls = np.log(chance + share * sides).reshape(3 * len(others), len(weight)) * weight
             found = walls.sum(1) + vertical.gain(alone.astype(np.float32) - walls)
-            other[j, :, k] = np.logaddexp(np.logaddexp(*found.reshape(3, -1)[:2]) - math.log(2.0), found[-len(others) :])
-            other[j, :, k] -= math.log(2.0)
+            one, opposite, either = found.reshape(3, len(others))
+            other[j, :, k] = np.logaddexp(np.logaddexp(one, opposite) - math.log(2.0), either) - math.log(2.0)
     return right, other
 
 
