@@ -10,7 +10,7 @@ from omnilines.structure.options import RightAngleOptions
 from omnilines.structure.told_scale import ToldScale, told_scale
 
 SIGMA_RAD = 1e-3
-QUICK = RightAngleOptions(told_factors=400, angles=150)
+QUICK = RightAngleOptions(told_factors=400, angles=100)
 
 
 def photo(directions: np.ndarray, factor: float, rng: np.random.Generator) -> Meeting:

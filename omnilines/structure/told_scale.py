@@ -5,21 +5,20 @@ of one photo show is explained in one of two ways, as likely before anything is 
 
 - R: pairs are at right angles, or at any angle by chance;
 - A: one direction of a photo at most, the vertical, is at right angles to the others; these, the walls, are at an angle t to one
-  another that all photos share (t or 180 degrees - t, the cosine of t uniform); or pairs are at any angle by chance.
+  another that all photos share, or 180 degrees - t (the cosine of t uniform, beyond what strays make of a right angle); or pairs
+  are at any angle by chance. Either all photos show t from the same side, or each pair any side, as likely.
 
-Which direction is the vertical, and from which side a photo shows walls (t or 180 degrees - t), is what explains it best, and
-costs A nothing: photos are mostly held upright, and taken from the same side. With t of 90 degrees A is R, so that the odds of R
-over A are those by which what is seen makes t of 90 degrees more likely (J. M. Dickey, 1971): they do not grow with what both
-explain.
+Which direction is the vertical is what explains a photo best, and costs A nothing: photos are mostly held upright, and show it.
+So the odds of R over A are those by which what is seen makes right angles of walls more likely than any other: they do not grow
+with what both explain, as walls that are always seen from the same side, at one angle, which is a right one at some scale.
 
 Of neither q is known, but that its logarithm is between two bounds, nor the standard deviation s by which things built stray from
 their directions, but that it is one of a few. So the likelihood of R at a scale, L_R(q), is the mean over s, that of A, L_A(q),
 the mean over s and t. Right angles tell q where the sum of L_R over the scales about its top is `decisive` times the sum of L_R
 over all others and of L_A over all.
 
-That takes the freedom of each explanation into account. Any one pair is at right angles at some scale, and explains itself; so do
-pairs that show the same walls from the same side, which A explains at every scale, with one t for each. What tells is agreement:
-of walls seen from several sides, or of verticals and horizontals in photos that are tilted.
+Any one pair is at right angles at some scale, and explains itself. What tells is agreement: of walls seen from several sides, or
+of verticals and horizontals in photos that are tilted.
 
 Cosines of t are tried in steps: the uniform distribution within a step is in the variance of each cosine.
 """
@@ -67,7 +66,8 @@ def told_scale(
     Where no photo shows a pair nothing is told."""
     far = math.log(options.max_factor)
     places = np.linspace(-far, far, options.told_factors)
-    cosines = (np.arange(options.angles) + 0.5) / options.angles
+    least = math.sqrt(2.0) * max(options.told_strays_rad)
+    cosines = least + (1.0 - least) * (np.arange(options.angles) + 0.5) / options.angles
     right, other = _log_likelihoods(photos, weights, places, cosines, options)
     most = max(right.max(), other.max())
     right, other = np.exp(right - most).mean(0), np.exp(other - most).mean(0)
@@ -121,10 +121,11 @@ def _log_likelihoods(
     right, other = np.zeros((shape[0], shape[2])), np.zeros(shape, dtype=np.float32)
     # Single precision, as it is of many.
     share, chance, weight = np.float32(options.share), np.float32(1.0 - options.share), pairs.weight.astype(np.float32)
-    step = 1.0 / len(others)
+    step = float(others[1] - others[0])
     for k, place in enumerate(places):
         cosine, known = pairs.cosines(math.exp(place))
-        off = np.square(np.abs(cosine) - others[:, None]).astype(np.float32)
+        cosine = np.where(pairs.first[:, 2] * pairs.second[:, 2] < 0, -cosine, cosine)
+        off = np.square(cosine - np.stack([others, -others])[..., None]).astype(np.float32)
         for j, stray in enumerate(options.told_strays_rad):
             variance = known + 2.0 * stray**2
             at_right = over_chance(cosine, variance)
@@ -132,8 +133,12 @@ def _log_likelihoods(
             right[j, k] = alone.sum()
             spread = (variance + step**2 / 12.0).astype(np.float32)
             at_other = np.sqrt(np.float32(2.0 / np.pi) / spread) * np.exp(off * (np.float32(-0.5) / spread))
-            walls = np.log(chance + share * at_other) * weight
-            other[j, :, k] = walls.sum(1) + vertical.gain(alone.astype(np.float32) - walls)
+            # From one side, from the other, and from either.
+            sides = np.stack([at_other[0], at_other[1], at_other.mean(0)])
+            walls = np.log(chance + share * sides).reshape(3 * len(others), len(weight)) * weight
+            found = walls.sum(1) + vertical.gain(alone.astype(np.float32) - walls)
+            one, opposite, either = found.reshape(3, len(others))
+            other[j, :, k] = np.logaddexp(np.logaddexp(one, opposite) - math.log(2.0), either) - math.log(2.0)
     return right, other
 
 
