@@ -208,7 +208,7 @@ SAID = (
     "An array of real numbers was expected, found ndarray",
     "An array of real numbers was expected, found str",
     "Camera model scaramuzza has degree, found 'degreee'",
-    "Camera model pinhole has fx fy",
+    "Camera model pinhole has cx cy fx fy",
     "`photos` of extract was expected as str, Path",
     "`photos` of extract was expected as str, Path",
     "A photo was expected under a name, as tables have it, found that '../a' leads out of it",
