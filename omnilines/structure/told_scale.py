@@ -66,7 +66,7 @@ def told_scale(
     Where no photo shows a pair nothing is told."""
     far = math.log(options.max_factor)
     places = np.linspace(-far, far, options.told_factors)
-    least = math.sqrt(2.0) * max(options.told_strays_rad)
+    least = math.sqrt(2.0) * options.right_sigmas * max(options.told_strays_rad)
     cosines = least + (1.0 - least) * (np.arange(options.angles) + 0.5) / options.angles
     right, other = _log_likelihoods(photos, weights, places, cosines, options)
     most = max(right.max(), other.max())
