@@ -149,6 +149,9 @@ class RightAngleOptions(NamedTuple):
     """Scales that are compared, at equal steps of their logarithms."""
     told_strays_rad: tuple[float, ...] = tuple(map(math.radians, (0.05, 0.1, 0.2, 0.5)))
     """Standard deviations of a direction of things built, in each of two: which one it is is not known."""
+    right_sigmas: float = 2.0
+    """Angles that differ from a right one by less than so many standard deviations of the largest stray are right ones, off by a
+    little, as an adjustment takes them."""
     angles: int = 200
     """Between walls that do not meet at right angles, tried at equal steps of their cosines."""
     same_sigmas: float = 5.0

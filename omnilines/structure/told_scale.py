@@ -15,7 +15,8 @@ with what both explain, as walls that are always seen from the same side, at one
 Of neither q is known, but that its logarithm is between two bounds, nor the standard deviation s by which things built stray from
 their directions, but that it is one of a few. So the likelihood of R at a scale, L_R(q), is the mean over s, that of A, L_A(q),
 the mean over s and t. Right angles tell q where the sum of L_R over the scales about its top is `decisive` times the sum of L_R
-over all others and of L_A over all.
+over all others and of L_A over all. Where A has the same scale, within its standard deviation, it does not speak against it: so
+much of that as R has itself counts with R.
 
 Any one pair is at right angles at some scale, and explains itself. What tells is agreement: of walls seen from several sides, or
 of verticals and horizontals in photos that are tilted.
@@ -66,7 +67,7 @@ def told_scale(
     Where no photo shows a pair nothing is told."""
     far = math.log(options.max_factor)
     places = np.linspace(-far, far, options.told_factors)
-    least = math.sqrt(2.0) * max(options.told_strays_rad)
+    least = math.sqrt(2.0) * options.right_sigmas * max(options.told_strays_rad)
     cosines = least + (1.0 - least) * (np.arange(options.angles) + 0.5) / options.angles
     right, other = _log_likelihoods(photos, weights, places, cosines, options)
     most = max(right.max(), other.max())
@@ -75,7 +76,9 @@ def told_scale(
     reach = min(max(options.same_sigmas * sigma, float(places[1] - places[0])), options.same_scale)
     own = np.abs(places - top) <= reach
     rest, of_walls = np.where(own, 0.0, right), other.mean(0)
-    odds = float(right[own].sum() / (rest.sum() + of_walls.sum()))
+    found = right[own].sum()
+    agreed = min(of_walls[np.abs(places - top) <= sigma].sum(), found)
+    odds = float((found + agreed) / (rest.sum() + of_walls.sum() - agreed))
     by_right = bool(rest.max() >= of_walls.max())
     rival = int(np.argmax(rest if by_right else of_walls))
     angle = None if by_right else math.acos(float(cosines[int(np.argmax(other[:, rival]))]))
