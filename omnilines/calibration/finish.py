@@ -32,7 +32,7 @@ from omnilines.calibration.uncertainty import view_leverage
 from omnilines.calibration.views import board_points, view_results
 from omnilines.least_squares import Outcome, Solution
 from omnilines.least_squares.variance import variance_factor
-from omnilines.records import Corners
+from omnilines.records import Corners, ViewResult
 
 CURVED = (
     "Parameters make up for one another along a curved valley, where standard deviations of single ones do not hold: their 95 "
@@ -64,7 +64,7 @@ def camera_result(
 ) -> CameraCalibration:
     """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
-    unit = _unit_covariance(final, solution, basis)
+    unit, q = _unit_covariance(final, solution, basis), basis.shape[1]
     stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
     problem, minima = floor
     # Noise is what the fit with all terms leaves: its freedom is counted, also where terms were held afterwards.
@@ -72,7 +72,6 @@ def camera_result(
     factor = variance_factor(cost, _freedom(final, solution), stated, thresholds.noise.significance)
     groups = BoardProblem(final.points, basis, final.weight, state.shape).by_views(state)
     certain = stated_covariance(groups, unit, factor, cost, _freedom(final, solution), thresholds.noise.significance)
-    q = basis.shape[1]
     covariance = basis @ certain.covariance[:q, :q] @ basis.mT
     covariance = 0.5 * (covariance + covariance.mT)
     squared, count = np.sum(state.residual_px(final.points).numpy() ** 2), len(final.points.view)
@@ -87,21 +86,16 @@ def camera_result(
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
     curved = camera_intervals(problem, minima[0], minima[1:], certain.factor)
-    intervals = linear_intervals(model.parameters, covariance, certain.factor.sigmas(SHARE)) if curved is None else curved
+    intervals = linear_intervals(model.parameters, covariance, certain.factor.sigmas(SHARE))
+    if curved is not None:
+        # The profile knows nothing of what leaving out views adds.
+        before = (basis @ unit[:q, :q] @ basis.mT * certain.factor.value).diagonal().clamp_min(1e-300)
+        wider = (covariance.diagonal() / before).clamp_min(1.0).sqrt()
+        intervals = model.parameters[:, None] + (curved - model.parameters[:, None]) * wider[:, None]
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note + (() if curved is None else (CURVED,))
-    views = view_results(
-        corners,
-        final.rows,
-        final.views,
-        residual,
-        state.cam_from_board,
-        refusals=final.refusals,
-        leverage=leverage,
-        limit_px=final.limit_px,
-        many_rejected_share=thresholds.views.many_rejected_share,
-    )
+    views = _views(final, state, residual, leverage)
     return CameraCalibration(
         model=model,
         covariance=covariance.numpy(),
@@ -120,6 +114,22 @@ def camera_result(
         corner_sigma_px=math.sqrt(factor.value),
         beyond_noise=certain.beyond_noise,
         curved=curved is not None,
+    )
+
+
+def _views(
+    final: LastFit, state: CameraAndBoards, residual: Float[np.ndarray, "n 2"], leverage: Float[Tensor, " v"]
+) -> tuple[ViewResult, ...]:
+    return view_results(
+        final.corners,
+        final.rows,
+        final.views,
+        residual,
+        state.cam_from_board,
+        refusals=final.refusals,
+        leverage=leverage,
+        limit_px=final.limit_px,
+        many_rejected_share=final.thresholds.views.many_rejected_share,
     )
 
 
