@@ -30,7 +30,10 @@ def enforce(packages: list[str]) -> None:
     _MetaAbstractArray.__instancecheck__ = _is_array
 
 
-def _enforced(*, typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
+def _enforced(*context: str, typechecker: Callable[..., Any] | None = None) -> Any:
+    if context or typechecker is None:
+        return _jaxtyped(*context)  # a scope of names of its own: `with jaxtyped("context")`
+
     def decorate(decorated: Any) -> Any:
         if inspect.isclass(decorated) and dataclasses.is_dataclass(decorated):
             if decorated.__init__.__globals__["__name__"] != __name__:
