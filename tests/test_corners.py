@@ -76,7 +76,9 @@ def drawn_pairs(
     d = torch.as_tensor(np.stack([first, second], 1).reshape(-1, 3))
     point = torch.as_tensor(np.stack([corner, corner + gap_m[:, None] * side], 1).reshape(-1, 3))
     centre = point + torch.as_tensor(rng.normal(size=(count, 3)))
-    chart = LineChart.from_lines(PlueckerLines(d, torch.linalg.cross(point, d)), centre, torch.full((count,), 2.0))
+    chart = LineChart.from_lines(
+        PlueckerLines(d, torch.linalg.cross(point, d)), centre, torch.full((count,), 2.0, dtype=torch.float64)
+    )
     mix = (
         rng.normal(size=(count, 4, 4))
         * np.exp(rng.uniform(-0.5, 0.5, (count, 1, 1)))

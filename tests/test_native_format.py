@@ -356,6 +356,6 @@ def test_a_rig_lists_every_camera_and_a_calibration_has_one() -> None:
 def test_what_a_file_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"provenance\.when is a complex"):
         save(tmp_path / "c.yaml", Calibration(full_calibration().cameras, provenance={"when": 1j}))
-    with pytest.raises(InputError, match=r"cameras\.a\.parameters\.fx is inf"):
+    with pytest.raises(InputError, match=r"parameter fx of camera a must be a finite number, .* found inf"):
         save(tmp_path / "c.yaml", {"a": full_calibration()["left"].with_parameters([math.inf, 1, 1, 1, 0, 0, 0, 0])})
     assert not list(tmp_path.iterdir())

@@ -54,7 +54,7 @@ def test_settings_replace_what_they_name_and_leave_the_rest() -> None:
     ("setting", "said"),
     [
         ("edges.smothing_px=1", "did you mean edges.smoothing_px"),
-        ("edges.smoothing_px", "NAME=VALUE"),
+        ("edges.smoothing_px", "edges.smoothing_px=VALUE"),
         ("edges=1", "NAME=VALUE"),
         ("edges.rounds=1.5", "a value like 2"),
         ("edges.smoothing_px=nan", "a value like 0.6"),

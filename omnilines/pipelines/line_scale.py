@@ -27,9 +27,6 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.structure.meeting import Meeting, meeting_directions
 from omnilines.structure.told_scale import ToldScale, told_scale
 
-HELD_SHARE = 0.01
-"""Of half the image's longer side, by which the camera that lines ask for may differ where they do not tell its scale: the score
-of the one given is of first order, and the way along what is open is bent."""
 AZIMUTHS = 16
 ANGLES = 100
 LARGEST_SLACK_RAD = 1e-3
@@ -108,7 +105,7 @@ def asked_by_lines(
     if found.decisive:
         return asked, ()
     lines = _without_right_angles(lines)
-    lines = replace(lines, adjustment=replace(lines.adjustment, prior_share=HELD_SHARE))
+    lines = replace(lines, adjustment=replace(lines.adjustment, prior_share=lines.right_angles.held_share))
     asked = asked_camera(model, arcs, lines.adjustment, lines.directions, progress)
     note = "A wrong focal length is not found so; add photos from other sides, or with the camera tilted."
     return asked, (f"{doubt(found)} {note}",)

@@ -140,6 +140,9 @@ class RightAngleOptions(NamedTuple):
     """Scales that are given back."""
     false_scales: float = 1e-3
     """Scales that are expected where directions are at random, at most."""
+    held_share: float = 0.01
+    """Of half the image's longer side, by which the camera that lines ask for may differ in `check` where right angles do not
+    tell its scale: the score of the one given is of first order, and the way along what is open is bent."""
     told_directions: float = 1.0
     """Directions that are expected in a photo by chance, at most, where it is asked whether right angles tell a scale: those of
     chance make pairs at any angle, which counts."""
