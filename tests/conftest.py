@@ -3,6 +3,7 @@
 import gc
 import os
 import pathlib
+import re
 import shutil
 import signal
 from collections.abc import Generator
@@ -38,6 +39,21 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+KERNELS = re.compile(r"test_\w*kernels|test_extraction_curves|test_api")
+FEW_KERNELS = re.compile(r"test_(calibration|formats|fuzz|model|native|options|report|rig)")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What compiles comes first, and what compiles little where the second of two workers begins: in a fresh clone both would
+    compile the same kernels at the same time otherwise."""
+    first = [item for item in items if KERNELS.match(item.path.name)]
+    middle = [item for item in items if FEW_KERNELS.match(item.path.name)]
+    others = [item for item in items if not KERNELS.match(item.path.name) and not FEW_KERNELS.match(item.path.name)]
+    before = max(0, len(items) // 2 - len(first))
+    items[:] = [*first, *others[:before], *middle, *others[before:]]
 
 
 @pytest.fixture(scope="session")
