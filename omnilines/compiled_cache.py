@@ -37,7 +37,7 @@ def note_on_cache() -> str | None:
         return None
     return (
         f"neither the package nor the home of the user can be written to: compiled functions are kept in {folder}, and the first "
-        f"run takes half a minute longer; {VARIABLE} names another folder."
+        f"run takes some minutes longer; {VARIABLE} names another folder."
     )
 
 

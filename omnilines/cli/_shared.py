@@ -141,7 +141,7 @@ def progress() -> "Iterator[ProgressCallback]":
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
         now = ""
-        compiling = " (first use: compiling, half a minute more)" if is_first_use() else ""
+        compiling = " (first use: compiling, some minutes more)" if is_first_use() else ""
 
         def tell(stage: str, done: int, total: int) -> None:
             """Show how far a stage is."""

@@ -16,7 +16,7 @@ from omnilines.adjustment.kernels.line import FAST, backward, most_views
 from omnilines.adjustment.kernels.schur import observe, whitened_rows
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def spread_of_pairs(pairs, frame, low, high, z, p, covariance, e):
     """e += sum Z_i (P_i C_ij P_j') Z_j' over all observations of one line in free frames."""
@@ -39,7 +39,7 @@ def spread_of_pairs(pairs, frame, low, high, z, p, covariance, e):
                                 e[y, x] += value
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def conjugate(factor, e, result):
     """L'^-1 e L^-1 of a symmetric e (4 x 4)."""

@@ -98,7 +98,7 @@ class LineSearch(NamedTuple):
 MOVING, CONVERGED, STALLED, SINGULAR = 0, 1, 2, 3
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def view(pose, f, c0, c1, c2, m0, m1, m2, d0, d1, d2):
     """M = R (m_c + (c - C) x d) and R d in the frame f, and c - C; a pose is R by rows and the centre C."""
@@ -117,7 +117,7 @@ def view(pose, f, c0, c1, c2, m0, m1, m2, d0, d1, d2):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def residual(rows, spread, k, a, x, y, z):
     """r_a of observation k and d r_a / d M, M = (x, y, z)."""
@@ -150,7 +150,7 @@ def robust(kind, scale, square):
     return math.log1p(s) * scale * scale, 1.0 / (1.0 + s)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def line_cost(views, place, pose, centre, rho, turn, phi):
     """Sum of the loss over the observations of one line."""
@@ -264,7 +264,7 @@ def factorise(e, damping, factor):
     return sound
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def forward(factor, b0, b1, b2, b3):
     """L^-1 b."""
@@ -274,7 +274,7 @@ def forward(factor, b0, b1, b2, b3):
     return y0, y1, y2, (b3 - factor[6] * y0 - factor[7] * y1 - factor[8] * y2) / factor[9]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def backward(factor, y0, y1, y2, y3):
     """L'^-1 y."""

@@ -33,7 +33,7 @@ MOST_DAMPING = 1e16
 """Beyond it a step moves nothing."""
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def pull(views, place, pose, step, centre, rho, turn, phi, right):
     """Take sum J_i' (P_i d) of the observations of one line from `right` (4), d the step of every frame (frames x 6)."""
@@ -65,7 +65,7 @@ def pull(views, place, pose, step, centre, rho, turn, phi, right):
     right[3] -= rho / (cosine * cosine) * (g0 * turn[0, 1] + g1 * turn[1, 1] + g2 * turn[2, 1])
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def move_line(line, right, factor, gradient, diagonal, damping, lines, new_centre, new_turn, step, turned):
     """Solve for one line's step and take it; returns the decrease that the linear model promises of it, and the new phi."""
@@ -163,7 +163,7 @@ def step_lines(low, high, views, pose, lines, search, least):
     return moved
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def take_loss_curvature(views, count, by_line, r, e):
     """Take from E the curvature of the loss, -2 L'' (J'r)(J'r)' of each observation, from rows weighted by the root of L'.

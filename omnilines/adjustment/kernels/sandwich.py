@@ -20,7 +20,7 @@ from omnilines.adjustment.kernels.line import FAST, backward, most_views
 from omnilines.adjustment.kernels.schur import add_block, observe, whitened_rows
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def scattered(scatter, low, high, z, y, q):
     """Q (4 x 4) of one line, and Y_i = Z_i C_i (k x 8: column after column)."""
@@ -35,7 +35,7 @@ def scattered(scatter, low, high, z, y, q):
                 q[x, c] += y[i, x] * z[i, c] + y[i, 4 + x] * z[i, 4 + c]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def unshared(views, z, y, q, t):
     """T_i = Y_i - Q Z_i (k x 8) of one line."""
@@ -48,7 +48,7 @@ def unshared(views, z, y, q, t):
                 t[i, a + x] = value
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_scatter(pairs, frame, scatter, low, high, z, y, t, p, blocks):
     """Add K_ij of all pairs i <= j of one line's observations in free frames; the inner 2 x 2 is -Z_i' T_j - Y_i' Z_j."""
@@ -92,7 +92,7 @@ def scatter_lines(low, high, views, scatter, pose, lines, pairs, solved, blocks,
         add_scatter(pairs, views.frame, scatter, begin, seen, z, y, t, by_frame, blocks)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def take_shared(pairs, frame, low, high, t, z, p, inverse, e):
     """e -= sum (T_i P_i S^-1_ij P_j' Z_j' + its transpose) over all observations of one line in free frames."""

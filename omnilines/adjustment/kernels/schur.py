@@ -20,7 +20,7 @@ from numba import njit
 from omnilines.adjustment.kernels.line import FAST, factorise, forward, most_views, residual, robust, view
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def observe(views, place, pose, lines, r, by_line, by_frame):
     """Weighted residuals r (k x 2), J (k x 8: row after row) and P (k x 2 x 6) of the observations of one line."""
@@ -57,7 +57,7 @@ def observe(views, place, pose, lines, r, by_line, by_frame):
             by_line[i, 4 * a + 3] = moves * stretch * along_s2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def line_block(by_line, r, views, e, gradient):
     """E (lower triangle) and the negative gradient of one line."""
@@ -72,7 +72,7 @@ def line_block(by_line, r, views, e, gradient):
                     e[x, y] += value * by_line[i, 4 * a + y]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def whitened_rows(by_line, views, factor, z):
     """Z_i (k x 8: column after column) of one line."""
@@ -83,7 +83,7 @@ def whitened_rows(by_line, views, factor, z):
             )
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_block(blocks, b, p, i, j, s00, s01, s10, s11):
     """blocks[b] += P_i' A P_j for A (2 x 2). Rows of arrays are not taken out: each would count its references."""
@@ -99,7 +99,7 @@ def add_block(blocks, b, p, i, j, s00, s01, s10, s11):
         blocks[b, x, 3], blocks[b, x, 4], blocks[b, x, 5] = c3, c4, c5
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_pairs(pairs, frame, low, high, z, p, blocks):
     """Add P_i' ([i = j] I - Z_i' Z_j) P_j to the blocks of all pairs i <= j of one line's observations in free frames."""
@@ -123,7 +123,7 @@ def add_pairs(pairs, frame, low, high, z, p, blocks):
                 add_block(blocks, b, p, j, i, s00, s10, s01, s11)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_gradient(frame, low, high, r, z, y, p, sums):
     """Add the right side, -sum P'r and the diagonal of P'P of one line's observations, with y = L^-1 times its gradient."""

@@ -17,7 +17,7 @@ def alikeness(a, i, b, j):
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy", forceinline=True)
 @no_type_check
 def offsets(normal, i, bearings, off):
     """|n_i . b| of all bearings (3 x m), into `off` (m)."""

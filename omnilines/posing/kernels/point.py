@@ -60,7 +60,7 @@ class FrameSums(NamedTuple):
     """Of sum P'P (frames x 6)."""
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def residual(seen, k, pose, x, y, z):
     """r of one observation of the point (x, y, z), and what its derivatives need: the point in the rig, its direction, its
@@ -79,7 +79,7 @@ def residual(seen, k, pose, x, y, z):
     return r0, r1, a0, a1, a2, v0, v1, v2, length, beyond
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def observe(seen, point, pose, at, r, by_point, by_frame):
     """Weighted residuals r (k x 2), J (k x 2 x 3) and P (k x 2 x 6) of the observations of one point."""
@@ -105,7 +105,7 @@ def observe(seen, point, pose, at, r, by_point, by_frame):
             by_point[i, a, 2] = pose[f, 2] * g0 + pose[f, 5] * g1 + pose[f, 8] * g2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def factorise(by_point, r, count, damping, factor, gradient, diagonal):
     """L, -sum J'r and the diagonal of E of one point; whether E, its diagonal (1 + damping) times as large, is definite."""
@@ -137,7 +137,7 @@ def factorise(by_point, r, count, damping, factor, gradient, diagonal):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def forward(factor, x, y, z):
     """L^-1 (x, y, z)."""
@@ -146,7 +146,7 @@ def forward(factor, x, y, z):
     return x, y, (z - factor[3] * x - factor[4] * y) / factor[5]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_block(blocks, b, p, i, j, s00, s01, s10, s11):
     """blocks[b] += P_i' A P_j for A (2 x 2)."""
@@ -157,7 +157,7 @@ def add_block(blocks, b, p, i, j, s00, s01, s10, s11):
             blocks[b, x, y] += u * p[j, 0, y] + v * p[j, 1, y]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_pairs(window, block_of, frame, low, high, z, p, blocks):
     """Add P_i' ([i = j] I - Z_i' Z_j) P_j to the blocks of all pairs i <= j of one point's observations."""
@@ -179,7 +179,7 @@ def add_pairs(window, block_of, frame, low, high, z, p, blocks):
                 add_block(blocks, b, p, j, i, s00, s10, s01, s11)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_gradient(frame, low, high, r, z, y0, y1, y2, p, sums):
     """Add the right side, -sum P'r and the diagonal of P'P of one point's observations, with y = L^-1 times its gradient."""
@@ -258,7 +258,7 @@ def follow_frames(low, high, seen, pose, moved_pose, step, at, damping, solved, 
     return cost, promised
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def cost_of_point(seen, point, pose, at):
     """Loss of the observations of one point."""
