@@ -92,9 +92,13 @@ class ArcTable:
     """One sentence per reason, with counts."""
 
 
-def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> ArcTable:
-    """Bearings of all matched segments in photos with a pose. Raises InputError when a photo's camera cannot be decided or
-    when nothing is left."""
+def arcs_from_segments(
+    segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel], *, with_nodes: bool = True
+) -> ArcTable:
+    """Bearings of all matched segments in photos with a pose, and places along them for costs that integrate over arcs.
+
+    Raises InputError when a photo's camera cannot be decided or when nothing is left.
+    """
     place = {name: k for k, name in enumerate(poses.images)}
     image = np.array([place.get(name, -1) for name in segments.images], dtype=np.int64)[segments.image]
     camera_of = cameras_of_images(segments, poses, cameras)
@@ -131,7 +135,7 @@ def arcs_from_segments(segments: Segments, poses: ImagePoses, cameras: Mapping[s
         by_pixel=by_pixel[usable],
         covariance_px2=covariance,
         sigma_known=known,
-        nodes=_nodes(observed, bearings[usable], models),
+        nodes=_nodes(observed, bearings[usable], models) if with_nodes else None,
         observed=observed,
     )
     return ArcTable(arcs, kept, left_out)

@@ -25,6 +25,7 @@ from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.start import Method, no_chart, residual_sigma, scaled_loss, started
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.suspects import Suspect, suspects
+from omnilines.costs import cost_named
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Progress
 from omnilines.records import ImagePoses, Lines, Segments
@@ -96,7 +97,7 @@ def reconstruct_lines(
     Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
     """
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
-    table = arcs_from_segments(segments, poses, cameras)
+    table = arcs_from_segments(segments, poses, cameras, with_nodes=cost_named(cost).integrates)
     arcs, names = table.arcs, segments.tracks
     mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
     state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())

@@ -122,6 +122,8 @@ class Cost:
     distances_in: Literal["px", "sigma"] | None = None
     """Unit of residuals that are the distances of both ends from the image of the line, pixels or their own standard deviations:
     these have no other weights, which would have to be held while cameras move."""
+    integrates: bool = False
+    """Whether it asks for the `ArcNodes` of arcs."""
 
     @property
     def is_whitened(self) -> bool:

@@ -32,4 +32,4 @@ def of_arcs(arcs: ObservedArcs) -> CostFunction:
     return evaluate
 
 
-COST = Cost(of_arcs)
+COST = Cost(of_arcs, integrates=True)

@@ -117,7 +117,7 @@ def _adjusted(
             callback=lambda step: progress("adjusting the scene", step.iteration, 0),
         )
     except GeometryError:
-        arcs = arcs_from_segments(segments, table, cameras).arcs
+        arcs = arcs_from_segments(segments, table, cameras, with_nodes=False).arcs
         judge_tracks(arcs, table.cam_from_world, list(cameras.values()), options=options.judge, seed=options.seed)
         raise
 
@@ -175,7 +175,7 @@ def triangulate(
     check_triangulation(method)
     cameras, table = calibration_of(camera), _table_of(poses, segments)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras)
-    arcs = arcs_from_segments(segments, table, cameras).arcs
+    arcs = arcs_from_segments(segments, table, cameras, with_nodes=False).arcs
     judge_tracks(arcs, table.cam_from_world, list(cameras.values()))
     covariance = arcs.covariance_px2 if arcs.sigma_known else None
     seen_from = table.cam_from_world[arcs.image]

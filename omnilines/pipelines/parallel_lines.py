@@ -95,7 +95,7 @@ def _with_rows(values: np.ndarray, rows: Int[np.ndarray, " m"], chosen: Tensor) 
 def with_rms(lines: Lines, segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> Lines:
     """The lines with `rms_px` anew: of the orthogonal distances of both ends of their arcs, the `segments` whose `track` is the
     row of the line; a stretch of a line without an arc of its own keeps that of the line."""
-    arcs = arcs_from_segments(segments, poses, cameras).arcs
+    arcs = arcs_from_segments(segments, poses, cameras, with_nodes=False).arcs
     ends, row = torch.as_tensor(lines.ends_m), arcs.track.numpy()
     own = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[arcs.track]
     square = arcs.orthogonal_px(own.projection_normal(poses.cam_from_world[arcs.image])).square().mean(-1).numpy()
