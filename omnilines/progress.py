@@ -4,8 +4,9 @@ Kernels release the interpreter's lock, and plain threads run them. A threading 
 torch's: OpenMP's must not be forked, and the simplest one must not be entered twice, which worker pools of photos would do.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -53,6 +54,18 @@ def on_all_cores(
         # After an error, or where the user stops it, what has not begun does not begin.
         pool.shutdown(cancel_futures=True)
     return results
+
+
+def ahead(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """The results in order, one item per core worked on while what was asked for is used: of many large results few are there."""
+    with ThreadPoolExecutor(cores(), initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        begun: deque[Future[R]] = deque()
+        for item in items:
+            begun.append(pool.submit(work, item))
+            if len(begun) > cores():
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
 
 
 def interruptible(work: Callable[[], R], cancel: Callable[[], None]) -> R:

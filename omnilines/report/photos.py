@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from camera_models.errors import InputError
 from omnilines.photo_file import jpeg_of, read_photo
+from omnilines.progress import ahead
 from omnilines.records import Polyline
 from omnilines.report.page import Section, fragment
 
@@ -84,8 +85,7 @@ def _render(
     left_out = dict.fromkeys(set(names) - set(chosen), "no room in the page")
     left = allowed_bytes - sum(len(name.encode()) + 100 for name in names)
     photos = []
-    for k, name in enumerate(chosen):
-        pixels = read(name)
+    for k, (name, pixels) in enumerate(zip(chosen, ahead(read, chosen), strict=True)):
         if pixels is None:
             left_out[name] = "it cannot be read"
             continue
