@@ -13,7 +13,7 @@ from omnilines.matching.asked import AskedLines
 from omnilines.matching.kernels.hypothesis import likenesses
 from omnilines.matching.kernels.track import near_lines
 from omnilines.matching.options import LikenessOptions, MatchingOptions
-from omnilines.progress import on_all_cores, silent
+from omnilines.progress import in_shares, on_all_cores, silent, threads_for
 from omnilines.triangulation.residuals import linearise
 from omnilines.triangulation.result import Triangulation
 
@@ -76,7 +76,16 @@ class KnownLines:
         of_photos = AskedLines.every(arcs.images, len(self)) if asked is None else asked
         lines = (self.direction, self.moment, self.spans)
         every = np.arange(len(arcs))
-        return near_lines(every, arcs.image, arcs.packed, *lines, reach_rad, of_photos.starts, of_photos.lines)
+
+        def near(share: int, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
+            """Of the arcs of a share."""
+            some, reach = every[low:high], reach_rad[low:high]
+            return near_lines(some, arcs.image, arcs.packed, *lines, reach, of_photos.starts, of_photos.lines)
+
+        pairs = np.cumsum(np.diff(of_photos.starts)[arcs.image])
+        inner = np.searchsorted(pairs, pairs[-1:] * np.linspace(0.0, 1.0, threads_for(len(arcs)) + 1)[1:-1])
+        arc, line = zip(*in_shares(near, [0, *inner.tolist(), len(arcs)]), strict=True)
+        return np.concatenate(arc), np.concatenate(line)
 
     def chi_square(self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """h' (1 + J S J')^-1 h of both ends of each arc from a line of covariance S."""

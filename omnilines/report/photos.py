@@ -84,12 +84,18 @@ def _render(
     chosen = names if len(names) <= places else [names[k] for k in np.linspace(0, len(names) - 1, places).round().astype(int)]
     left_out = dict.fromkeys(set(names) - set(chosen), "no room in the page")
     left = allowed_bytes - sum(len(name.encode()) + 100 for name in names)
-    photos = []
-    for k, (name, pixels) in enumerate(zip(chosen, ahead(read, chosen), strict=True)):
-        if pixels is None:
+    photos, share_bytes = [], left // max(len(chosen), 1)
+
+    def shrunk(name: str) -> _Shrunk | None:
+        """A photo as it fits its share without curves."""
+        pixels = read(name)
+        return None if pixels is None else _Shrunk.to(share_bytes, pixels)
+
+    for k, (name, shown) in enumerate(zip(chosen, ahead(shrunk, chosen), strict=True)):
+        if shown is None:
             left_out[name] = "it cannot be read"
             continue
-        photo = _embed(name, pixels, curves(name), left // (len(chosen) - k))
+        photo = _embed(name, shown, curves(name), left // (len(chosen) - k))
         if photo is None:
             left_out[name] = "no room in the page"
             continue
@@ -109,22 +115,49 @@ def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
     return shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
 
 
-def _embed(name: str, pixels: UInt8[np.ndarray, "h w 3"], curves: Sequence[Polyline], share_bytes: int) -> _Photo | None:
+@dataclass(frozen=True)
+class _Shrunk:
+    """A photo, and the largest of its JPEGs."""
+
+    pixels: UInt8[np.ndarray, "h w 3"]
+    jpegs: list[bytes]
+    """Of the first steps."""
+
+    @staticmethod
+    def to(most_bytes: int, pixels: UInt8[np.ndarray, "h w 3"]) -> "_Shrunk":
+        """With the JPEGs down to the first that takes `most_bytes` at most."""
+        shown = _Shrunk(pixels, [])
+        for step in range(len(_STEPS)):
+            if len(shown.uri(step)) <= most_bytes:
+                break
+        return shown
+
+    def width(self, step: int) -> int:
+        """In pixels."""
+        return min(self.pixels.shape[1], _STEPS[step][0])
+
+    def uri(self, step: int) -> str:
+        """The photo at a step, each asked for after the one before."""
+        if step == len(self.jpegs):
+            height, width = self.pixels.shape[:2]
+            size = (self.width(step), max(1, round(height * self.width(step) / width)))
+            scaled = self.pixels if size[0] == width else cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA)
+            self.jpegs.append(jpeg_of(scaled, _STEPS[step][1]))
+        return "data:image/jpeg;base64," + base64.b64encode(self.jpegs[step]).decode("ascii")
+
+
+def _embed(name: str, shown: _Shrunk, curves: Sequence[Polyline], share_bytes: int) -> _Photo | None:
     """The photo in at most `share_bytes` with its curves; None where even the smallest is larger."""
-    height, width = pixels.shape[:2]
+    height, width = shown.pixels.shape[:2]
     model = tuple((c.label, _line_path(c.pixels)) for c in curves if c.kind == "model")
     observed = tuple((c.label, _point_path(c.pixels)) for c in curves if c.kind != "model")
     points = sum(int(np.isfinite(c.pixels).all(1).sum()) for c in curves if c.kind != "model")
     # What the paths take does not depend on the size of the photo.
     photo = _Photo(name, (width, height), "", "", model, observed)
     left = share_bytes - _size_bytes(photo)
-    for step_width, quality in _STEPS:
-        shown = min(width, step_width)
-        scaled = pixels
-        if shown < width:
-            scaled = cv2.resize(pixels, (shown, max(1, round(height * shown / width))), interpolation=cv2.INTER_AREA)
-        uri = "data:image/jpeg;base64," + base64.b64encode(jpeg_of(scaled, quality)).decode("ascii")
-        scale = "" if shown == width else f", shown {shown} px wide"
+    for step in range(len(_STEPS)):
+        uri = shown.uri(step)
+        scale = "" if shown.width(step) == width else f", shown {shown.width(step)} px wide"
         caption = f"{width} × {height} px{scale}" + (f"; {points:,} observed points, {len(model):,} curves" if curves else "")
         if len(uri) <= left:
             return replace(photo, data_uri=uri, caption=caption)
