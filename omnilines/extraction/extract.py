@@ -106,7 +106,9 @@ def extracted(
     fitted = refit(photo, arcs, options.refit.max_growth_px, least, options)
     # Arcs that bend, what was cut off others, and what still moves.
     done = fitted.settled & np.isnan(fitted.bend)
-    fitted = fitted.keep(done).with_more(refit(photo, fitted.keep(~done).straight(), 0.0, least, options, fitted.told))
+    fitted = fitted.keep(done).with_more(
+        refit(photo, fitted.keep(~done).straight(), options.refit.max_growth_px, least, options, fitted.told)
+    )
     noise = max(noise, LEAST_NOISE)
     found, blur_px = _finished(photo, fitted, noise, options)
     return Extracted(photo, found, noise, blur_px)

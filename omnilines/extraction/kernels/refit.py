@@ -150,7 +150,6 @@ def _refit_arc(
     begin, last = math.ceil(low), math.floor(high)
     here, count = slice(begin, last + 1), last + 1 - begin
     angle, rate, usable = seen.angle[here], seen.rate[here], seen.support[here]
-    share = np.sum(usable) / count
     steady = smoothed(difference[here], usable, filters.along)
     step, strength = projected(grey[here], steady)
     blur = best_blur(step, usable, filters.windows[0])
@@ -173,6 +172,7 @@ def _refit_arc(
     begins, ends = trim(residual, off, scale, limits.fit)
     if ends - begins + 1 < limits.min_px:
         return begin + begins, begin + ends
+    share = np.mean(usable[begins : ends + 1])
     figures, filter_row = row[0], filters.windows[0, blur, 0]
     figures.chroma_share, figures.chroma_sum, figures.chroma_squares, figures.squares = chroma_noise(
         grey[here], steady, filter_row, room.places, chosen, places
