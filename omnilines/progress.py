@@ -58,6 +58,9 @@ def on_all_cores(
 
 def ahead(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """The results in order, one item per core worked on while what was asked for is used: of many large results few are there."""
+    if cores() == 1:
+        yield from map(work, items)
+        return
     with ThreadPoolExecutor(cores(), initializer=torch.set_num_threads, initargs=(1,)) as pool:
         begun: deque[Future[R]] = deque()
         for item in items:
