@@ -330,7 +330,8 @@ def plain_refit(picture: Picture, edgels: Edgels, at: Samples, arc: int, low: fl
         np.interp(place, numbers, angle) + np.minimum(place, 0.0) * steps[0] + np.maximum(place - numbers[-1], 0.0) * steps[-1]
     )
     return {
-        "used": fit["used"], "length_px": ends[1] - ends[0] + 1, "support": support.mean(), "blur_px": BLURS_PX[blur],
+        "used": fit["used"], "length_px": ends[1] - ends[0] + 1, "support": support[ends[0] : ends[1] + 1].mean(),
+        "blur_px": BLURS_PX[blur],
         "contrast": math.sqrt(strength[support].sum() / fit["used"]), "rate": rates.mean(), "low": angles[0], "high": angles[1],
         "a": fit["change"][0], "b": fit["change"][1], "variance": fit["variance"], "matrix": fit["matrix"],
         "wide": plain_circle(wide, 2, (*fit["change"], fit["scale"]))["change"], "residual": residual,

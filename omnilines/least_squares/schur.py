@@ -19,6 +19,8 @@ from omnilines.least_squares.structure import Cells, Structure
 
 CHUNK = 8_000_000
 """Entries of Y Y' formed at once: bounds the memory of the reduction to about 64 MB, or a sixteenth of what a GPU has free."""
+LEAST_PIVOT = 1e-14
+"""Of a factor, squared, over the diagonal of its block: what is less is rounding, of either sign, and the block is singular."""
 
 
 def chunk_of(device: torch.device) -> int:
@@ -232,7 +234,8 @@ def reduce(equations: NormalEquations, damping: float) -> Reduced:
     damped = eliminated + torch.diag_embed(damping * diagonal)
     eye = torch.eye(eliminated.shape[-1], dtype=eliminated.dtype, device=eliminated.device)
     factor, info = torch.linalg.cholesky_ex(torch.where(seen[:, None, None], damped, eye))
-    sound = not bool((info != 0).any())
+    pivots, whole = torch.diagonal(factor, dim1=-2, dim2=-1).square(), torch.diagonal(damped, dim1=-2, dim2=-1)
+    sound = not bool((info != 0).any() or ((pivots <= LEAST_PIVOT * whole) & seen[:, None]).any())
     k = equations.structure.kept_size
     matrix = (equations.kept + torch.diag(damping * torch.diagonal(equations.kept))).view(-1)
     right = equations.kept_gradient.clone()

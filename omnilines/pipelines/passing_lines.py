@@ -128,7 +128,7 @@ def _table(
     stretches: Stretches,
     shown_share: Float[np.ndarray, " s"],
     min_length_sigmas: float,
-) -> tuple[Lines, Int[np.ndarray, " s"]]:
+) -> tuple[Lines, Int[np.ndarray, " r"]]:
     """One row for each stretch, and which stretch it is; stretches too short for their uncertainty are left out."""
     track = kept[stretches.line]
     charted = np.flatnonzero(np.isfinite(lines.chart_scale_m)) if lines.chart_scale_m is not None else kept

@@ -19,6 +19,8 @@ NONE, HUBER, CAUCHY = 0, 1, 2
 LOSS_KINDS = {"none": NONE, "huber": HUBER, "cauchy": CAUCHY}
 PHI_MIN_RAD, PHI_MAX_RAD = math.radians(20), math.radians(70)
 """As in `LineChart`."""
+LEAST_PIVOT = 1e-14
+"""As in `least_squares.schur`."""
 
 
 class Views(NamedTuple):
@@ -256,7 +258,7 @@ def factorise(e, damping, factor):
                 value -= factor[at_x + k] * factor[at_y + k]
             if x != y:
                 factor[at_x + y] = value / factor[at_y + y]
-            elif value > 0.0:
+            elif value > LEAST_PIVOT * (1.0 + damping) * e[x, x]:
                 factor[at_x + x] = math.sqrt(value)
             else:
                 sound = False
