@@ -124,7 +124,7 @@ def measured(folder: Path, counts: list[int], workers: list[int]) -> dict[tuple[
     found = {(photos, count): run(folder, names_of(photos), count) for count in workers for photos in counts}
     rows = []
     for (photos, count), one in found.items():
-        one["path"] = one["main"] + (one["pool"] + one["workers"]) / max(count, 1)
+        one["path"] = one["main"] + (one["pool"] + one["workers"]) / (count or cores())
         figures = (one["cpu"], 1e3 * one["cpu"] / photos, *(one[name] for name in ("main", "pool", "workers", "path", "wall")))
         rows.append([str(photos), str(count or "none"), *(f"{figure:.4g}" for figure in (*figures, one["mb"], one["worker_mb"]))])
     columns = ("CPU s", "ms a photo", "main thread", "its pool", "workers", "longest path s", "wall s", "MB", "MB a worker")
