@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from camera_models import Calibration, OpenCVFisheye
+from camera_models.formats.forms import rounded
 from omnilines.calibration.lines.camera import LineCamera, LinePhoto
 from omnilines.calibration.lines.check import LineCheck, RegionDrift
 from omnilines.files import Photo, photos_of
@@ -18,7 +19,7 @@ from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.records import ViewResult
-from omnilines.report.numbers import with_sigma
+from omnilines.report.numbers import figure, with_sigma
 
 LENS = OpenCVFisheye([200.0, 200.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0], (640, 480))
 
@@ -105,3 +106,14 @@ def test_arcs_say_how_well_they_are_known_and_which_photos_have_few(tmp_path: Pa
     assert arcs_advice(arcs_of([40, 40], tmp_path)) == ()
     skipped = replace(arcs, photos=(*arcs.photos, replace(arcs.photos[0], reason="it is black.")))
     assert arcs_advice(skipped)[0].limit.startswith("1 of 5 photos are skipped; of ")
+
+
+def test_numbers_of_ordinary_size_have_no_exponent() -> None:
+    assert [rounded(value) for value in (123.4, 0.0123, 99.6, 2.0, -1234.0)] == ["120", "0.012", "100", "2", "-1200"]
+    assert (rounded(12.2, 1), rounded(3.2e-7), rounded(2.5e7)) == ("10", "3.2e-07", "2.5e+07")
+    assert (figure(1234.5), figure(123.4, ".2g", "px"), figure(1234.5, ".2f"), figure(math.nan)) == (
+        "1230",
+        "120 px",
+        "1234.50",
+        "not known",
+    )

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError, InputError
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose, hat
 from omnilines.adjustment.adjusted import Adjusted, described
 from omnilines.adjustment.arcs import MatchedArcs
@@ -176,8 +177,10 @@ def _require_scale(problem: LineProblem, state: LinesAndPoses) -> None:
     apart, least = float((centre - centre[0]).norm(dim=-1).max()), noise_rad * float(state.chart.scale.nanmedian())
     if apart <= least:
         raise GeometryError(
-            f"Held poses at two places were expected to give the scene its scale, found {len(fixed)} at one place ({apart:.2g} m "
-            f"apart, {least:.2g} m is noise); hold one that was taken elsewhere too, or only one, which leaves the scale open."
+            f"Held poses at two places were expected to give the scene its scale, found {len(fixed)} at one place "
+            f"({rounded(apart)} m "
+            f"apart, {rounded(least)} m is noise); hold one that was taken elsewhere too, or only one, which leaves the "
+            "scale open."
         )
 
 

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from camera_models.formats.forms import rounded
 from omnilines.least_squares.groups import Groups
 from omnilines.least_squares.variance import VarianceFactor, contradiction
 
@@ -43,9 +44,11 @@ def stated_covariance(
     covariance = unit * found.factor.value + groups.jackknife()
     beyond = math.sqrt(float(torch.linalg.solve(alone, covariance).diagonal().mean()))
     note = (
-        f"Photos contradict each other about the camera {found.ratio:.2g} times as much as the noise of their corners explains "
+        f"Photos contradict each other about the camera {rounded(found.ratio)} times as much as the noise of their corners "
+        "explains "
         f"({'chi-square' if noise.holds else 'F'} test): a board that bends or is not flat, a model that does not suit, or blur "
-        f"moves all corners of a photo together. The standard deviations hold that: they are {beyond:.2g} times those of the "
+        f"moves all corners of a photo together. The standard deviations hold that: they are {rounded(beyond)} times those "
+        "of the "
         "noise alone."
     )
     return StatedCovariance(covariance, found.factor, beyond, (note,))

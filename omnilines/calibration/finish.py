@@ -11,6 +11,7 @@ from torch import Tensor
 
 from camera_models import GeometryError
 from camera_models.formats.camera_doubts import model_doubts
+from camera_models.formats.forms import rounded
 from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,
@@ -162,7 +163,7 @@ def _rejected_corners(final: LastFit) -> tuple[str, ...]:
         return ()
     views = len(np.unique(final.corners.view[lost]))
     return (
-        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {final.limit_px:.2g} px "
+        f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {rounded(final.limit_px)} px "
         f"({final.thresholds.robust.reject_sigma:g} robust standard deviations) from where the camera sees them.",
     )
 

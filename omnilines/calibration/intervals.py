@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models.formats.forms import rounded
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import Solution
@@ -39,7 +40,8 @@ def noise_notes(factor: VarianceFactor, stated_px2: float | None, thresholds: No
         )
     if factor.ratio is not None and factor.ratio < thresholds.well_below_share:
         return (
-            f"Corners lie {factor.ratio:.2g} times as far from where the camera sees them as {stated}: the standard deviations "
+            f"Corners lie {rounded(factor.ratio)} times as far from where the camera sees them as {stated}: the standard "
+            "deviations "
             "rest on what is stated and are on the safe side.",
         )
     return ()

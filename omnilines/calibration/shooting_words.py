@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
@@ -22,7 +23,7 @@ SQUARE_SHARE = 0.1
 
 def px_words(value_px: float) -> str:
     """A number of pixels with two digits."""
-    return f"{value_px:.0f}" if value_px >= 10 else f"{value_px:.2g}"
+    return f"{value_px:.0f}" if value_px >= 10 else rounded(value_px)
 
 
 def side_words(direction: Float[Tensor, "2"]) -> str:
@@ -61,7 +62,7 @@ def pose_words(field: ImageField, board_m: Float[Tensor, "n 3"], boards: Candida
 
 
 def _length(length_m: float) -> str:
-    return f"{100 * length_m:.2g} cm" if length_m < 0.995 else f"{length_m:.2g} m"
+    return f"{rounded(100 * length_m)} cm" if length_m < 0.995 else f"{rounded(length_m)} m"
 
 
 def limits_of(

@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import InputError
+from camera_models.formats.forms import rounded
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -36,7 +37,8 @@ def refuse_other_squares(
     if abs(_aspect(end)) >= thresholds.oblong and thresholds.fits_better * without_px <= left_px:
         raise InputError(
             f"The corners fit a board whose y is {1 + _aspect(end):.3g} times as long beside x as it is written: with it the "
-            f"camera leaves {without_px:.2g} px, as written {left_px:.2g} px (root mean square); correct the size of the "
+            f"camera leaves {rounded(without_px)} px, as written {rounded(left_px)} px (root mean square); correct the size "
+            "of the "
             "squares, or let `refine_board` find their aspect."
         )
 
@@ -48,7 +50,8 @@ def misfit_notes(
     if rms_px_per_axis <= max(thresholds.rough_share * max(image_size), thresholds.rough_sigmas * stated_px):
         return ()
     return (
-        f"The corners lie {rms_px_per_axis:.2g} px (root mean square, per axis) from where the camera sees them, far more than "
+        f"The corners lie {rounded(rms_px_per_axis)} px (root mean square, per axis) from where the camera sees them, far "
+        "more than "
         "corners are found wrongly by: do not rely on the camera, and check the pattern and the table, that all photos are of "
         "one camera, and the camera model (model `auto` compares all).",
     )

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import InputError
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.thresholds import ViewThresholds
@@ -137,7 +138,7 @@ def view_results(
             remarks: tuple[str, ...] = ()
             if rejected > many_rejected_share * seen[v] and limit_px is not None:
                 remarks = (
-                    f"{rejected} of {seen[v]} corners rejected: more than {limit_px:.2g} px from where the camera sees them",
+                    f"{rejected} of {seen[v]} corners rejected: more than {rounded(limit_px)} px from where the camera sees them",
                 )
             result = replace(
                 result,

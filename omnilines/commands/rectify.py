@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from camera_models import load
+from camera_models.formats.forms import rounded
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
@@ -117,4 +118,4 @@ def _levels(made: RectifiedViews) -> dict[str, Level]:
 
 def _row(level: Level) -> str:
     turn, sigma = math.degrees(level.tilt_rad), math.degrees(level.sigma_rad)
-    return f"turned by {turn:.2f} degrees, known to {sigma:.2g}, by {level.arcs} arcs"
+    return f"turned by {turn:.2f} degrees, known to {rounded(sigma)}, by {level.arcs} arcs"

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
+from camera_models.formats.forms import rounded
 from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
 from omnilines.pages.limits_of_lines import directions_advice
 from omnilines.pipelines.directions import FoundDirections, PhotoDirections, Wanted
@@ -35,10 +36,10 @@ def directions_verdict(found: PhotoDirections) -> str:
         return f"No {found.wanted.value} stands out from chance in any of {len(found.photos)} photos."
     sigma = math.degrees(float(np.median(np.concatenate([one.meeting.sigma_rad for one in some]))))
     tilts = [math.degrees(tilt) for one in some if (tilt := one.tilt_rad) is not None]
-    tilted = f"; they are tilted by {np.median(tilts):.2g} degrees (median), {max(tilts):.2g} at most" if tilts else ""
+    tilted = f"; they are tilted by {rounded(np.median(tilts))} degrees (median), {rounded(max(tilts))} at most" if tilts else ""
     each = [len(one) for one in some]
     what = f"A {found.wanted.value} stands" if found.wanted is not Wanted.ALL else f"{_range(each)} directions of lines stand"
-    return f"{what} out from chance in {count}, known to {sigma:.2g} degrees (median){tilted}."
+    return f"{what} out from chance in {count}, known to {rounded(sigma)} degrees (median){tilted}."
 
 
 def _range(counts: list[int]) -> str:
@@ -65,10 +66,10 @@ def directions_sections(found: PhotoDirections) -> list[Section]:
 def _table_rows(one: FoundDirections) -> list[tuple[str, ...]]:
     """A row for each direction; what is said of the photo as a whole stands in its first."""
     tilt = "" if one.tilt_rad is None else f"{math.degrees(one.tilt_rad):.2f}"
-    whole = (f"{len(one.arcs):,}", f"{math.degrees(one.meeting.stray_rad):.2g}", tilt)
+    whole = (f"{len(one.arcs):,}", rounded(math.degrees(one.meeting.stray_rad)), tilt)
     each = zip(one.names, one.meeting.direction.tolist(), np.degrees(one.meeting.sigma_rad), one.meeting.members, strict=True)
     return [
-        (one.arcs.photo.name, name, *(f"{c:.4f}" for c in xyz), f"{sigma:.2g}", f"{arcs:,}", *(("", "", "") if k else whole))
+        (one.arcs.photo.name, name, *(f"{c:.4f}" for c in xyz), rounded(sigma), f"{arcs:,}", *(("", "", "") if k else whole))
         for k, (name, xyz, sigma, arcs) in enumerate(each)
     ]
 
@@ -78,7 +79,7 @@ def _row(one: FoundDirections) -> str:
         return "none"
     arcs = ", ".join(f"{name}: {count}" for name, count in zip(one.names, one.meeting.members.tolist(), strict=True))
     sigma = np.degrees(one.meeting.sigma_rad)
-    known = f"{sigma.min():.2g}" if len(sigma) == 1 else f"{sigma.min():.2g} to {sigma.max():.2g}"
+    known = rounded(sigma.min()) if len(sigma) == 1 else f"{rounded(sigma.min())} to {rounded(sigma.max())}"
     tilt = "" if one.tilt_rad is None else f", tilted by {math.degrees(one.tilt_rad):.2f} degrees"
     return f"arcs of {arcs} (of {len(one.arcs)}), known to {known} degrees{tilt}"
 

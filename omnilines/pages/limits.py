@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
+from camera_models.formats.forms import rounded
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.lines.camera import LineCamera, focal_length
@@ -70,17 +71,20 @@ def _sentence(text: str) -> str:
 def _unexplained(camera: str, ratio: float, stated_px: float, do: str) -> Advice:
     """Residuals that the detector's own noise does not explain."""
     whose = f"{camera}: corners" if camera else "Corners"
-    return Advice(f"{whose} lie {ratio:.2g} times as far off as the {stated_px:.2g} px of noise in the photos explain.", do)
+    return Advice(
+        f"{whose} lie {rounded(ratio)} times as far off as the {rounded(stated_px)} px of noise in the photos explain.", do
+    )
 
 
 def _of_noise(views: Sequence[ViewResult], board_terms: Mapping[str, float], compared: bool) -> str:
     """Where to look for it: in single photos, or in what all of them share."""
     px, median, worst = _far_off(views)
     if worst:
-        return f"Look at {named(worst)} first: half of the photos have less than {median:.2g} px. Shoot again what is blurred."
-    alike = (
-        f"All photos fit alike ({min(px, default=0.0):.2g} to {max(px, default=0.0):.2g} px), so that no single one is at fault"
-    )
+        return (
+            f"Look at {named(worst)} first: half of the photos have less than {rounded(median)} px. Shoot again what is blurred."
+        )
+    least, most = rounded(min(px, default=0.0)), rounded(max(px, default=0.0))
+    alike = f"All photos fit alike ({least} to {most} px), so that no single one is at fault"
     tries = [*([] if board_terms else ["`refine_board` surface"]), *([] if compared else ["`model` auto"])]
     return f"{alike}: try {', and '.join(tries)}." if tries else f"{alike}, but what they share, such as the board."
 
@@ -91,7 +95,7 @@ def _standing_out(views: Sequence[ViewResult]) -> tuple[Advice, ...]:
     if not worst:
         return ()
     fits = "fits" if len(worst) == 1 else "fit"
-    said = f"{named(worst)} {fits} worse than the others, of which half have less than {median:.2g} px."
+    said = f"{named(worst)} {fits} worse than the others, of which half have less than {rounded(median)} px."
     return (Advice(said, "Look at it in the report, and leave it out where it is blurred or the board moved."),)
 
 
@@ -100,7 +104,7 @@ def _far_off(views: Sequence[ViewResult]) -> tuple[list[float], float, list[str]
     found = sorted(((v.rms_px_per_point, v.image) for v in views if v.used and v.rms_px_per_point is not None), reverse=True)
     px = [value for value, _ in found]
     median = float(np.median(px)) if px else 0.0
-    return px, median, [f"{image} ({value:.2g} px)" for value, image in found if value > STANDS_OUT * median]
+    return px, median, [f"{image} ({rounded(value)} px)" for value, image in found if value > STANDS_OUT * median]
 
 
 def unused_advice(lost: Sequence[ViewResult], total: int) -> tuple[Advice, ...]:
@@ -124,10 +128,10 @@ def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
     share = math.sqrt(float(by_parameters @ torch.as_tensor(fit.covariance) @ by_parameters)) / abs(focal)
     if share > ROUGH_FOCAL:
         seen = f"{frames} of {count} photos show lines at right angles, which tell it"
-        known = f"The focal length is known to {100 * share:.2g} percent only: {seen}."
+        known = f"The focal length is known to {rounded(100 * share)} percent only: {seen}."
         if frames:
             after = 100 * share * math.sqrt(frames / (frames + TEN))
-            do = f"Add photos that show {corner}: {TEN} more like these would bring it to about {after:.2g} percent."
+            do = f"Add photos that show {corner}: {TEN} more like these would bring it to about {rounded(after)} percent."
         else:
             do = f"Add photos that show {corner}, or of a board."
         found.append(Advice(known, do))
@@ -159,10 +163,10 @@ def _worse_than_alone(result: RigCalibration) -> list[Advice]:
     if worst is None or ratio[worst] < RigThresholds().worse_than_alone_factor or len(result.members) < 2:
         return []
     member = result.member(worst)
-    px = f"{member.rms_px_per_point:.2g} px for {member.alone_rms_px_per_point:.2g}"
+    px = f"{rounded(member.rms_px_per_point)} px for {rounded(member.alone_rms_px_per_point)}"
     board = "" if result.board_terms else " try `refine_board` surface, which tells a bent board;"
     do = f"See the causes in the notes;{board} look at the photos of {worst} with the largest residuals."
-    return [Advice(f"{worst} fits {ratio[worst]:.2g} times worse in the rig than alone ({px}).", do)]
+    return [Advice(f"{worst} fits {rounded(ratio[worst])} times worse in the rig than alone ({px}).", do)]
 
 
 def _noise_of_the_worst(result: RigCalibration) -> list[Advice]:

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from camera_models.formats.forms import rounded
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import WORTH_SAYING
 from omnilines.pipelines.check import CheckResult
@@ -38,7 +39,7 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     if noise.stated and not noise.holds and noise.measured > WORTH_SAYING:
         do = CHECK_IT if refined else f"Try {TO_REFINE}."
         limit = (
-            f"Arcs lie {noise.measured:.2g} times as far from their lines as their noise lets expect: poses "
+            f"Arcs lie {rounded(noise.measured)} times as far from their lines as their noise lets expect: poses "
             f"or calibration are off."
         )
         found.append(Advice(limit, do))
@@ -119,7 +120,7 @@ def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
     apart[worst] = math.inf
     image, beside = scene.poses.images[worst], scene.poses.images[int(apart.argmin())]
     ratio = sigma[worst] / median
-    said = f"{image} is placed {ratio:.2g} times less surely than half of the photos."
+    said = f"{image} is placed {rounded(ratio)} times less surely than half of the photos."
     return (Advice(said, f"Take photos between {image} and {beside}, the nearest to it."),)
 
 
@@ -180,7 +181,7 @@ def directions_advice(found: PhotoDirections) -> tuple[Advice, ...]:
         sigma = math.degrees(float(np.median(np.concatenate([one.meeting.sigma_rad for one in some]))))
         if stray > sigma:
             said = (
-                f"Lines differ from their direction by {stray:.2g} degrees (median) beyond what the noise of their arcs explains."
+                f"Lines differ from their direction by {rounded(stray)} degrees (median) beyond what their arcs' noise explains."
             )
             do = f"{CHECK_IT} Where it holds, what was photographed is that crooked."
             told.append(Advice(said, do))
@@ -195,7 +196,8 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
         ratio = np.abs(found.change) / np.where(found.change_sigma > 0, found.change_sigma, np.inf)
         name = found.model.PARAMETER_NAMES[int(ratio.argmax())]
         said = (
-            f"The drift is largest at the {worst.name} of the image, {worst.drift_px:.2g} px; the parameter {name} is off most "
+            f"The drift is largest at the {worst.name} of the image, {rounded(worst.drift_px)} px; the parameter {name} is "
+            "off most "
             f"clearly, by {ratio.max():.0f} sigma."
         )
         return (
@@ -208,7 +210,7 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
     if found.sigma_px > result.options.tolerance_px:
         need = math.ceil(len(result.images) * (found.sigma_px / result.options.tolerance_px) ** 2)
         asked = f"where {result.options.tolerance_px:g} px are asked for"
-        said = f"{len(result.images)} photos tell the camera to {found.sigma_px:.2g} px only, {asked}."
+        said = f"{len(result.images)} photos tell the camera to {rounded(found.sigma_px)} px only, {asked}."
         told.append(Advice(said, f"About {need} photos like these would tell it."))
     unseen = [one.name for one in found.regions if not one.edges]
     if unseen:

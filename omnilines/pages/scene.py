@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from camera_models.formats.forms import rounded
 from omnilines import report
 from omnilines.adjustment.suspects import Suspect
 from omnilines.files.scene_folder import UNIT_KEY
@@ -57,7 +58,7 @@ def _known_to(scene: Scene, sigma: float) -> str:
     middles, centres = scene.lines.ends_m[scene.lines.known].mean(1), scene.poses.cam_from_world.centre.numpy()
     middles, centres = (points[:: 1 + len(points) // SAMPLE] for points in (middles, centres))
     away = np.linalg.norm(middles[:, None] - centres, axis=-1)
-    return f"{100 * sigma / float(np.median(away)):.2g} percent of their distance"
+    return f"{rounded(100 * sigma / float(np.median(away)))} percent of their distance"
 
 
 def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:

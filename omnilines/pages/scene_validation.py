@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from camera_models.formats.forms import rounded
 from omnilines import report
 from omnilines.evaluation.arcs import MIN_PX
 from omnilines.evaluation.scene import MIN_CONTRAST, MIN_VIEWS, scene_scores
@@ -74,7 +75,8 @@ def _verdict(validation: SceneValidation) -> str:
     scores = validation.scores
     return (
         f"{checks_words(validation.checks)}: of {scores.lines} lines {_percent(scores.precision[-1])} lie within "
-        f"{1e3 * scores.thresholds_m[-1]:.2g} mm of a true edge, and {_percent(scores.recall[-1])} of the edges' length is found."
+        f"{rounded(1e3 * scores.thresholds_m[-1])} mm of a true edge, and {_percent(scores.recall[-1])} of the edges' length "
+        "is found."
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from camera_models.formats.forms import rounded
 from omnilines import report
 from omnilines.records import Advice, Check, Polyline, Summary
 from omnilines.report import Section
@@ -55,9 +56,8 @@ def validation_summaries(validation: Validation) -> tuple[Summary, ...]:
 def _verdict(validation: Validation) -> str:
     """What is recovered, in one sentence."""
     bearings, lines = validation.bearings.rms_deg, 1e3 * validation.lines.aligned.rms_m
-    return (
-        f"{checks_words(validation.checks)}: bearings are recovered to {bearings:.2g} degrees and lines to {lines:.2g} mm (RMS)."
-    )
+    said = checks_words(validation.checks)
+    return f"{said}: bearings are recovered to {rounded(bearings)} degrees and lines to {rounded(lines)} mm (RMS)."
 
 
 def checks_words(checks: Sequence[Check]) -> str:

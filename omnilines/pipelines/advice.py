@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
@@ -98,7 +99,7 @@ def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str,
 
     def off(photo: PhotoCount) -> str:
         one = better[photo.image]
-        return f"{photo.image} ({math.degrees(one.turn_rad):.2g} degrees and {one.distance:.2g} {sign} from its pose)"
+        return f"{photo.image} ({rounded(math.degrees(one.turn_rad))} degrees and {rounded(one.distance)} {sign} from its pose)"
 
     them = "its pose" if len(wrong) == 1 else "their poses"
     where = f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere."

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Int
 
 from camera_models import Calibration, GeometryError
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.matching.match import Evidence, Matched, evidence_of_poses, lines_need_poses
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
@@ -67,7 +68,7 @@ def better_poses(
         best, held = trial, its
         notes.append(
             "The given poses were turned by the directions that lines share, by "
-            f"{np.median(degrees):.2g} degrees (median), {degrees.max():.2g} at most."
+            f"{rounded(np.median(degrees))} degrees (median), {rounded(degrees.max())} at most."
         )
     if held.beyond_chance and held.tolerance_px < limits.rough_px:
         arcs = viewed_arcs(found, best, cameras)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import InputError
+from camera_models.formats.forms import rounded
 from omnilines.calibration.lines.check import line_check
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.geometry.chains import Chains
@@ -78,7 +79,8 @@ def contradiction(boards: CalibrationResult, chains: Chains, lines: LinesOptions
     if not found.refused(limits.significance, limits.tolerance_px):
         return ()
     return (
-        f"Lines and boards contradict one another: lines ask for a drift of at least {found.least_drift_px:.2g} px (root mean "
+        f"Lines and boards contradict one another: lines ask for a drift of at least {rounded(found.least_drift_px)} px "
+        "(root mean "
         f"square) from the camera of the boards, which chance makes in {found.probability:.1g} of cases; check that the board is "
         "flat, and as large as stated both ways, and leave out photos of bent things; standard deviations do not hold.",
     )

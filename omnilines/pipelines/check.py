@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool
 
 from camera_models import Calibration, CameraModel, InputError
+from camera_models.formats.forms import rounded
 from camera_models.typed import typed
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.files import Photos, photo_folder, photos_of
@@ -51,8 +52,8 @@ class CheckResult:
         freedom = f"{found.freedom} and {found.samples:.0f} degrees of freedom"
         chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
         drift = (
-            f"{found.drift_px:.2g} px over the image (root mean square), known to {found.sigma_px:.1g} px, at least "
-            f"{found.least_drift_px:.2g} px"
+            f"{rounded(found.drift_px)} px over the image (root mean square), known to {rounded(found.sigma_px, 1)} px, at least "
+            f"{rounded(found.least_drift_px)} px"
         )
         if not self.holds:
             return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
@@ -61,7 +62,9 @@ class CheckResult:
             return (
                 f"These photos bear out a calibration within {within} of this one: lines ask for a drift of {drift} ({chance})."
             )
-        return f"The calibration is right as far as these photos tell, to {found.sigma_px:.1g} px over the image ({chance})."
+        return (
+            f"The calibration is right as far as these photos tell, to {rounded(found.sigma_px, 1)} px over the image ({chance})."
+        )
 
     @property
     def file_names(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 
 from camera_models import InputError
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
@@ -190,7 +191,7 @@ def _open(source: str) -> str:
 
 
 def _scaled(known: KnownDistance, share: float) -> str:
-    also = f", and the {100 * share:.2g} % to which the poses know it," if math.isfinite(share) and share > 0 else ""
+    also = f", and the {rounded(100 * share)} % to which the poses know it," if math.isfinite(share) and share > 0 else ""
     return (
         f"Lengths are metres by the {known.metres:g} m between {known.first} and {known.second}: an error of that distance{also} "
         "scales all of them and is not in the stated uncertainties."

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.pixel_readings import other_pixels
@@ -83,7 +84,7 @@ class Misfit:
         if self.px <= self.rough_px:
             return ()
         return (
-            f"Half of the tracks lie {self.px:.2g} px or more from any line, far more than segments are off by: poses, "
+            f"Half of the tracks lie {rounded(self.px)} px or more from any line, far more than segments are off by: poses, "
             "calibration or tracks are rough or wrong; refine poses, or check that all are of the same photos.",
         )
 
@@ -127,7 +128,8 @@ def judge_tracks(
     if held.tracks >= LEAST_TO_REFUSE and held.chance > options.max_chance:
         raise InputError(
             f"The tracks fit the poses and the calibration no better than segments put together at random: {held.standing_out} "
-            f"of {held.tracks} stand out, {held.tracks * held.share_by_chance:.2g} would by chance. Segments, tracks, poses and "
+            f"of {held.tracks} stand out, {rounded(held.tracks * held.share_by_chance)} would by chance. Segments, tracks, "
+            "poses and "
             "calibration of the same photos were expected; correct what is of others."
         )
     return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
@@ -156,10 +158,13 @@ def far_photos(scene: AdjustedScene, options: JudgeOptions) -> tuple[str, ...]:
     far = np.flatnonzero(middle > np.maximum(options.rough_px, options.far_photo * usual))
     if not len(far):
         return ()
-    named = ", ".join(f"{scene.poses.images[photos[k]]} ({middle[k]:.2g} px)" for k in far[np.argsort(-middle[far])][:MOST_NAMED])
+    named = ", ".join(
+        f"{scene.poses.images[photos[k]]} ({rounded(middle[k])} px)" for k in far[np.argsort(-middle[far])][:MOST_NAMED]
+    )
     more = f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else ""
     return (
-        f"Half of the segments of {named}{more} lie so far from their lines, of other photos {usual:.2g} px: check the poses of "
+        f"Half of the segments of {named}{more} lie so far from their lines, of other photos {rounded(usual)} px: check the "
+        "poses of "
         "these photos, or refine poses.",
     )
 
@@ -271,7 +276,7 @@ def _refuse_camera(sampled: _Sampled, poses: Pose, square: Float[Tensor, " k"]) 
         explained, as_given = (sampled.explained(own, found) for own in (found, square))
         raise InputError(
             f"The calibration looks like that of another camera: it explains {as_given} of {sampled.tracks} tracks, one that "
-            f"sees under {scale:.2g} times its angles would explain {explained}; give that of these photos."
+            f"sees under {rounded(scale)} times its angles would explain {explained}; give that of these photos."
         )
 
 

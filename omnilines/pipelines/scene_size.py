@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from camera_models.formats.forms import rounded
 from omnilines.pipelines.options import JudgeOptions
 from omnilines.records import ImagePoses, LengthUnit, Lines
 
@@ -24,4 +25,6 @@ def size_notes(lines: Lines, poses: ImagePoses, options: JudgeOptions) -> tuple[
         likely = "if the poses are in millimetres, divide tx, ty and tz by 1000"
     else:
         likely = "if the poses are not in metres, scale tx, ty and tz"
-    return (f"Half of the lines lie {away:.2g} m or {'more' if away > options.far_m else 'less'} from the cameras: {likely}.",)
+    return (
+        f"Half of the lines lie {rounded(away)} m or {'more' if away > options.far_m else 'less'} from the cameras: {likely}.",
+    )

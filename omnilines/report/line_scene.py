@@ -12,6 +12,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.errors import InputError
+from camera_models.formats.forms import rounded
 from omnilines.geometry.line import end_radius_sigmas
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount
@@ -115,13 +116,13 @@ def families_section(families: FamiliesLike, title: str = "Parallel lines") -> S
             f"{sigma:.3g}",
             f"{spread:.3g}",
             f"{chi:.1f} of {2 * (members - 1)}",
-            f"{p:.2g}",
+            rounded(p),
         )
         for k, (direction, sigma, members, spread, chi, p) in enumerate(numbers)
     ]
     head = ("Family", "#Lines", "Direction", "#Its sigma (°)", "#RMS angle of the lines (°)", "#Chi-square", "#Probability")
     pairs = zip(families.right_angles.tolist(), degrees(families.angle_rad), degrees(families.angle_sigma_rad), strict=True)
-    right = [(f"{a} and {b}", f"{angle:.3f}", f"{sigma:.2g}") for (a, b), angle, sigma in pairs]
+    right = [(f"{a} and {b}", f"{angle:.3f}", rounded(sigma)) for (a, b), angle, sigma in pairs]
     below = (
         Markup("<h3>At right angles</h3>\n") + table(("Families", "#Angle (°)", "#Its sigma (°)"), right) if right else Markup("")
     )

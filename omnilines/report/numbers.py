@@ -2,12 +2,17 @@
 
 import math
 
+from camera_models.formats.forms import rounded
+
 NOT_KNOWN = "not known"
 
 
 def figure(value: float, form: str = ".3g", unit: str = "") -> str:
     """The number in the form of `format`, with its unit behind it; `not known` where it is NaN or infinite."""
-    return f"{value:{form}} {unit}".rstrip() if math.isfinite(value) else NOT_KNOWN
+    if not math.isfinite(value):
+        return NOT_KNOWN
+    text = rounded(value, int(form[1])) if form in (".1g", ".2g", ".3g") else f"{value:{form}}"
+    return f"{text} {unit}".rstrip()
 
 
 def with_sigma(value: float, sigma: float, unit: str = "") -> str:

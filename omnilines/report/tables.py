@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from markupsafe import Markup
 
+from camera_models.formats.forms import rounded
 from omnilines.records import Check, Summary, ViewResult
 from omnilines.report.numbers import NOT_KNOWN, cut_at_sigma, figure
 from omnilines.report.page import Section, fragment
@@ -130,4 +131,4 @@ def _relative(value: float, sigma: float) -> str:
         return "held"
     if value == 0 or sigma > abs(value):
         return "not told from 0"
-    return f"{100 * sigma / abs(value):.2g} %"
+    return f"{rounded(100 * sigma / abs(value))} %"

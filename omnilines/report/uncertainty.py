@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from camera_models.formats.forms import rounded
 from omnilines.report.page import Section, fragment
 from omnilines.report.plots import (
     PALETTE,
@@ -84,11 +85,6 @@ def _reach(circle_px: Float[np.ndarray, "k 2"], image_size: tuple[int, int], sup
     return f"They reach {far}, past the border of the image: nothing of the map is beyond them."
 
 
-def _rounded(value: float) -> str:
-    """Two significant digits, without an exponent where the number is of ordinary size."""
-    return f"{float(f'{value:.2g}'):g}"
-
-
 def _figures(
     sigma: Float[np.ndarray, "h w"],
     u_px: Float[np.ndarray, " w"],
@@ -97,14 +93,14 @@ def _figures(
 ) -> str:
     """Sentences on the uncertainty at the nearest node of the map to every corner, and on its largest value."""
     row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
-    largest = f"Over the image it is at most {_rounded(sigma[row, column])} px, at ({u_px[column]:.0f}, {v_px[row]:.0f}) px."
+    largest = f"Over the image it is at most {rounded(sigma[row, column])} px, at ({u_px[column]:.0f}, {v_px[row]:.0f}) px."
     # Nearest node: the number of midpoints between nodes that lie before the corner.
     columns, rows = (np.searchsorted((x[1:] + x[:-1]) / 2, corners[:, k]) for k, x in enumerate((u_px, v_px)))
     at_corners = sigma[rows, columns]
     at_corners = at_corners[np.isfinite(at_corners)]
     if not at_corners.size:
         return largest
-    middle, worst = _rounded(np.median(at_corners)), _rounded(at_corners.max())
+    middle, worst = rounded(np.median(at_corners)), rounded(at_corners.max())
     return f"At the observed corners it is {middle} px in the median, at most {worst} px. {largest}"
 
 
@@ -128,7 +124,7 @@ def map_traces(sigma: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, " w"], v
     if top < high:
         # The uppermost tick has its own words; one just below would run into them.
         ticks = [level for level in levels if level < 0.6 * top] + [top]
-        names = [f"{level:g}" for level in ticks[:-1]] + [f"≥ {_rounded(top)}"]
+        names = [f"{level:g}" for level in ticks[:-1]] + [f"≥ {rounded(top)}"]
     # Above the map, where it takes none of its width.
     bar: dict[str, Any] = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "thickness": 14, "outlinewidth": 0}
     colours: Trace = {

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
+from camera_models.formats.forms import rounded
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.lines.options import LineOptions
@@ -200,7 +201,8 @@ def _on_right_angles(done: LineAdjustment) -> tuple[str, ...]:
         return ()
     off = math.degrees(math.hypot(done.problem.angles.own, max(done.problem.angles.shared)))
     return (
-        f"Right angles of what was photographed are off by about {off:.1g} degrees, as far as its lines tell: {100 * share:.0f} "
+        f"Right angles of what was photographed are off by about {rounded(off, 1)} degrees, as far as its lines tell: "
+        f"{100 * share:.0f} "
         "percent of the variance of the focal length is of that, and more photos of the same do not lower it; add photos of "
         "other buildings or rooms, or of a board.",
     )

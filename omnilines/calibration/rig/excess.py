@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models.formats.forms import rounded
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -81,15 +82,16 @@ OF_PARAMETERS = (
 def _of_board(bent: RigState, points: RigPoints) -> str:
     return (
         "is a board that is not flat: estimated, its surface leaves a plane by up to "
-        f"{1e3 * _off_plane_m(bent.shape, points):.2g} mm, and the cameras fit to {_rms_px(bent.residual_px(points)):.3g} px "
+        f"{rounded(1e3 * _off_plane_m(bent.shape, points))} mm, and the cameras fit to "
+        f"{_rms_px(bent.residual_px(points)):.3g} px "
         "together (give `refine_board` surface, or a board on glass or metal)"
     )
 
 
 def _of_poses(apart: _Apart) -> str:
     return (
-        f"is the board's pose, which differs between cameras by {1e3 * float(apart.moved_m.median()):.2g} mm and "
-        f"{float(apart.turned_deg.median()):.2g} degrees in the median view: it moved between two shutters, or bent anew in "
+        f"is the board's pose, which differs between cameras by {rounded(1e3 * float(apart.moved_m.median()))} mm and "
+        f"{rounded(float(apart.turned_deg.median()))} degrees in the median view: it moved between two shutters, or bent anew in "
         "every view (hold it still, or fix it to something)"
     )
 

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.initialise import BoardPoints
@@ -65,8 +66,8 @@ def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcom
 def motion_note(shutters: Shutters) -> str:
     """How far the board moved, one sentence."""
     return (
-        f"The board moved between the shutters of the cameras by {1e3 * shutters.shift_m:.2g} mm along and "
-        f"{math.degrees(shutters.turn_rad):.2g} degrees about each axis (one standard deviation of a camera from the "
+        f"The board moved between the shutters of the cameras by {rounded(1e3 * shutters.shift_m)} mm along and "
+        f"{rounded(math.degrees(shutters.turn_rad))} degrees about each axis (one standard deviation of a camera from the "
         "mean): each view has a small motion of its own, and the standard deviations hold it."
     )
 

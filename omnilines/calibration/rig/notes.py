@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import torch
 
 from camera_models.formats.camera_doubts import model_doubts
+from camera_models.formats.forms import rounded
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
 from omnilines.calibration.rig.clocks import offsets_note
@@ -36,8 +37,8 @@ def rig_notes(
         first, second = members[weakest.first].name, members[weakest.second].name
         notes.append(
             f"The weakest link of the rig is {first} - {second}: {weakest.corners} common corners in {weakest.frames} frames; "
-            f"their relative rotation is known to {weakest.rotation_sigma_deg:.2g} degrees and their translation to "
-            f"{1e3 * weakest.translation_sigma_m:.2g} mm (one standard deviation)."
+            f"their relative rotation is known to {rounded(weakest.rotation_sigma_deg)} degrees and their translation to "
+            f"{rounded(1e3 * weakest.translation_sigma_m)} mm (one standard deviation)."
         )
     for k, member in enumerate(members):
         if k in outcome.worse:
@@ -71,7 +72,7 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
     found = outcome.contradiction
     if found is not None:
         return [
-            f"Frames contradict each other {found.ratio:.2g} times as much as the noise of their corners explains "
+            f"Frames contradict each other {rounded(found.ratio)} times as much as the noise of their corners explains "
             f"({'chi-square' if outcome.factor.holds else 'F'} test): a board that bends or is not flat, a model that does not "
             "suit, or blur moves all corners of a photo together. The standard deviations hold that."
         ]
@@ -83,7 +84,8 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
     if factors is not None and len(factors):
         told.append(
             "Frames contradict each other by more than the noise of their corners: the estimate is "
-            f"{float(factors.median()):.2g} times (at most {float(factors.max()):.2g} times) as uncertain as that alone would "
+            f"{rounded(float(factors.median()))} times (at most {rounded(float(factors.max()))} times) as uncertain as that "
+            "alone would "
             "make it, as leaving out each frame in turn shows; the standard deviations hold that."
         )
     return told

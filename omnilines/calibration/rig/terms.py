@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import torch
 
+from camera_models.formats.forms import rounded
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.least_squares import Outcome, solve
@@ -52,7 +53,8 @@ def _of_member(outcome: RigOutcome, member: int) -> RigOutcome:
         return outcome
     at = solve(data.problem(points), found.state, max_iterations=0)
     note = (
-        f"Camera {camera}: the distortion {' '.join(tail)} is held at 0: the corners do not support it (chi-square {lost:.2g} of "
+        f"Camera {camera}: the distortion {' '.join(tail)} is held at 0: the corners do not support it (chi-square "
+        f"{rounded(lost)} of "
         f"{len(tail)}). The standard deviations are those with it free."
     )
     solution = replace(at, outcome=found.outcome, iterations=outcome.solution.iterations + found.iterations)
