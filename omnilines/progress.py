@@ -56,16 +56,17 @@ def on_all_cores(
     return results
 
 
-def ahead(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """The results in order, one item per core worked on while what was asked for is used: of many large results few are there."""
-    if cores() == 1:
+def ahead(work: Callable[[T], R], items: Iterable[T], at_once: int) -> Iterator[R]:
+    """The results in order, of which the next ones are worked on, one per core and `at_once` at most, while one is used."""
+    threads = min(cores(), at_once)
+    if threads == 1:
         yield from map(work, items)
         return
-    with ThreadPoolExecutor(cores(), initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         begun: deque[Future[R]] = deque()
         for item in items:
             begun.append(pool.submit(work, item))
-            if len(begun) > cores():
+            if len(begun) > threads:
                 yield begun.popleft().result()
         while begun:
             yield begun.popleft().result()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camera_models import Calibration, OpenCVFisheye
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.lines.camera import LineCamera, LinePhoto
 from omnilines.calibration.lines.check import LineCheck, RegionDrift
 from omnilines.files import Photo, photos_of

@@ -21,12 +21,13 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
 from camera_models.formats.fisheye624 import Nearest, nearest_fisheye624
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, numbers, required, text
 from camera_models.pose import Pose
+from camera_models.wording import listed
 
 _FISHEYE624 = "FisheyeRadTanThinPrism"
 _BEYOND = ("k4", "k5", "p0", "p1", "s0", "s1", "s2", "s3")

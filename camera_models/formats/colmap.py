@@ -27,10 +27,11 @@ from camera_models.formats.colmap_files import (
     write_rigs,
 )
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, is_folder
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.pose import Pose
 from camera_models.scaramuzza import Scaramuzza
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _F = ("f", "cx", "cy")

@@ -14,8 +14,9 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera, ViewRecord
 from camera_models.formats.camera_check import check_cameras
 from camera_models.formats.disk import staged, write_atomically
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.pose import Pose
+from camera_models.wording import listed
 
 Documents = dict[Path, str | bytes]
 """Content of every file to be written."""

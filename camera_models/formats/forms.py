@@ -1,8 +1,7 @@
 """The ways in which files of a format write a camera: declared as a table, from which reading, writing and fitting follow."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from camera_models import model_class
 from camera_models._model import CameraModel
@@ -78,18 +77,3 @@ class Form:
         if "f" in named:
             named["fx"] = named["fy"] = named.pop("f")
         return model_class(self.model).from_mapping({**self.fixed, **named}, image_size)
-
-
-MOST_LISTED = 12
-
-
-def rounded(value: float, digits: int = 2) -> str:
-    """A number with so many significant digits, without an exponent where it is of ordinary size: 120 in place of 1.2e+02."""
-    return f"{float(f'{value:.{digits}g}'):g}"
-
-
-def listed(names: Iterable[Any]) -> str:
-    """Names with commas; of many the first, and how many more there are."""
-    given = [str(name) for name in names]
-    more = f" and {len(given) - MOST_LISTED} more" if len(given) > MOST_LISTED else ""
-    return ", ".join(given[:MOST_LISTED]) + more

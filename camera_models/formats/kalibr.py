@@ -18,11 +18,12 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.rig_poses import matrix_of_pose, pose_of_matrix, rig_of
 from camera_models.formats.values import image_size, items, mapping, number, required, text
 from camera_models.formats.yaml_text import read_yaml, yaml_text
 from camera_models.pose import Pose
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _RADTAN = ("k1", "k2", "p1", "p2")

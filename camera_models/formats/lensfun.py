@@ -19,12 +19,13 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, left_out
 from camera_models.formats.disk import read_text
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.lensfun_lens import FISHEYE, RECTILINEAR, TERMS, Sensor, cameras_of_lens
 from camera_models.formats.nearest import Fit
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import of_text
 from camera_models.formats.xml_text import read_xml
+from camera_models.wording import listed
 
 _SIZE = re.compile(r"<!-- images of (\S+) x (\S+) px")
 _CURVE = ("distortion", "real-focal-length")

@@ -24,11 +24,11 @@ from numpy.polynomial.polynomial import polyval
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.forms import listed
 from camera_models.formats.nearest import Fit, nearest_lens
 from camera_models.formats.values import number, of_text, written_as
 from camera_models.opencv_fisheye import OpenCVFisheye
 from camera_models.pinhole import Pinhole
+from camera_models.wording import listed
 
 RECTILINEAR, FISHEYE = "rectilinear", "fisheye"
 _FULL_FRAME_MM = math.hypot(36.0, 24.0)

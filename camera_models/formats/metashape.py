@@ -20,10 +20,11 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
 from camera_models.formats.disk import read_text
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import number, of_text
 from camera_models.formats.xml_text import read_xml
+from camera_models.wording import listed
 
 _FRAME, _FISHEYE, _SPHERICAL = "frame", "fisheye", "spherical"
 _CENTRE = 0.5

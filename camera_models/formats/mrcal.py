@@ -17,11 +17,12 @@ from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
 from camera_models.formats.disk import read_text
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.rig_poses import pose_of_vectors, rig_of, vectors_of_pose
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, numbers, required, text
 from camera_models.pose import Pose
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _STEREOGRAPHIC = "LENSMODEL_STEREOGRAPHIC"

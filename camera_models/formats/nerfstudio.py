@@ -17,10 +17,11 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, required, text
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _KEYS = {"fx": "fl_x", "fy": "fl_y"}

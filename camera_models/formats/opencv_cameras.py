@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.values import LARGEST
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _BROWN = ("k1", "k2", "p1", "p2", "k3")

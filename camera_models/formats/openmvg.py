@@ -21,10 +21,11 @@ from camera_models.equirectangular import Equirectangular
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, numbers, required, text, whole
+from camera_models.wording import listed
 
 _CENTRE = ("f", "cx", "cy")
 _TERMS = {"pinhole_radial_k1": "disto_k1", "pinhole_radial_k3": "disto_k3", "pinhole_brown_t2": "disto_t2", "fisheye": "fisheye"}

@@ -15,11 +15,12 @@ from typing import Any, ClassVar
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.opencv_cameras import check_matrix
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, number, required, text
 from camera_models.formats.yaml_text import read_yaml, yaml_text
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _PLUMB_BOB = ("k1", "k2", "p1", "p2", "k3")

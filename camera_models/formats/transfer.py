@@ -21,9 +21,10 @@ from camera_models.errors import InputError
 from camera_models.fitting import Conversion, convert
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera
 from camera_models.formats.contract import CalibrationFormat, is_folder
-from camera_models.formats.forms import Form, listed
+from camera_models.formats.forms import Form
 from camera_models.formats.turn import turn_rad, turned
 from camera_models.scaramuzza import Scaramuzza
+from camera_models.wording import listed
 
 LEAST_TURN_RAD = 1e-9
 """Turn of an image about its axis that is nothing."""

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
-from camera_models.formats.forms import listed
 from camera_models.pose import Pose
+from camera_models.wording import listed
 from omnilines.costs._cost import NODES, ArcNodes
 from omnilines.geometry.sphere import angle_between, arc_normal, points_on_arc
 from omnilines.records import ImagePoses, Segments

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError, InputError
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose, hat
+from camera_models.wording import rounded
 from omnilines.adjustment.adjusted import Adjusted, described
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.engine import is_compiled

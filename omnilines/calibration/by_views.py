@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.least_squares.groups import Groups
 from omnilines.least_squares.variance import VarianceFactor, contradiction
 

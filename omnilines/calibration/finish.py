@@ -11,7 +11,7 @@ from torch import Tensor
 
 from camera_models import GeometryError
 from camera_models.formats.camera_doubts import model_doubts
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import Solution

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.pose_candidates import Candidates, SeenBoards

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import InputError
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.thresholds import ViewThresholds
 from omnilines.records import Corners, ViewResult

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib_patterns import DetectionOptions
 from camera_models import CameraModel, InputError, load
-from camera_models.formats.forms import listed
+from camera_models.wording import listed
 from omnilines.commands.result import CommandResult
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed

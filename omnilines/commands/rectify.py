@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from camera_models import load
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses

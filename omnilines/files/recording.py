@@ -19,7 +19,7 @@ from jaxtyping import Float
 from camera_models import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
-from camera_models.formats.forms import listed
+from camera_models.wording import listed
 from omnilines.files.ply import CAMERA_COLOUR, STATUS_COLOURS
 from omnilines.records import ImagePoses, Lines
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.pages.arcs import COLOURS, draw_arcs, write_drawn
 from omnilines.pages.limits_of_lines import directions_advice
 from omnilines.pipelines.directions import FoundDirections, PhotoDirections, Wanted

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import WORTH_SAYING
 from omnilines.pipelines.check import CheckResult

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines import report
 from omnilines.adjustment.suspects import Suspect
 from omnilines.files.scene_folder import UNIT_KEY

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines import report
 from omnilines.evaluation.arcs import MIN_PX
 from omnilines.evaluation.scene import MIN_CONTRAST, MIN_VIEWS, scene_scores

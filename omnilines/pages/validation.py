@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines import report
 from omnilines.records import Advice, Check, Polyline, Summary
 from omnilines.report import Section

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines
 from omnilines.matching.options import MatchingOptions

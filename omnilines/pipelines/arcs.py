@@ -14,8 +14,8 @@ from jaxtyping import Bool
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError
 from camera_models.formats.camera_check import check_cameras
 from camera_models.formats.disk import read_bytes
-from camera_models.formats.forms import listed
 from camera_models.typed import typed
+from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Int
 
 from camera_models import Calibration, GeometryError
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.matching.match import Evidence, Matched, evidence_of_poses, lines_need_poses
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from camera_models import InputError
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.lines.check import line_check
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.geometry.chains import Chains

@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Bool
 
 from camera_models import Calibration, CameraModel, InputError
-from camera_models.formats.forms import rounded
 from camera_models.typed import typed
+from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.files import Photos, photo_folder, photos_of
 from omnilines.files.sets import claimed

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 
 from camera_models import InputError
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.pipelines.options import SceneOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE

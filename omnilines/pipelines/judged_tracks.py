@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel, InputError
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.pixel_readings import other_pixels
 from omnilines.adjustment.scene import AdjustedScene

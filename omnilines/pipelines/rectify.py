@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError
-from camera_models.formats.forms import listed
 from camera_models.pose import Pose
 from camera_models.typed import typed
 from camera_models.views import View, axis_from_camera, views
+from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo, Photos, photos_of
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib_patterns import Pattern
 from camera_models import InputError
-from camera_models.formats.forms import listed
+from camera_models.wording import listed
 from omnilines.calibration.numbering import Numbering
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed

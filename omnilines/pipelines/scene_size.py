@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.pipelines.options import JudgeOptions
 from omnilines.records import ImagePoses, LengthUnit, Lines
 

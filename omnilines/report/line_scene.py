@@ -12,7 +12,7 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.geometry.line import end_radius_sigmas
 from omnilines.geometry.sphere import points_on_arc
 from omnilines.records import ImagePoses, Lines, PhotoCount, Polyline, Segments, StageCount

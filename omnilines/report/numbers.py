@@ -2,7 +2,7 @@
 
 import math
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 
 NOT_KNOWN = "not known"
 

@@ -20,6 +20,8 @@ from omnilines.report.page import Section, fragment
 MAX_WIDTH_PX = 1600
 _STEPS = ((1600, 88), (1600, 78), (1600, 66), (1280, 72), (1280, 60), (960, 66), (800, 58), (640, 50))
 """(width in pixels, JPEG quality) tried in turn until a photo fits its share of the page."""
+_AT_ONCE = 4
+"""Photos that are read at a time: a large one takes some tens of megabytes."""
 _SMALLEST_SHARE_BYTES = 60_000
 """Below this a photo shows too little: fewer photos are embedded instead."""
 
@@ -91,7 +93,7 @@ def _render(
         pixels = read(name)
         return None if pixels is None else _Shrunk.to(share_bytes, pixels)
 
-    for k, (name, shown) in enumerate(zip(chosen, ahead(shrunk, chosen), strict=True)):
+    for k, (name, shown) in enumerate(zip(chosen, ahead(shrunk, chosen, _AT_ONCE), strict=True)):
         if shown is None:
             left_out[name] = "it cannot be read"
             continue
@@ -115,17 +117,16 @@ def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
     return shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Shrunk:
-    """A photo, and the largest of its JPEGs."""
+    """A photo, and what it takes in the page at the first steps."""
 
     pixels: UInt8[np.ndarray, "h w 3"]
-    jpegs: list[bytes]
-    """Of the first steps."""
+    uris: list[str]
 
     @staticmethod
     def to(most_bytes: int, pixels: UInt8[np.ndarray, "h w 3"]) -> "_Shrunk":
-        """With the JPEGs down to the first that takes `most_bytes` at most."""
+        """Down to the first step that takes `most_bytes` at most."""
         shown = _Shrunk(pixels, [])
         for step in range(len(_STEPS)):
             if len(shown.uri(step)) <= most_bytes:
@@ -138,12 +139,12 @@ class _Shrunk:
 
     def uri(self, step: int) -> str:
         """The photo at a step, each asked for after the one before."""
-        if step == len(self.jpegs):
+        if step == len(self.uris):
             height, width = self.pixels.shape[:2]
             size = (self.width(step), max(1, round(height * self.width(step) / width)))
             scaled = self.pixels if size[0] == width else cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA)
-            self.jpegs.append(jpeg_of(scaled, _STEPS[step][1]))
-        return "data:image/jpeg;base64," + base64.b64encode(self.jpegs[step]).decode("ascii")
+            self.uris.append("data:image/jpeg;base64," + base64.b64encode(jpeg_of(scaled, _STEPS[step][1])).decode("ascii"))
+        return self.uris[step]
 
 
 def _embed(name: str, shown: _Shrunk, curves: Sequence[Polyline], share_bytes: int) -> _Photo | None:

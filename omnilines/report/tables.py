@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from markupsafe import Markup
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.records import Check, Summary, ViewResult
 from omnilines.report.numbers import NOT_KNOWN, cut_at_sigma, figure
 from omnilines.report.page import Section, fragment

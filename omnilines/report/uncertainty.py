@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.report.page import Section, fragment
 from omnilines.report.plots import (
     PALETTE,

@@ -94,7 +94,7 @@ def building(folder: Path, photos: int) -> None:
 
 
 def run(folder: Path, photos: Sequence[str], workers: int, threads: int | None = None) -> dict:
-    """What one reconstruction took, with the threads of torch beside as many as there are workers or are asked for."""
+    """What one reconstruction took. With `threads` all pools have so many; else torch has one, ours one a worker or core."""
     if max(workers, threads or 0) > cores():
         sys.exit(f"At most {cores()} workers or threads were expected, as there are cores, found {max(workers, threads or 0)}.")
     with tempfile.TemporaryDirectory() as out:

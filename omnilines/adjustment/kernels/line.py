@@ -13,14 +13,14 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.least_squares.schur import LEAST_PIVOT
+
 # Sums may be reordered and multiply-adds fused; NaN and infinity keep their meaning, since they make a step be refused.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 NONE, HUBER, CAUCHY = 0, 1, 2
 LOSS_KINDS = {"none": NONE, "huber": HUBER, "cauchy": CAUCHY}
 PHI_MIN_RAD, PHI_MAX_RAD = math.radians(20), math.radians(70)
 """As in `LineChart`."""
-LEAST_PIVOT = 1e-14
-"""As in `least_squares.schur`."""
 
 
 class Views(NamedTuple):

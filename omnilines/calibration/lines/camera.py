@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.lines.options import LineOptions

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards

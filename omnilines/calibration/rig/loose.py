@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from camera_models.formats.forms import rounded
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards

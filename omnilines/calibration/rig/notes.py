@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import torch
 
 from camera_models.formats.camera_doubts import model_doubts
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
 from omnilines.calibration.rig.clocks import offsets_note

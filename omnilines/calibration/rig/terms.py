@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import torch
 
-from camera_models.formats.forms import rounded
+from camera_models.wording import rounded
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.least_squares import Outcome, solve

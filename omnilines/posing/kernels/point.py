@@ -16,6 +16,8 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numba import njit
 
+from omnilines.least_squares.schur import LEAST_PIVOT
+
 # Sums may be reordered and multiply-adds fused; NaN and infinity keep their meaning, since they make a step be refused.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 NEAREST_OPPOSITE = 1e-9
@@ -126,12 +128,12 @@ def factorise(by_point, r, count, damping, factor, gradient, diagonal):
     l00 = math.sqrt(e00)
     l10, l20 = e10 / l00, e20 / l00
     rest = e11 - l10 * l10
-    if not rest > 1e-14 * e11:
+    if not rest > LEAST_PIVOT * e11:
         return False
     l11 = math.sqrt(rest)
     l21 = (e21 - l20 * l10) / l11
     rest = e22 - l20 * l20 - l21 * l21
-    if not rest > 1e-14 * e22:
+    if not rest > LEAST_PIVOT * e22:
         return False
     factor[0], factor[1], factor[2], factor[3], factor[4], factor[5] = l00, l10, l11, l20, l21, math.sqrt(rest)
     return True
