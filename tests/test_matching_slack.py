@@ -1,5 +1,6 @@
 """The slack that poses and arcs ask for, chosen by the photos."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,10 @@ from matching_scenes import (
     shaken,
 )
 
+from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.hypotheses import neighbouring_photos
-from omnilines.matching.match import evidence_of_lines, match_arcs
+from omnilines.matching.match import match_arcs
+from omnilines.matching.slack import evidence_of_lines
 
 
 @pytest.mark.parametrize(
@@ -32,6 +35,28 @@ def test_errors_of_poses_widen_the_slack(name: str) -> None:
     assert matched(name).tolerance_px < slack < found.tolerance_px
 
 
+def together(parts: Sequence[ViewedArcs]) -> ViewedArcs:
+    """The arcs of all parts, sorted by photo."""
+    order = np.argsort(np.concatenate([arcs.image for arcs in parts]), kind="stable")
+    names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+
+
+@pytest.mark.parametrize("name", ["fisheye", pytest.param("panorama", marks=pytest.mark.full)])
+def test_arcs_that_err_more_than_they_state_ask_for_no_slack(name: str) -> None:
+    """All by the same factor, precise ones and others: hardly any beside the noise of the precise ones."""
+    scene = room(name)
+    parts = []
+    for kind, noise_px in enumerate((0.2, 0.6)):
+        arcs = scene.arcs(noise_px, 3 + kind).rows(np.flatnonzero(scene.line % 2 == kind))
+        parts.append(replace(arcs, covariance_px2=arcs.covariance_px2 / 1.35**2))
+    arcs = together(parts)
+    near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
+    assert max(evidence_of_lines(arcs, near, seed).tolerance_px for seed in range(5)) < 0.2 / 1.35
+    moved = arcs.with_poses(shaken(scene.poses, 0.1, 5.0, 9))
+    assert min(evidence_of_lines(moved, near, seed).tolerance_px for seed in range(5)) >= 0.2
+
+
 @pytest.mark.parametrize("name", ["fisheye", pytest.param("pinhole", marks=pytest.mark.full)])
 def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
     """Half of the lines give precise arcs, the others pieces that are twice as noisy as they say, as texture does."""
@@ -42,9 +67,7 @@ def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
         pieces = scene.cut(seed)
         texture = pieces.arcs(1.0, seed + 1).rows(np.flatnonzero(pieces.line % 2 == 1))
         parts.append(replace(texture, covariance_px2=texture.covariance_px2 / 4))
-    order = np.argsort(np.concatenate([arcs.image for arcs in parts]), kind="stable")
-    names = ("image", "bearings", "by_pixel", "covariance_px2", "colours")
-    arcs = replace(precise, **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+    arcs = together(parts)
     near = neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), NEIGHBOURS)
     assert max(evidence_of_lines(arcs, near, seed).tolerance_px for seed in range(3)) <= 0.1
 

@@ -12,7 +12,7 @@ from test_matching_directions import scene
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
 from omnilines.files import PhotoRef
-from omnilines.matching.match import lines_need_poses
+from omnilines.matching.slack import lines_need_poses
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs

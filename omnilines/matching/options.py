@@ -79,6 +79,10 @@ class ToleranceOptions(NamedTuple):
     """Of the arcs of each photo, those of least noise, which are asked: the others do not tell one tolerance from another."""
     showing_share: float = 0.25
     """Of the arcs that are asked, those whose residuals are looked at."""
+    max_noise_factor: float = 1.5
+    """Arcs may err so many times more than they state; what is more comes from poses and cameras."""
+    min_coarser: float = 1.5
+    """Times the stated noise of the precise half of lines that the other half has to state, so that both tell such a factor."""
     enough_share: float = 0.6
     """Of the most that any tolerance gains, what is enough."""
     chance_sigmas: float = 4.0

@@ -16,9 +16,10 @@ from jaxtyping import Int
 from camera_models import Calibration, GeometryError
 from camera_models.pose import Pose
 from camera_models.wording import rounded
-from omnilines.matching.match import Evidence, Matched, evidence_of_poses, lines_need_poses
+from omnilines.matching.match import Matched
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
+from omnilines.matching.slack import Evidence, evidence_of_poses, lines_need_poses
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from camera_models import Calibration, GeometryError, InputError
 from camera_models.pose import Pose
-from omnilines.matching.match import Evidence, evidence_of_poses
+from omnilines.matching.slack import Evidence, evidence_of_poses
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
 from omnilines.posing.photo_poses import PhotoPoses

@@ -58,7 +58,7 @@ def lines_of_arcs(
         refined = replace(cameras, cameras=_refined(cameras, scene))
         moved = poses_by_lines(found, scene.poses, matched, refined, options, progress)
         members = len(matched.tracks.rows)
-        settled = members < options.rounds.min_gain * before and matched.tolerance_px >= tolerance_px
+        settled = members < options.rounds.min_gain * before and matched.tolerance_px >= options.rounds.same_slack * tolerance_px
         if moved is None and settled and turn >= options.rounds.min_rounds:
             break
         before, tolerance_px = members, matched.tolerance_px

@@ -35,6 +35,8 @@ class RoundOptions(NamedTuple):
     """Most rounds."""
     min_gain: float = 1.01
     """Times the arcs that tracks had a round before from which on another round is worth its time."""
+    same_slack: float = 0.5
+    """Times the slack of a round before below which poses have become better, and another round is worth its time."""
 
 
 class KeptLineOptions(NamedTuple):
