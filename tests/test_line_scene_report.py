@@ -107,9 +107,9 @@ def test_families_with_their_figures() -> None:
     )
     section = families_section(families)
     table, right = cells(section)
-    assert table[1] == ["0", "8", "1.0000 0.0000 0.0000", "0.05", "0.2", "12.3 of 14", "0.58"]
-    assert table[2] == ["1", "5", "0.0017 1.0000 0.0000", "0.08", "0.31", "80.0 of 8", "4.6e-14"]
-    assert right[1] == ["0 and 1", "89.900", "0.094"]
+    assert table[1] == ["1", "8", "1.0000 0.0000 0.0000", "0.05", "0.2", "12.3 of 14", "0.58"]
+    assert table[2] == ["2", "5", "0.0017 1.0000 0.0000", "0.08", "0.31", "80.0 of 8", "4.6e-14"]
+    assert right[1] == ["1 and 2", "89.900", "0.094"]
     assert "13 of 15 lines" in markup(section) and "tolerance of 0.3 degrees" in markup(section)
     alone = replace(families, right_angles=np.empty((0, 2), dtype=np.int64), angle_rad=np.empty(0), angle_sigma_rad=np.empty(0))
     assert len(cells(families_section(alone))) == 1 and "No two families are at a right angle" in markup(families_section(alone))

@@ -303,6 +303,16 @@ def test_scene_holds_lines_boards_cameras_and_truth() -> None:
     assert scene["aspectmode"] == "manual"
 
 
+def test_lines_of_no_family_have_no_colour_of_one() -> None:
+    groups = ["no family", "family 10", "family 2", "family 1", "family 1"]
+    (spec,) = specs(report.scene_section(lines=some_lines(), groups=groups))
+    colours = {trace["name"]: trace["line"]["color"] for trace in spec["data"]}
+    assert list(colours) == ["family 1", "family 2", "family 10", "no family"]
+    assert colours["no family"] == plots.QUIET and len(set(colours.values())) == 4
+    (spec,) = specs(report.scene_section(lines=some_lines()))
+    assert plots.QUIET not in {trace["line"]["color"] for trace in spec["data"]}
+
+
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
 @pytest.mark.parametrize("sides", [(5.0, 4.0, 3.0), (40.0, 3.0, 8.0), (1.0, 1.0, 0.0)])
 def test_first_view_of_a_scene_shows_all_of_it_upright(up: tuple[float, float, float], sides: tuple[float, float, float]) -> None:
@@ -328,7 +338,8 @@ def test_first_view_of_a_scene_shows_all_of_it_upright(up: tuple[float, float, f
     right = np.cross(ahead, upward) / np.linalg.norm(np.cross(ahead, upward))
     assert upward @ np.array(up) == pytest.approx(1, abs=1e-3) and ahead @ upward < 0
     corners = 0.5 * ratio * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) - eye
-    tangent = np.stack([corners @ right / 1.6, corners @ np.cross(right, ahead)], -1) / (corners @ ahead)[:, None]
+    aspect = 1.6 * np.ptp(scene["domain"]["x"])
+    tangent = np.stack([corners @ right / aspect, corners @ np.cross(right, ahead)], -1) / (corners @ ahead)[:, None]
     share = np.abs(tangent) / np.tan(np.radians(22.5))
     assert (corners @ ahead > 0).all() and share.max() < 0.95 and share.max() > 0.85
 

@@ -89,7 +89,10 @@ def photo_arcs_section(photos: Sequence[PhotoCount], title: str = "Arcs of every
 
 
 def families_section(families: FamiliesLike, title: str = "Parallel lines") -> Section:
-    """The families of parallel lines with the uncertainty of their directions, and those at right angles."""
+    """The families of parallel lines with the uncertainty of their directions, and those at right angles.
+
+    The first is family 1, as in the legend of the scene.
+    """
     degrees = np.degrees
     known = int(families.members.sum())
     intro = Markup(
@@ -110,7 +113,7 @@ def families_section(families: FamiliesLike, title: str = "Parallel lines") -> S
     )
     rows = [
         (
-            str(k),
+            str(k + 1),
             f"{members:,}",
             " ".join(f"{c + 0.0:.4f}" for c in direction),
             f"{sigma:.3g}",
@@ -122,7 +125,7 @@ def families_section(families: FamiliesLike, title: str = "Parallel lines") -> S
     ]
     head = ("Family", "#Lines", "Direction", "#Its sigma (°)", "#RMS angle of the lines (°)", "#Chi-square", "#Probability")
     pairs = zip(families.right_angles.tolist(), degrees(families.angle_rad), degrees(families.angle_sigma_rad), strict=True)
-    right = [(f"{a} and {b}", f"{angle:.3f}", rounded(sigma)) for (a, b), angle, sigma in pairs]
+    right = [(f"{a + 1} and {b + 1}", f"{angle:.3f}", rounded(sigma)) for (a, b), angle, sigma in pairs]
     below = (
         Markup("<h3>At right angles</h3>\n") + table(("Families", "#Angle (°)", "#Its sigma (°)"), right) if right else Markup("")
     )

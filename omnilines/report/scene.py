@@ -15,7 +15,9 @@ from omnilines.report.plots import PALETTE, QUIET, Trace, axis, broken, numbers,
 SHOWN_LINES = 10_000
 """More lines than this are sampled for the view, and the page says so."""
 ASPECT = 1.6
-"""Width of the view over its height."""
+"""Width of the picture over its height."""
+OF_LEGEND = 0.12
+"""Of the width, left of the view, for the names of up to twenty groups."""
 OUTLYING = 0.02
 """Share of the ends of lines, at each side of each axis, that need not be in the first view."""
 BEYOND = 0.25
@@ -27,7 +29,7 @@ FIELD_RAD = math.radians(45.0)
 FILLED = 0.9
 """Of the view, by the box of the scene: its axes have labels."""
 OF_LINES = tuple(PALETTE[k] for k in (0, 1, 3, 5, 6, 7, 2))
-"""Colours of groups of lines; the one left out is that of cameras."""
+"""Colours of groups of lines, again and again; the one left out is that of cameras."""
 
 
 def scene_section(
@@ -68,6 +70,7 @@ def scene_section(
         "showlegend": True,
         **({} if lines is None or segments is None else {"meta": _picks(lines, segments)}),
         "scene": {
+            "domain": {"x": [OF_LEGEND, 1.0], "y": [0.0, 1.0]},
             "aspectmode": "manual",
             "aspectratio": _xyz(extent / extent.max()),
             "camera": _camera(np.array(up), extent / extent.max()),
@@ -130,13 +133,16 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
     rows = np.flatnonzero(lines.known)
     rows = rows[sample(len(rows), SHOWN_LINES)]
     traces = []
-    for k, label in enumerate(sorted(dict.fromkeys(labels[i] for i in rows), key=_number)):
+    shown = sorted(dict.fromkeys(labels[i] for i in rows), key=_number)
+    for k, label in enumerate(shown):
         own = [int(i) for i in rows if labels[i] == label]
         # The middle is there to be hovered over: only vertices answer the mouse.
         ends = lines.ends_m[own]
         path = broken(np.stack([ends[:, 0], ends.mean(1), ends[:, 1]], 1))
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
-        traces.append(_strokes(path, text, label, OF_LINES[k % len(OF_LINES)], width=4))
+        # What is of no numbered group has no colour of one.
+        colour = QUIET if _number(label) == np.inf > _number(shown[0]) else OF_LINES[k % len(OF_LINES)]
+        traces.append(_strokes(path, text, label, colour, width=4))
     return traces
 
 
@@ -247,7 +253,7 @@ def _camera(up: Float[np.ndarray, "3"], sides: Float[np.ndarray, "3"]) -> dict[s
     corners = 0.5 * sides * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     depth, half = corners @ towards, FILLED * math.tan(FIELD_RAD / 2)
     distance, centre = 0.0, np.zeros(3)
-    for across, reach in ((right, half * ASPECT), (np.cross(towards, right), half)):
+    for across, reach in ((right, half * (1.0 - OF_LEGEND) * ASPECT), (np.cross(towards, right), half)):
         low, high = (corners @ across - reach * depth).min(), (corners @ across + reach * depth).max()
         distance, centre = max(distance, float(high - low) / (2 * reach)), centre + 0.5 * (low + high) * across
     return {"up": _xyz(up), "eye": _xyz(centre + distance * towards), "center": _xyz(centre)}
