@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
+from camera_models.errors import GeometryError
 from camera_models.pose import Pose
 from omnilines.geometry.line import PlueckerLines
 from omnilines.triangulation.observations import PlaneObservations
@@ -74,6 +75,21 @@ class ViewedArcs:
     def with_poses(self, poses: Pose) -> "ViewedArcs":
         """The same arcs in photos that stand elsewhere."""
         return replace(self, poses=poses)
+
+    def require_parallax(self) -> None:
+        """Raises GeometryError where fewer than three photos have arcs, or all of them stand at one place."""
+        seen = np.unique(self.image)
+        if len(seen) < 3:
+            raise GeometryError(
+                f"Arcs in at least 3 photos with poses were expected to match lines, found {len(seen)}; give more photos."
+            )
+        centres = self.poses.centre.numpy()[seen]
+        spread = float(np.linalg.norm(centres - centres.mean(0), axis=-1).max())
+        if spread <= 1e-9 * (1.0 + float(np.abs(centres).max())):
+            raise GeometryError(
+                f"Photos from different places were expected, found all {len(seen)} at one place, from where no line has a "
+                "depth; move the camera between photos."
+            )
 
     @cached_property
     def starts(self) -> Int[np.ndarray, " m"]:

@@ -142,6 +142,11 @@ def _by_place(arcs: ViewedArcs) -> Int[np.ndarray, " n"]:
     return np.lexsort((key, arcs.image))
 
 
+def near_photos(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:
+    """Which photos each is compared with, `neighbours` of the nearest at most."""
+    return neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), neighbours)
+
+
 def neighbouring_photos(
     centres_m: Float[np.ndarray, "m 3"], axes: Float[np.ndarray, "m 3"], most: int
 ) -> Bool[np.ndarray, "m m"]:

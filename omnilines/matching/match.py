@@ -14,11 +14,11 @@ from jaxtyping import Int
 
 from camera_models.errors import InputError
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypotheses import Hypotheses, find_hypotheses
+from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, near_photos
 from omnilines.matching.kernels.supporters import supporting_photos
 from omnilines.matching.options import MatchingOptions
 from omnilines.matching.shared_view import neighbours_in_view
-from omnilines.matching.slack import evidence_of_lines, near_photos, require_parallax
+from omnilines.matching.slack import evidence_of_lines
 from omnilines.matching.tracks import Tracks, build_tracks
 from omnilines.progress import Each, ProgressCallback, silent
 
@@ -68,7 +68,7 @@ def match_arcs(
             "Matching expects `min_views` of 3 or more, 2 neighbours of a photo and a `tolerance_px` above 0, found "
             f"{min_views}, {neighbours} and {tolerance_px}; correct the option."
         )
-    require_parallax(arcs)
+    arcs.require_parallax()
     near = near_photos(arcs, neighbours)
     beyond_chance = True
     if tolerance_px is None:

@@ -12,10 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from camera_models.errors import GeometryError
 from camera_models.pose import Pose
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, neighbouring_photos
+from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, near_photos
 from omnilines.matching.options import MatchingOptions
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.triangulation.robust import noise_level
@@ -44,7 +43,7 @@ class Evidence:
 
 def evidence_of_poses(arcs: ViewedArcs, seed: int = 0, options: MatchingOptions = MatchingOptions()) -> Evidence:
     """How well the arcs of all photos agree under the poses that they have. The same arcs are asked whatever the poses."""
-    require_parallax(arcs)
+    arcs.require_parallax()
     return evidence_of_lines(arcs, near_photos(arcs, options.hypotheses.max_neighbours), seed, options)
 
 
@@ -64,8 +63,7 @@ def evidence_of_lines(
     """
     its, tried = options.tolerance, options.tolerance.tried_px
     rng = np.random.default_rng(seed)
-    count = max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED)
-    chosen = _sample(arcs, count, its.precise_share, rng)
+    chosen = _sample(arcs, MIN_SAMPLED, its.precise_share, rng)
     turned = arcs.with_poses(_turned(arcs.poses, its.min_chance_turn_rad, its.max_chance_turn_rad, rng))
 
     def compared(case: tuple[ViewedArcs, float]) -> Hypotheses:
@@ -88,28 +86,10 @@ def evidence_of_lines(
     if sigmas <= its.chance_sigmas:
         return Evidence(tried[0], over, sigmas, False)
     least = tried[int(np.flatnonzero(gain >= its.enough_share * gain[most])[0])]
-    showing = _sample(arcs, max(count, SHOWING_ARCS), its.precise_share, rng)
+    showing = _sample(arcs, SHOWING_ARCS, its.precise_share, rng)
     shown_px = _shown_slack(arcs, neighbours, showing, least, options) if least < tried[most] else 0.0
     # Two digits, since they are printed, and no more is known of it.
     return Evidence(min(max(least, float(f"{shown_px:.2g}")), tried[most]), over, sigmas, True)
-
-
-def _sample(arcs: ViewedArcs, count: int, precise_share: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
-    """Arcs drawn from the precise ones of each photo.
-
-    Among dense texture, a slack below the noise of short arcs is lost in what that noise is misstated by, and a larger one lets
-    arcs of neighbouring edges agree: their lines gain, and leave no rival.
-    """
-    order = np.lexsort((_stated_px(arcs), arcs.image))
-    rank = np.arange(len(arcs)) - arcs.starts[arcs.image]
-    of_photo = np.bincount(arcs.image, minlength=arcs.images)[arcs.image]
-    precise = order[rank < max(precise_share, count / len(arcs)) * of_photo]
-    return np.sort(rng.permutation(precise)[:count])
-
-
-def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
-    """Standard deviation (px) of each arc across it, of its worse end."""
-    return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
 def lines_need_poses(
@@ -122,12 +102,31 @@ def lines_need_poses(
     """
     rng = np.random.default_rng(seed)
     near = near_photos(arcs, options.hypotheses.max_neighbours)
-    chosen = _sample(arcs, max(SAMPLED_PAIRS // len(arcs), MIN_SAMPLED), options.tolerance.precise_share, rng)
+    chosen = _sample(arcs, MIN_SAMPLED, options.tolerance.precise_share, rng)
     turn_rad = turn_px * float(np.median(arcs.px_rad))
     turned = arcs.with_poses(_turned(arcs.poses, turn_rad, turn_rad, rng))
     own, other = (find_hypotheses(some.widened(tolerance_px), near, rows=chosen, options=options) for some in (arcs, turned))
     less = (own.score - own.rival) - (other.score - other.rival)
     return bool(less.mean() > options.tolerance.chance_sigmas * less.std() / math.sqrt(len(less)))
+
+
+def _sample(arcs: ViewedArcs, least: int, precise_share: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
+    """Arcs drawn from the precise ones of each photo: SAMPLED_PAIRS over all arcs, or the least number.
+
+    Among dense texture, a slack below the noise of short arcs is lost in what that noise is misstated by, and a larger one lets
+    arcs of neighbouring edges agree: their lines gain, and leave no rival.
+    """
+    count = max(SAMPLED_PAIRS // len(arcs), least)
+    order = np.lexsort((_stated_px(arcs), arcs.image))
+    rank = np.arange(len(arcs)) - arcs.starts[arcs.image]
+    of_photo = np.bincount(arcs.image, minlength=arcs.images)[arcs.image]
+    precise = order[rank < max(precise_share, count / len(arcs)) * of_photo]
+    return np.sort(rng.permutation(precise)[:count])
+
+
+def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
+    """Standard deviation (px) of each arc across it, of its worse end."""
+    return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
 def _turned(poses: Pose, least_rad: float, most_rad: float, rng: np.random.Generator) -> Pose:
@@ -152,51 +151,32 @@ def _shown_slack(
     slack, and would make a large one for the precise arcs of long edges, which tell lines of near edges apart. What lines of
     precise arcs and of others show tells both: r^2 = factor^2 stated^2 + slack^2.
     """
-    its = options.tolerance
-    widened = arcs.widened(tolerance_px)
+    its, widened = options.tolerance, arcs.widened(tolerance_px)
     found = find_hypotheses(widened, neighbours, rows=rows, options=options)
     best = np.argsort(found.rival - found.score, kind="stable")[: max(1, math.ceil(its.showing_share * len(rows)))]
     support = found.support[best]
     member = np.concatenate([rows[best], support[support >= 0]])
     track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
     stated_px = _stated_px(arcs)[member]
+    typical_px = ndimage.median(stated_px, track, np.arange(len(best)))
+    precise = typical_px <= np.median(typical_px)
 
-    def square_px2(some: Bool[np.ndarray, " t"]) -> tuple[float, float]:
-        """Of the members of some of the tracks: what they state and what their residuals show."""
-        place = np.where(some, np.cumsum(some) - 1, -1)[track]
-        own = place >= 0
+    def squares_px2(some: Bool[np.ndarray, " t"]) -> tuple[float, float]:
+        """What the members of some of the tracks state, and what their residuals show; NaN where there are none."""
+        own = some[track]
         if not own.any():
             return math.nan, math.nan
-        level = noise_level(widened.tracks(member[own], place[own], int(some.sum())))
+        place = np.cumsum(some) - 1
+        level = noise_level(widened.tracks(member[own], place[track[own]], int(some.sum())))
         stated = float(np.median(stated_px[own])) ** 2
         return stated, level**2 * (stated + tolerance_px**2)
 
-    typical_px = ndimage.median(stated_px, track, np.arange(len(best)))
-    precise = typical_px <= np.median(typical_px)
-    stated, shown = square_px2(np.ones_like(precise))
-    (fine, shown_fine), (coarse, shown_coarse) = square_px2(precise), square_px2(~precise)
+    (fine, shown_fine), (coarse, shown_coarse) = squares_px2(precise), squares_px2(~precise)
     # Lines that state nearly the same tell no factor.
     factor = (shown_coarse - shown_fine) / (coarse - fine) if coarse > its.min_coarser**2 * fine else math.nan
-    slack = shown - stated if not factor > 1.0 else shown_fine - min(factor, its.max_noise_factor**2) * fine
+    if factor > 1.0:
+        slack = shown_fine - min(factor, its.max_noise_factor**2) * fine
+    else:
+        stated, shown = squares_px2(np.ones_like(precise))
+        slack = shown - stated
     return math.sqrt(slack) if slack > 0 else (0.0 if math.isfinite(slack) else tolerance_px)
-
-
-def near_photos(arcs: ViewedArcs, neighbours: int) -> Bool[np.ndarray, "m m"]:
-    """Which photos each is compared with, `neighbours` of the nearest at most."""
-    return neighbouring_photos(arcs.poses.centre.numpy(), arcs.poses.rotation[:, 2].numpy(), neighbours)
-
-
-def require_parallax(arcs: ViewedArcs) -> None:
-    """Raises GeometryError where fewer than three photos have arcs, or all of them stand at one place."""
-    seen = np.unique(arcs.image)
-    if len(seen) < 3:
-        raise GeometryError(
-            f"Arcs in at least 3 photos with poses were expected to match lines, found {len(seen)}; give more photos."
-        )
-    centres = arcs.poses.centre.numpy()[seen]
-    spread = float(np.linalg.norm(centres - centres.mean(0), axis=-1).max())
-    if spread <= 1e-9 * (1.0 + float(np.abs(centres).max())):
-        raise GeometryError(
-            f"Photos from different places were expected, found all {len(seen)} at one place, from where no line has a depth; "
-            "move the camera between photos."
-        )
