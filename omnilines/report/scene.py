@@ -134,14 +134,15 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
     rows = rows[sample(len(rows), SHOWN_LINES)]
     traces = []
     shown = sorted(dict.fromkeys(labels[i] for i in rows), key=_number)
+    numbered = [label for label in shown if _number(label) < np.inf]
     for k, label in enumerate(shown):
         own = [int(i) for i in rows if labels[i] == label]
         # The middle is there to be hovered over: only vertices answer the mouse.
         ends = lines.ends_m[own]
         path = broken(np.stack([ends[:, 0], ends.mean(1), ends[:, 1]], 1))
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
-        # What is of no numbered group has no colour of one.
-        colour = QUIET if _number(label) == np.inf > _number(shown[0]) else OF_LINES[k % len(OF_LINES)]
+        # What is of no numbered group, such as "no family", has no colour of one.
+        colour = QUIET if numbered and label not in numbered else OF_LINES[k % len(OF_LINES)]
         traces.append(_strokes(path, text, label, colour, width=4))
     return traces
 
