@@ -1,6 +1,6 @@
 """The frozen tables and results that the stages hand to each other. Arrays are NumPy; nothing here computes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 
 import numpy as np
@@ -151,6 +151,13 @@ class Segments(Typed):
     def __len__(self) -> int:
         return len(self.image)
 
+    def rows(self, chosen: Int[np.ndarray, " k"]) -> "Segments":
+        """Some of them, in any order."""
+        sigma = None if self.sigma_px is None else self.sigma_px[chosen]
+        covariance = None if self.covariance_px2 is None else self.covariance_px2[chosen]
+        table = (self.image[chosen], self.images, self.track[chosen], self.tracks, self.endpoints_px[chosen])
+        return Segments(*table, sigma, covariance, self.cameras)
+
 
 @dataclass(frozen=True)
 class ImagePoses(Typed):
@@ -241,9 +248,19 @@ class Lines(Typed):
     shown_share: Float[np.ndarray, " n"] | None = None
     """Share of each line that its arcs cover, the mean over all photos that look where it is, hidden or not; None where segments
     were matched by others."""
+    chance_share: Float[np.ndarray, " n"] | None = None
+    """Share of lines like each that are there by chance, as far as moved photos tell; NaN where a corner confirms a line, None
+    where segments were matched by others."""
 
     def __len__(self) -> int:
         return len(self.tracks)
+
+    def rows(self, chosen: Int[np.ndarray, " k"]) -> "Lines":
+        """Some of them, in any order."""
+        arrays = {column.name: getattr(self, column.name) for column in fields(self)}
+        kept = {name: values[chosen] for name, values in arrays.items() if isinstance(values, np.ndarray)}
+        tracks, status = (tuple(names[k] for k in chosen.tolist()) for names in (self.tracks, self.status))
+        return replace(self, tracks=tracks, status=status, **kept)
 
     @property
     def known(self) -> Bool[np.ndarray, " n"]:

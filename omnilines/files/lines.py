@@ -4,18 +4,18 @@ import io
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
 from camera_models.typed import typed
-from omnilines.files.tables import name_cells, number_cells, read_table, write_table
+from omnilines.files.tables import Table, name_cells, number_cells, read_table, write_table
 from omnilines.records import LINE_STATUSES, ImagePoses, Lines
 
 ENDS = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 COLUMNS = ("track", *ENDS, "views", "rms_px", "sigma_m", "status")
-SHARE = "shown_share"
+SHARES = ("shown_share", "chance_share")
 """Of lines that were found in photos."""
-OPTIONAL = (SHARE,)
 
 
 def read_lines(path: str | Path) -> Lines:
@@ -24,7 +24,7 @@ def read_lines(path: str | Path) -> Lines:
     Raises InputError naming file, line and column where a track stands twice, a status is not one of `LINE_STATUSES`, the
     coordinates are not there for `ok` and `weak` or are there for others, or a number is none.
     """
-    table = read_table(path, COLUMNS, OPTIONAL, may_be_empty=True)
+    table = read_table(path, COLUMNS, SHARES, may_be_empty=True)
     track, tracks = table.names("track")
     _, first = np.unique(track, return_index=True)
     once = np.zeros(len(table), dtype=bool)
@@ -41,12 +41,19 @@ def read_lines(path: str | Path) -> Lines:
     views = table.whole_numbers("views")
     table.require(views >= 0, "views", "a number of views, not negative")
     rms, sigma = table.numbers_or_nan("rms_px", "sigma_m").T
-    share = None
-    if SHARE in table.columns:
-        share = table.numbers_or_nan(SHARE)[:, 0].copy()
-        table.require(~((share < 0.0) | (share > 1.0)), SHARE, "a share between 0 and 1")
+    shown, chance = (_share(table, name) for name in SHARES)
     ends = ends.reshape(-1, 2, 3)
-    return Lines(tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status, shown_share=share)
+    table_of = (tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status)
+    return Lines(*table_of, shown_share=shown, chance_share=chance)
+
+
+def _share(table: Table, name: str) -> Float[np.ndarray, " n"] | None:
+    """A column of shares; None where the file has none."""
+    if name not in table.columns:
+        return None
+    share = table.numbers_or_nan(name)[:, 0].copy()
+    table.require(~((share < 0.0) | (share > 1.0)), name, "a share between 0 and 1")
+    return share
 
 
 @typed
@@ -61,8 +68,10 @@ def write_lines(path: str | Path, lines: Lines) -> None:
     columns["rms_px"] = number_cells(lines.rms_px, path, "rms_px", may_be_nan=True)
     columns["sigma_m"] = number_cells(lines.sigma_m, path, "sigma_m", may_be_nan=True)
     columns["status"] = list(lines.status)
-    if lines.shown_share is not None:
-        columns[SHARE] = number_cells(lines.shown_share, path, SHARE, may_be_nan=True)
+    for name in SHARES:
+        share = getattr(lines, name)
+        if share is not None:
+            columns[name] = number_cells(share, path, name, may_be_nan=True)
     write_table(path, columns)
 
 

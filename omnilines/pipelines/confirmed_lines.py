@@ -81,6 +81,8 @@ def _joined(lines: Lines, more: Lines, rows: Int[np.ndarray, " k"]) -> Lines:
     assert lines.covariance is not None and lines.chart_centre_m is not None and lines.chart_scale_m is not None
     assert more.covariance is not None and more.chart_centre_m is not None and more.chart_scale_m is not None
     assert lines.shown_share is not None and more.shown_share is not None
+    # Moved photos were asked for lines of as many photos as the others have.
+    chance = None if lines.chance_share is None else np.append(lines.chance_share, np.full(len(rows), np.nan))
     return Lines(
         lines.tracks + tuple(more.tracks[k] for k in rows.tolist()),
         np.append(lines.ends_m, more.ends_m[rows], axis=0),
@@ -93,4 +95,5 @@ def _joined(lines: Lines, more: Lines, rows: Int[np.ndarray, " k"]) -> Lines:
         np.append(lines.chart_scale_m, more.chart_scale_m[rows]),
         lines.unit,
         np.append(lines.shown_share, more.shown_share[rows]),
+        chance,
     )

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Int
 
 from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
+from omnilines.pipelines.chance_lines import MovedLines, with_chance
 from omnilines.pipelines.confirmed_lines import spare_of, with_confirmed
 from omnilines.pipelines.kept_lines import KeptLines, kept_lines
 from omnilines.pipelines.options import SceneOptions
@@ -65,7 +67,42 @@ def lines_of_arcs(
         poses, cameras = scene.poses if moved is None else moved, refined
     refined = replace(cameras, cameras=_refined(cameras, scene))
     kept = kept_lines(found, segments, matched, scene, refined.cameras, options=options, progress=progress)
+    again = _moved_lines(kept, found, refined, options, progress, compare)
+    kept = with_chance(kept, found, refined.cameras, again, options=options, progress=progress)
     return _with_spare(kept, found, refined, options, progress)
+
+
+def _moved_lines(
+    kept: KeptLines,
+    found: Sequence[FoundArcs],
+    cameras: Calibration,
+    options: SceneOptions,
+    progress: ProgressCallback,
+    compare: Each | None,
+) -> MovedLines:
+    """Matches and adjusts arcs in photos that stand elsewhere, as those of `kept` were, and with their slack."""
+    alone = replace(options, refine=("lines",), partition=0)
+
+    def again(poses: ImagePoses, rows: Int[np.ndarray, " k"]) -> tuple[Matched, AdjustedScene] | None:
+        """The tracks of some of the arcs, and their lines."""
+        try:
+            matched = match_arcs(
+                viewed_arcs(found, poses, cameras).rows(rows),
+                min_views=options.min_views,
+                tolerance_px=kept.tolerance_px,
+                options=options.matching,
+                progress=progress,
+                workers=compare,
+            )
+            if not len(matched.tracks):
+                return None
+            segments = _with_tracks(kept.segments.rows(rows), matched)
+            return matched, _adjusted(segments, poses, cameras, alone, progress, workers=Workers())
+        except GeometryError:
+            # Too few arcs are left for any line.
+            return None
+
+    return again
 
 
 def _with_spare(
