@@ -186,6 +186,30 @@ def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room
     assert "photos that look there show too little of them" in json.dumps(stage)
 
 
+def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_path, capsys):
+    """With a lower limit those above it go, and all others stay as they are."""
+    lines = read_lines(rebuilt / "lines.csv")
+    confirmed = np.isnan(lines.chance_share)
+    assert (lines.views[confirmed] == 3).all()
+    assert 0.0 < np.nansum(lines.chance_share) < 0.15 * len(lines)
+    held = [f"scene.kept_lines.{what}" for what in ("guided_by_families=false", "guided_by_corners=false", "min_meeting=1")]
+    found = []
+    least = float(np.nanquantile(lines.chance_share, 0.9))
+    for most in (1.0, least):
+        out = tmp_path / f"{most}"
+        shutil.copytree(rebuilt / "work", out / "work")
+        options = [word for one in (*held, f"scene.kept_lines.max_chance_share={most}") for word in ("--set", one)]
+        assert call(room / "photos", room, out, *options, "--json") == 0
+        found.append((read_lines(out / "lines.csv"), json.loads(capsys.readouterr().out)))
+    (every, before), (some, after) = found
+    kept = every.chance_share <= least
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(some.ends_m, every.ends_m[kept])
+    np.testing.assert_array_equal(some.chance_share, every.chance_share[kept])
+    assert "nearly as many like them are found where photos are moved" in json.dumps(after["stages"][-1])
+    assert before["lines_by_chance"] == pytest.approx(every.chance_share.sum(), abs=1e-6)
+
+
 def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     model = tmp_path / "colmap"

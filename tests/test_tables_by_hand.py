@@ -17,7 +17,11 @@ CORNERS = "view,image,board_x_m,board_y_m,u_px,v_px\n0,a.jpg,0,0,1.5,2\n0,a.jpg,
 SEGMENTS = "image,track,u1_px,v1_px,u2_px,v2_px\na.jpg,t1,1,2,3,4\na.jpg,,5,6,7,8\nb.jpg,t1,9,10,11,12\n"
 POSES = "image,camera,qw,qx,qy,qz,tx,ty,tz\na.jpg,cam0,1,0,0,0,1,2,3\nb.jpg,cam0,0,2,0,0,4,5,6\n"
 LINES = "track,x1_m,y1_m,z1_m,x2_m,y2_m,z2_m,views,rms_px,sigma_m,status\nt1,0,0,0,1,0,0,3,0.2,0.01,ok\nt2,,,,,,,2,,,two_views\n"
-SHOWN = LINES.replace("status\n", "status,shown_share\n").replace("ok\n", "ok,0.75\n").replace("two_views\n", "two_views,\n")
+SHOWN = (
+    LINES.replace("status\n", "status,shown_share,chance_share\n")
+    .replace("ok\n", "ok,0.75,0.1\n")
+    .replace("views\n", "views,,\n")
+)
 
 
 def written(folder: Path, text: str | bytes) -> Path:
@@ -60,13 +64,18 @@ def test_lines_as_they_are_written(tmp_path: Path) -> None:
     assert ",".join(rows[0]) == LINES.splitlines()[0] and b"\r" not in (tmp_path / "out.csv").read_bytes()
 
 
-def test_the_share_that_photos_show_of_a_line(tmp_path: Path) -> None:
-    assert read_lines(written(tmp_path, LINES)).shown_share is None
+def test_the_shares_of_a_line_that_photos_show_and_that_are_there_by_chance(tmp_path: Path) -> None:
+    plain = read_lines(written(tmp_path, LINES))
+    assert plain.shown_share is None and plain.chance_share is None
     lines = read_lines(written(tmp_path, SHOWN))
     assert lines.shown_share is not None and lines.shown_share[0] == 0.75 and np.isnan(lines.shown_share[1])
+    assert lines.chance_share is not None and lines.chance_share[0] == 0.1 and np.isnan(lines.chance_share[1])
     write_lines(tmp_path / "out.csv", lines)
     rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
-    assert [row["shown_share"] for row in rows] == ["0.75", ""]
+    assert [(row["shown_share"], row["chance_share"]) for row in rows] == [("0.75", "0.1"), ("", "")]
+    second = lines.rows(np.array([1, 0]))
+    assert second.tracks == ("t2", "t1") and second.status == ("two_views", "ok") and second.views.tolist() == [2, 3]
+    np.testing.assert_array_equal(second.chance_share, [np.nan, 0.1])
 
 
 @pytest.mark.parametrize(
@@ -197,6 +206,7 @@ ERRORS: list[tuple[Reader, str, str]] = [
     (read_lines, LINES.replace("0.2", "nan"), "line 2, column rms_px: expected a finite number or nothing, found 'nan'"),
     (read_lines, LINES.replace("3,0.2", "-3,0.2"), "line 2, column views: expected a number of views, not negative, found '-3'"),
     (read_lines, SHOWN.replace("0.75", "1.5"), "line 2, column shown_share: expected a share between 0 and 1, found '1.5'"),
+    (read_lines, SHOWN.replace("0.1\n", "-0.1\n"), "line 2, column chance_share: expected a share between 0 and 1, found '-0.1'"),
     (read_lines, LINES.replace("3,0.2", ",0.2"), "line 2, column views: expected a whole number, found an empty cell"),
 ]
 

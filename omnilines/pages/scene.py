@@ -16,7 +16,7 @@ from omnilines.least_squares import Outcome
 from omnilines.pages.limits_of_lines import SAMPLE, length, scene_advice
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
 from omnilines.pipelines.scene import FromPhotos, Scene
-from omnilines.records import LengthUnit, Summary
+from omnilines.records import LengthUnit, Lines, Summary
 from omnilines.report.line_scene import (
     families_section,
     line_photos_section,
@@ -68,6 +68,7 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
     rows = (
         ("photos", f"{len(scene.segments.images)} of {of_photos.given}"),
         *((stage.stage, _stage(stage.kept, stage.dropped)) for stage in scene.stages),
+        *_by_chance(lines),
         ("length of all lines", f"{float(length.sum()):.2f} {lines.unit.sign}"),
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
@@ -76,6 +77,14 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
     return rows, (*_outcome(scene), *noise_notes(scene.adjusted.adjusted.noise))
+
+
+def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:
+    """How many of the lines are there by chance, where that was looked for."""
+    if lines.chance_share is None:
+        return ()
+    count = float(np.nansum(lines.chance_share))
+    return (("of them by chance, as moved photos tell", f"about {count:.0f} ({100 * count / len(lines):.1f} percent)"),)
 
 
 def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
@@ -136,6 +145,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
         "arcs": [{**asdict(photo), "share": photo.share} for photo in scene.photos],
         "stages": [asdict(stage) for stage in scene.stages],
         "lines": len(lines),
+        "lines_by_chance": None if lines.chance_share is None else float(np.nansum(lines.chance_share)),
         "rms_px": scene.adjusted.rms_px(),
         "slack_px": of_photos.tolerance_px,
         "median_sigma_m": scene.median_sigma_m(),

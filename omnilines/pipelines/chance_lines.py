@@ -7,8 +7,8 @@ arcs of lines that more photos show than have to: those lines would have taken t
 
 Lines of moved photos are shown by shorter arcs, and by fewer of the photos that look there. Their density over that of the
 lines, at the same share shown and the same length of arcs, is the share of such lines that are there by chance: the local false
-discovery rate (Efron, Large-Scale Inference, 2010), with decoys (Elias and Gygi, Nature Methods 4, 2007). Its logarithm is taken
-for linear in both, which makes it a logistic regression.
+discovery rate (Efron, Large-Scale Inference, 2010), with decoys (Elias and Gygi, Nature Methods 4, 2007). The logarithm of its
+odds is taken for linear in both figures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -97,7 +97,7 @@ def how_shown(lines: Lines, line: Int[np.ndarray, " n"], length_px: Float[np.nda
 
 
 def chance_share(shown: Float[np.ndarray, "n 2"], by_chance: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
-    """Of n lines, shown as `how_shown` tells, the share of lines like each that are there by chance, at most 1.
+    """Of n lines, shown as `how_shown` tells, the share of lines like each that are there by chance.
 
     c lines were found by chance alone. The prior of both slopes, per standard deviation of the lines, is a standard normal.
     """
@@ -113,14 +113,16 @@ def chance_share(shown: Float[np.ndarray, "n 2"], by_chance: Float[np.ndarray, "
     weight = np.repeat([1.0, MORE_BY_CHANCE / len(shown), 1.0], [len(shown), len(shown), len(by_chance)])
 
     def loss(slopes: Float[np.ndarray, " 3"]) -> tuple[float, Float[np.ndarray, " 3"]]:
-        """Negative logarithm of the posterior, and its gradient."""
+        """Negative logarithm of the posterior, and its gradient: one of a line and a line by chance is the latter with
+        share / (1 + share)."""
         odds, prior = x @ slopes, np.append(0.0, slopes[1:])
-        gradient = x.T @ (weight * (special.expit(odds) - chance)) + prior
-        return float(weight @ (np.logaddexp(0.0, odds) - chance * odds) + 0.5 * prior @ prior), gradient
+        share = special.expit(odds)
+        value = weight @ (np.log1p(share) - chance * special.log_expit(odds)) + 0.5 * prior @ prior
+        return float(value), x.T @ (weight * (1.0 - share) * (share / (1.0 + share) - chance)) + prior
 
     slopes = optimize.minimize(loss, np.zeros(3), jac=True, method="BFGS").x
-    share: Float[np.ndarray, " n"] = np.minimum(np.exp(terms(shown) @ slopes), 1.0)
-    return share
+    found: Float[np.ndarray, " n"] = special.expit(terms(shown) @ slopes)
+    return found
 
 
 def _arcs_left(kept: KeptLines, min_views: int) -> Int[np.ndarray, " k"]:

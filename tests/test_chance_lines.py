@@ -1,0 +1,137 @@
+"""Lines that are there by chance: their share in closed form, and in photos of a room among short edges of anything."""
+
+import functools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matching_scenes import MatchingScene, room
+
+from camera_models import Calibration, GeometryError
+from omnilines.files import PhotoRef
+from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.chance_lines import MORE_BY_CHANCE, chance_share, moved_photos
+from omnilines.pipelines.kept_lines import KeptLines
+from omnilines.pipelines.lines import lines_of_arcs
+from omnilines.pipelines.options import KeptLineOptions, SceneOptions
+from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.progress import silent
+from omnilines.records import ImagePoses
+
+VIEWS, CLUTTER, NEAR_M = 8, 600, 0.05
+NAMES = tuple(f"photo{k}.png" for k in range(VIEWS))
+LIMITS = KeptLineOptions()
+
+
+def test_the_share_is_that_of_two_normal_distributions() -> None:
+    """Of 4000 lines 800 are as those found by chance: the ratio of densities is known."""
+    rng = np.random.default_rng(0)
+    true, chance = np.array([0.7, 4.0]), np.array([0.45, 3.2])
+    sigma = np.array([0.15, 0.5])
+    shown = np.concatenate([true + sigma * rng.standard_normal((3200, 2)), chance + sigma * rng.standard_normal((800, 2))])
+    found = chance_share(shown, chance + sigma * rng.standard_normal((800, 2)))
+    odds = 0.25 * np.exp((((shown - true) / sigma) ** 2 - ((shown - chance) / sigma) ** 2).sum(1) / 2.0)
+    expected = odds / (1.0 + odds)
+    assert found.sum() == pytest.approx(800, rel=0.05)
+    np.testing.assert_allclose(found, expected, atol=0.25)
+    assert np.abs(found - expected).mean() < 0.06 and np.corrcoef(found, expected)[0, 1] > 0.97
+
+
+@pytest.mark.parametrize("count", [1, 2, 300])
+def test_where_none_was_found_by_chance_no_line_is_dropped(count: int) -> None:
+    shown = np.random.default_rng(count).uniform([0.2, 2.5], [1.0, 5.0], (count, 2))
+    found = chance_share(shown, np.zeros((0, 2)))
+    np.testing.assert_allclose(found, min(1.0, MORE_BY_CHANCE / count), rtol=1e-3)
+    assert (found <= LIMITS.max_chance_share + 1e-6).all()
+
+
+@functools.cache
+def cluttered(clutter: int = CLUTTER, edges: bool = True) -> tuple[MatchingScene, list[FoundArcs]]:
+    """Panoramas of a room, and in each as many short arcs, anywhere; no arc has a colour."""
+    exact = room("panorama", views=VIEWS)
+    arcs, rng = exact.arcs(0.2, 1), np.random.default_rng(2)
+    pixels = exact.camera.project(torch.as_tensor(arcs.bearings))[0].numpy()
+    width, height = exact.camera.image_size
+    found = []
+    for k, name in enumerate(NAMES):
+        own = pixels[(arcs.image == k) & edges]
+        first = rng.uniform([20.0, 0.25 * height], [width - 20.0, 0.75 * height], (clutter, 2))
+        way, long_px = rng.uniform(0.0, 2.0 * math.pi, clutter), rng.uniform(10.0, 20.0, clutter)
+        last = first + long_px[:, None] * np.stack([np.cos(way), np.sin(way)], -1)
+        ends = np.concatenate([own, np.stack([first, last], 1)])
+        sigma_px = np.append(np.full(len(own), 0.2), rng.uniform(0.5, 1.5, clutter))
+        covariance = sigma_px[:, None, None, None] ** 2 * np.ones((len(ends), 2, 1, 1)) * np.eye(2)
+        length_px, unknown = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), np.full((len(ends), 2, 3), np.nan)
+        found.append(FoundArcs(PhotoRef(Path(name), name), "cam0", ends, covariance, length_px, unknown))
+    return exact, found
+
+
+@functools.cache
+def lines_found(max_chance_share: float, clutter: int = CLUTTER, edges: bool = True) -> KeptLines:
+    """The test of each line alone is lenient, so that there are some by chance."""
+    exact, found = cluttered(clutter, edges)
+    limits = LIMITS._replace(max_chance_share=max_chance_share, max_chance=0.2, min_meeting=1.0)
+    options = SceneOptions(refine=("lines",), tolerance_px=0.05, kept_lines=limits)
+    poses = ImagePoses(NAMES, exact.poses, ("cam0",) * VIEWS)
+    return lines_of_arcs(found, poses, Calibration({"cam0": exact.camera}), options, silent)
+
+
+def true_lines(kept: KeptLines, exact: MatchingScene) -> np.ndarray:
+    """Which lines have both ends near one line of the room."""
+    lines: PlueckerLines = exact.truth()
+    direction, moment = lines.direction.numpy(), lines.moment.numpy()
+    off = np.linalg.norm(np.cross(kept.scene.lines.ends_m[:, :, None], direction) - moment, axis=-1)
+    found: np.ndarray = (off.max(1) < NEAR_M).any(-1)
+    return found
+
+
+def test_as_many_are_there_by_chance_as_moved_photos_tell() -> None:
+    every, most = lines_found(1.0), lines_found(LIMITS.max_chance_share)
+    right, share = true_lines(every, cluttered()[0]), every.scene.lines.chance_share
+    wrong = ~right
+    assert wrong.sum() >= 20 and right.sum() >= 80
+    assert 0.6 * wrong.sum() < share.sum() < 1.4 * wrong.sum()
+    assert share[right].mean() < 0.05 and share[wrong].mean() > 0.5
+    kept = share <= LIMITS.max_chance_share
+    assert kept[right].mean() > 0.97 and kept[wrong].mean() < 0.4
+    np.testing.assert_array_equal(most.scene.lines.ends_m, every.scene.lines.ends_m[kept])
+    np.testing.assert_array_equal(most.scene.lines.chance_share, share[kept])
+    assert most.stages[-1].kept == kept.sum() and most.stages[-1].dropped[-1][1] == (~kept).sum()
+    of_arcs = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[every.segments.track]
+    np.testing.assert_array_equal(most.segments.track, of_arcs)
+    assert [most.scene.lines.tracks, sum(photo.in_lines for photo in most.photos)] == [
+        tuple(every.scene.lines.tracks[k] for k in np.flatnonzero(kept)),
+        (of_arcs >= 0).sum(),
+    ]
+
+
+def test_a_room_without_clutter_keeps_all_lines() -> None:
+    share = lines_found(LIMITS.max_chance_share, clutter=0).scene.lines.chance_share
+    assert len(share) >= 80 and share.max() < 0.02
+
+
+def test_of_clutter_alone_hardly_a_line_is_left() -> None:
+    """All of it is there by chance, and it is told."""
+    every = lines_found(1.0, edges=False).scene.lines.chance_share
+    assert len(every) >= 20 and every.mean() > 0.6
+    try:
+        left = len(lines_found(LIMITS.max_chance_share, edges=False).scene.lines)
+    except GeometryError as error:
+        assert "all are likely there by chance" in str(error)
+        left = 0
+    assert left < 0.3 * len(every)
+
+
+def test_photos_are_moved_as_far_as_asked_and_not_turned() -> None:
+    kept = lines_found(1.0)
+    moved = moved_photos(kept, LIMITS, np.random.default_rng(0))
+    before = kept.scene.poses.cam_from_world
+    assert torch.equal(moved.cam_from_world.rotation, before.rotation) and moved.images == kept.scene.poses.images
+    way_m = (moved.cam_from_world.centre - before.centre).norm(dim=-1).numpy()
+    middle, image, track = kept.scene.lines.ends_m.mean(1), kept.segments.image, kept.segments.track
+    for k in range(VIEWS):
+        own = middle[track[(image == k) & (track >= 0)]]
+        typical_m = np.median(np.linalg.norm(own - before.centre[k].numpy(), axis=-1))
+        assert LIMITS.min_moved_rad <= way_m[k] / typical_m <= LIMITS.max_moved_rad
