@@ -12,6 +12,7 @@ from matching_scenes import MatchingScene, room
 from camera_models import Calibration, GeometryError
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.advice import advice
 from omnilines.pipelines.chance_lines import MORE_BY_CHANCE, chance_share, moved_photos
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
@@ -105,6 +106,15 @@ def test_as_many_are_there_by_chance_as_moved_photos_tell() -> None:
         tuple(every.scene.lines.tracks[k] for k in np.flatnonzero(kept)),
         (of_arcs >= 0).sum(),
     ]
+
+
+def test_where_many_are_it_is_said() -> None:
+    every, none = lines_found(1.0), lines_found(LIMITS.max_chance_share, clutter=0)
+    options = SceneOptions(refine=("lines",))
+    share = every.scene.lines.chance_share
+    told = f"About {share.sum():.0f} of {len(share)} lines ({100 * share.mean():.0f} %) are there by chance."
+    assert told in [one.limit for one in advice(every, options, silent)]
+    assert not [one.limit for one in advice(none, options, silent) if "by chance" in one.limit]
 
 
 def test_a_room_without_clutter_keeps_all_lines() -> None:

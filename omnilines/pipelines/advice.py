@@ -55,6 +55,7 @@ def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) 
         *_wrong_poses(scene, weak, better),
         *_apart(scene, weak, better, refined),
         *_whole(scene, refined, options.min_views, options.advice),
+        *_by_chance(scene, options.advice),
     )
 
 
@@ -156,6 +157,16 @@ def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptio
     fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
     images = scene.segments.images
     return (Advice(told, f"Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}."),)
+
+
+def _by_chance(scene: KeptLines, options: AdviceOptions) -> tuple[Advice, ...]:
+    """How many lines are there by chance, if many are."""
+    share = scene.scene.lines.chance_share
+    if share is None or np.nansum(share) <= options.many_by_chance * len(share):
+        return ()
+    count = float(np.nansum(share))
+    told = f"About {count:.0f} of {len(share)} lines ({100 * count / len(share):.0f} %) are there by chance."
+    return (Advice(told, "Where lines have to be surely there, drop those with the largest chance_share in lines.csv."),)
 
 
 def _named(items: Sequence[str]) -> str:

@@ -88,6 +88,8 @@ class AdviceOptions(NamedTuple):
     """Share of the arcs of the median photo below which the scene as a whole is spoken of."""
     poor_tolerance_px: float = 0.8
     """Error of poses and calibration from which on they are what loses arcs."""
+    many_by_chance: float = 0.05
+    """Share of the lines that are there by chance above which it is spoken of."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
 

@@ -139,6 +139,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
     order = known[np.argsort(-np.nan_to_num(lines.sigma_m[known], nan=np.inf), kind="stable")]
     sigma_deg = np.degrees(_direction_sigma_rad(lines))
     length = np.linalg.norm(lines.ends_m[:, 1] - lines.ends_m[:, 0], axis=-1)
+    share = lines.chance_share
     rows = [
         (
             lines.tracks[k],
@@ -148,6 +149,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
             figure(1e3 * lines.sigma_m[k]),
             figure(sigma_deg[k]),
             figure(lines.rms_px[k]),
+            *(() if share is None else (figure(100 * share[k], ".2g"),)),
         )
         for k in order[:SHOWN_LINES].tolist()
     ]
@@ -159,6 +161,8 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
     ).format(end_radius_sigmas(2))
     if covariance_file is not None and lines.covariance is not None:
         text += Markup('; the whole covariances are in <a href="{0}">{0}</a>').format(covariance_file)
+    if share is not None:
+        text += Markup(". By chance: how many of a hundred lines like it are not there, as photos that are moved a little tell")
     head = (
         "Track",
         "Status",
@@ -167,6 +171,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
         f"#Sigma across ({lines.unit.thousandth})",
         "#Sigma of direction (°)",
         "#RMS (px)",
+        *(() if share is None else ("#By chance (%)",)),
     )
     return Section(title, text + Markup(".</p>\n") + table(head, rows))
 

@@ -165,9 +165,11 @@ def _picks(lines: Lines, segments: Segments) -> dict[str, Any]:
 
 def _describe(lines: Lines, row: int) -> str:
     sigma = figure(1e3 * lines.sigma_m[row], unit=lines.unit.thousandth)
+    share = np.nan if lines.chance_share is None else float(lines.chance_share[row])
+    chance = "" if np.isnan(share) else f"<br>of lines like it {figure(100 * share, '.2g')} percent are there by chance"
     return (
         f"{lines.tracks[row]}: {lines.status[row]}, {lines.views[row]} views<br>"
-        f"largest sigma across {sigma}, residual {figure(lines.rms_px[row], unit='px')}"
+        f"largest sigma across {sigma}, residual {figure(lines.rms_px[row], unit='px')}{chance}"
     )
 
 
