@@ -13,7 +13,7 @@ from camera_models import Calibration, GeometryError
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
 from omnilines.pipelines.advice import advice
-from omnilines.pipelines.chance_lines import MORE_BY_CHANCE, chance_share, moved_photos
+from omnilines.pipelines.chance_lines import MORE_BY_CHANCE, FoundByChance, chance_share, moved_photos, settled_share
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import KeptLineOptions, SceneOptions
@@ -32,7 +32,9 @@ def test_the_share_is_that_of_two_normal_distributions() -> None:
     true, chance = np.array([0.7, 4.0]), np.array([0.45, 3.2])
     sigma = np.array([0.15, 0.5])
     shown = np.concatenate([true + sigma * rng.standard_normal((3200, 2)), chance + sigma * rng.standard_normal((800, 2))])
-    found = chance_share(shown, chance + sigma * rng.standard_normal((800, 2)))
+    found = chance_share(shown, chance + sigma * rng.standard_normal((800, 2)), np.ones(800))
+    half = chance_share(shown, chance + sigma * rng.standard_normal((1600, 2)), np.full(1600, 0.5))
+    assert np.abs(half - found).mean() < 0.03
     odds = 0.25 * np.exp((((shown - true) / sigma) ** 2 - ((shown - chance) / sigma) ** 2).sum(1) / 2.0)
     expected = odds / (1.0 + odds)
     assert found.sum() == pytest.approx(800, rel=0.05)
@@ -43,9 +45,22 @@ def test_the_share_is_that_of_two_normal_distributions() -> None:
 @pytest.mark.parametrize("count", [1, 2, 300])
 def test_where_none_was_found_by_chance_no_line_is_dropped(count: int) -> None:
     shown = np.random.default_rng(count).uniform([0.2, 2.5], [1.0, 5.0], (count, 2))
-    found = chance_share(shown, np.zeros((0, 2)))
+    found = chance_share(shown, np.zeros((0, 2)), np.zeros(0))
     np.testing.assert_allclose(found, min(1.0, MORE_BY_CHANCE / count), rtol=1e-3)
     assert (found <= LIMITS.max_chance_share + 1e-6).all()
+
+
+def test_what_is_found_by_chance_counts_as_far_as_its_arcs_show_no_other_line() -> None:
+    """The first has two arcs in photo 0, one of which shows nothing, and one in photo 1; the second has arcs of lines in both."""
+    found = FoundByChance(2, np.array([0, 0, 0, 1, 1, -1]), np.array([0, 0, 1, 0, 1, 1]), np.array([1, -1, 0, 1, 0, 2]))
+    np.testing.assert_allclose(found.free(np.array([0.5, 0.2, 0.9])), [0.5, 0.1])
+    np.testing.assert_allclose(found.free(np.ones(3)), 1.0)
+    shown = np.random.default_rng(3).uniform([0.2, 2.5], [1.0, 5.0], (40, 2))
+    nothing_else = settled_share(shown, shown[:20], lambda share: np.ones(20))
+    of_lines = settled_share(shown, shown[:20], lambda share: share[:20] ** 3)
+    np.testing.assert_allclose(nothing_else, chance_share(shown, shown[:20], np.ones(20)))
+    np.testing.assert_allclose(of_lines, chance_share(shown, shown[:20], of_lines[:20] ** 3), atol=1e-3)
+    assert nothing_else.mean() > 0.4 and of_lines.mean() < 0.1
 
 
 @functools.cache

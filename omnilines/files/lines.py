@@ -14,7 +14,7 @@ from omnilines.records import LINE_STATUSES, ImagePoses, Lines
 
 ENDS = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 COLUMNS = ("track", *ENDS, "views", "rms_px", "sigma_m", "status")
-SHARES = ("shown_share", "chance_share")
+OPTIONAL = ("shown_share", "chance_share")
 """Of lines that were found in photos."""
 
 
@@ -24,7 +24,7 @@ def read_lines(path: str | Path) -> Lines:
     Raises InputError naming file, line and column where a track stands twice, a status is not one of `LINE_STATUSES`, the
     coordinates are not there for `ok` and `weak` or are there for others, or a number is none.
     """
-    table = read_table(path, COLUMNS, SHARES, may_be_empty=True)
+    table = read_table(path, COLUMNS, OPTIONAL, may_be_empty=True)
     track, tracks = table.names("track")
     _, first = np.unique(track, return_index=True)
     once = np.zeros(len(table), dtype=bool)
@@ -41,7 +41,7 @@ def read_lines(path: str | Path) -> Lines:
     views = table.whole_numbers("views")
     table.require(views >= 0, "views", "a number of views, not negative")
     rms, sigma = table.numbers_or_nan("rms_px", "sigma_m").T
-    shown, chance = (_share(table, name) for name in SHARES)
+    shown, chance = (_share(table, name) for name in OPTIONAL)
     ends = ends.reshape(-1, 2, 3)
     table_of = (tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status)
     return Lines(*table_of, shown_share=shown, chance_share=chance)
@@ -68,7 +68,7 @@ def write_lines(path: str | Path, lines: Lines) -> None:
     columns["rms_px"] = number_cells(lines.rms_px, path, "rms_px", may_be_nan=True)
     columns["sigma_m"] = number_cells(lines.sigma_m, path, "sigma_m", may_be_nan=True)
     columns["status"] = list(lines.status)
-    for name in SHARES:
+    for name in OPTIONAL:
         share = getattr(lines, name)
         if share is not None:
             columns[name] = number_cells(share, path, name, may_be_nan=True)

@@ -2,8 +2,9 @@
 
 Arcs of several edges meet in lines that are not there. How many do, the photos tell: where each of them is moved a little, its
 arcs fit those of others by chance alone. They are moved, not turned, as the edges of buildings are parallel and stay so: arcs of
-parallel edges meet far more easily than others. What is then found went through all that the lines went through, but for the
-arcs of lines that more photos show than have to: those lines would have taken them.
+parallel edges meet far more easily than others. What is then found went through all that the lines went through. But arcs that
+show a line are not free: those of lines that more photos show than have to are left out, and what is found counts by the chance
+that no other line has its arcs.
 
 Lines of moved photos are shown by shorter arcs, and by fewer of the photos that look there. Their density over that of the
 lines, at the same share shown and the same length of arcs, is the share of such lines that are there by chance: the local false
@@ -12,7 +13,7 @@ odds is taken for linear in both figures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -32,8 +33,41 @@ from omnilines.records import ImagePoses, Lines, StageCount
 
 MORE_BY_CHANCE = 0.5
 """Lines that are added to those found by chance, as well shown as all lines are: where none was found there may still be some."""
+TURNS, SETTLED = 50, 1e-4
+"""Most times that shares are found anew, and the change that ends it."""
 MovedLines = Callable[[ImagePoses, Int[np.ndarray, " k"]], tuple[Matched, AdjustedScene] | None]
 """The tracks of some of the arcs in photos that stand elsewhere, and their lines; None where there are none."""
+
+
+@dataclass(frozen=True)
+class FoundByChance:
+    """Which arcs lines have that were found by chance."""
+
+    count: int
+    """Of the lines."""
+    chance_line: Int[np.ndarray, " k"]
+    """Of each arc which of them it shows, -1 for none."""
+    image: Int[np.ndarray, " k"]
+    line: Int[np.ndarray, " k"]
+    """The line that the arc shows in the photos as they stand, -1 for none."""
+
+    @classmethod
+    def of_none(cls) -> "FoundByChance":
+        """Where no line was found by chance."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(0, nothing, nothing, nothing)
+
+    def free(self, share: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
+        """Of each line found by chance the probability that in each of its photos an arc of it shows no other line, where such
+        a share of lines like the others is there by chance."""
+        member = np.flatnonzero(self.chance_line >= 0)
+        photos = int(self.image.max(initial=0)) + 1
+        pair, place = np.unique(self.chance_line[member] * photos + self.image[member], return_inverse=True)
+        of_photo = np.zeros(len(pair))
+        np.maximum.at(of_photo, place, np.append(share, 1.0)[self.line[member]])
+        free = np.ones(self.count)
+        np.multiply.at(free, pair // photos, of_photo)
+        return free
 
 
 def with_chance(
@@ -51,14 +85,15 @@ def with_chance(
     """
     progress("comparing lines with those of moved photos", 0, 0)
     lines, limits = kept.scene.lines, options.kept_lines
-    length_px = np.concatenate([arcs.length_px for arcs in in_order(found, kept.scene.poses)])
-    shown, by_chance = how_shown(lines, kept.segments.track, length_px), np.zeros((0, 2))
+    length_px = np.concatenate([photo.length_px for photo in in_order(found, kept.scene.poses)])
+    shown, by_chance, arcs = how_shown(lines, kept.segments.track, length_px), np.zeros((0, 2)), FoundByChance.of_none()
     left = _arcs_left(kept, options.min_views)
     of_moved = moved_lines(moved_photos(kept, limits, np.random.default_rng(options.seed)), left)
     if of_moved is not None:
         own = passing_lines(found, *of_moved, cameras, options=options, progress=progress)
         by_chance = how_shown(own.table, own.row, length_px[left])
-    share = chance_share(shown, by_chance)
+        arcs = FoundByChance(len(own.table), own.row, kept.segments.image[left], kept.segments.track[left])
+    share = settled_share(shown, by_chance, arcs.free)
     rows = np.flatnonzero(share <= limits.max_chance_share)
     if not len(rows):
         raise GeometryError(
@@ -96,10 +131,28 @@ def how_shown(lines: Lines, line: Int[np.ndarray, " n"], length_px: Float[np.nda
     return np.stack([lines.shown_share, np.log(typical_px)], -1)
 
 
-def chance_share(shown: Float[np.ndarray, "n 2"], by_chance: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
+def settled_share(
+    shown: Float[np.ndarray, "n 2"],
+    by_chance: Float[np.ndarray, "c 2"],
+    free: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " c"]],
+) -> Float[np.ndarray, " n"]:
+    """`chance_share` where each of the c lines counts by the chance that no other line has its arcs: `free` tells it, given the
+    share of each of the n lines. Both are found in turn, as each decides the other."""
+    share = np.ones(len(shown))
+    for _ in range(TURNS):
+        before, share = share, chance_share(shown, by_chance, free(share))
+        if np.abs(share - before).max() < SETTLED:
+            break
+    return share
+
+
+def chance_share(
+    shown: Float[np.ndarray, "n 2"], by_chance: Float[np.ndarray, "c 2"], count: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, " n"]:
     """Of n lines, shown as `how_shown` tells, the share of lines like each that are there by chance.
 
-    c lines were found by chance alone. The prior of both slopes, per standard deviation of the lines, is a standard normal.
+    c lines were found by chance alone, each counts as many. The prior of both slopes, per standard deviation of the lines, is a
+    standard normal.
     """
     middle, spread = shown.mean(0), shown.std(0)
     spread = np.where(spread > 0.0, spread, 1.0)
@@ -110,7 +163,7 @@ def chance_share(shown: Float[np.ndarray, "n 2"], by_chance: Float[np.ndarray, "
 
     x = np.concatenate([terms(shown), terms(shown), terms(by_chance)])
     chance = np.repeat([0.0, 1.0, 1.0], [len(shown), len(shown), len(by_chance)])
-    weight = np.repeat([1.0, MORE_BY_CHANCE / len(shown), 1.0], [len(shown), len(shown), len(by_chance)])
+    weight = np.concatenate([np.ones(len(shown)), np.full(len(shown), MORE_BY_CHANCE / len(shown)), count])
 
     def loss(slopes: Float[np.ndarray, " 3"]) -> tuple[float, Float[np.ndarray, " 3"]]:
         """Negative logarithm of the posterior, and its gradient: one of a line and a line by chance is the latter with
