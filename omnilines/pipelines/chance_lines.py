@@ -31,7 +31,7 @@ from omnilines.pipelines.photo_arcs import FoundArcs, in_order
 from omnilines.progress import ProgressCallback
 from omnilines.records import ImagePoses, Lines, StageCount
 
-MORE_BY_CHANCE = 0.5
+MORE_BY_CHANCE = 0.25
 """Lines that are added to those found by chance, as well shown as all lines are: where none was found there may still be some."""
 TURNS, SETTLED = 50, 1e-4
 """Most times that shares are found anew, and the change that ends it."""
