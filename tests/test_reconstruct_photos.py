@@ -189,7 +189,7 @@ def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room
 def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_path, capsys):
     """With a lower limit those above it go, and all others stay as they are."""
     lines = read_lines(rebuilt / "lines.csv")
-    assert "By chance (%)" in (rebuilt / "report.html").read_text()
+    assert "Chance (%)" in (rebuilt / "report.html").read_text()
     confirmed = np.isnan(lines.chance_share)
     assert (lines.views[confirmed] == 3).all()
     assert 0.0 < np.nansum(lines.chance_share) < 0.15 * len(lines)

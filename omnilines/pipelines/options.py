@@ -52,8 +52,8 @@ class KeptLineOptions(NamedTuple):
     """A line is dropped of which the photos that look where it is show a smaller share (`shown_share` in `lines.csv`): about what
     a photo that had no part in it shows, or more."""
     max_chance_share: float = 0.3
-    """A line is dropped where a larger share of those like it are there by chance (`chance_share` in `lines.csv`): photos left out
-    miss two to three times as many. With 1 none is dropped."""
+    """A line is dropped where a larger share of those like it are there by chance (`chance_share` in `lines.csv`): photos left
+    out miss two to three times as many. With 1 none is dropped."""
     min_moved_rad: float = math.radians(2.0)
     """To tell that, each photo is moved by so much or more, seen from the lines that it shows: arcs then fit each other by chance
     alone."""

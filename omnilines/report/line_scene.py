@@ -162,7 +162,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
     if covariance_file is not None and lines.covariance is not None:
         text += Markup('; the whole covariances are in <a href="{0}">{0}</a>').format(covariance_file)
     if share is not None:
-        text += Markup(". By chance: how many of a hundred lines like it are not there, as photos that are moved a little tell")
+        text += Markup(". Chance: how many of a hundred lines like it are not there, as photos that are moved a little tell")
     head = (
         "Track",
         "Status",
@@ -171,7 +171,7 @@ def line_table_section(lines: Lines, covariance_file: str | None = "covariance.n
         f"#Sigma across ({lines.unit.thousandth})",
         "#Sigma of direction (°)",
         "#RMS (px)",
-        *(() if share is None else ("#By chance (%)",)),
+        *(() if share is None else ("#Chance (%)",)),
     )
     return Section(title, text + Markup(".</p>\n") + table(head, rows))
 
