@@ -78,7 +78,11 @@ class BoardProblem:
         at = self.linearise(state)
         gram = self.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
         own, coupling, rest = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
-        reduced = rest - coupling.mT @ torch.linalg.solve(own, coupling)
+        eliminated, singular = torch.linalg.solve_ex(own, coupling)
+        # Corners in a heap leave a pose open: it takes no part along what they do not tell.
+        if (heaps := singular != 0).any():
+            eliminated[heaps] = torch.linalg.pinv(own[heaps], hermitian=True) @ coupling[heaps]
+        reduced = rest - coupling.mT @ eliminated
         return Groups(reduced[:, :-1, :-1], -reduced[:, :-1, -1])
 
     def retract(self, state: CameraAndBoards, kept: Tensor, eliminated: Tensor) -> CameraAndBoards:
