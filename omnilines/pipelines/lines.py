@@ -10,6 +10,7 @@ from jaxtyping import Int
 from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
+from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.match import Matched, match_arcs
 from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.chance_lines import MovedLines, with_chance
@@ -43,15 +44,7 @@ def lines_of_arcs(
     while True:
         turn += 1
         # From the second round on poses are those of the adjustment: what they still lack is found anew.
-        matched = match_arcs(
-            viewed_arcs(found, poses, cameras),
-            min_views=options.min_views,
-            tolerance_px=options.tolerance_px,
-            options=options.matching,
-            seed=options.seed,
-            progress=progress,
-            workers=compare,
-        )
+        matched = _matched(viewed_arcs(found, poses, cameras), options.tolerance_px, options, progress, compare)
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)
         scene = _adjusted(segments, poses, cameras, options, progress, workers=workers)
@@ -72,6 +65,20 @@ def lines_of_arcs(
     return _with_spare(kept, found, refined, options, progress)
 
 
+def _matched(
+    arcs: ViewedArcs, tolerance_px: float | None, options: SceneOptions, progress: ProgressCallback, compare: Each | None
+) -> Matched:
+    return match_arcs(
+        arcs,
+        min_views=options.min_views,
+        tolerance_px=tolerance_px,
+        options=options.matching,
+        seed=options.seed,
+        progress=progress,
+        workers=compare,
+    )
+
+
 def _moved_lines(
     kept: KeptLines,
     found: Sequence[FoundArcs],
@@ -86,14 +93,8 @@ def _moved_lines(
     def again(poses: ImagePoses, rows: Int[np.ndarray, " k"]) -> tuple[Matched, AdjustedScene] | None:
         """The tracks of some of the arcs, and their lines."""
         try:
-            matched = match_arcs(
-                viewed_arcs(found, poses, cameras).rows(rows),
-                min_views=options.min_views,
-                tolerance_px=kept.tolerance_px,
-                options=options.matching,
-                progress=progress,
-                workers=compare,
-            )
+            arcs = viewed_arcs(found, poses, cameras).rows(rows)
+            matched = _matched(arcs, kept.tolerance_px, options, progress, compare)
             if not len(matched.tracks):
                 return None
             segments = _with_tracks(kept.segments.rows(rows), matched)

@@ -94,9 +94,10 @@ def of_export() -> Iterator[Case]:
     """Folders that hold no scene, or a torn one."""
     for name in SCENE_TABLES:
         for what, change in BYTES.items():
-            # A table or a calibration that ends with a whole row, or within its last number, is one of fewer.
+            # A table or a calibration that ends with a whole row is one of fewer; half of these poses end within a last number.
             torn = what in ("torn-third", "torn-half")
-            status = (0, 2) if torn and name in ("calibration.yaml", "poses.csv") else (2,)
+            whole = (torn and name == "calibration.yaml") or (name, what) == ("poses.csv", "torn-half")
+            status = (0, 2) if whole else (2,)
             yield Case(f"scene:{name}:{what}", exported(), in_scene(name, change), f"{name}|a.dxf", status=status)
         for what, place in PLACES.items():
             yield Case(f"scene:{name}:{what}", exported(), in_place_of(name, place), name)
