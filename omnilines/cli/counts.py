@@ -103,7 +103,7 @@ IN_RIG = (
     "patterns"
 )
 WITH_PHOTOS = "with photos, found `segments` without them"
-OF_SCENE = ("matching.", "posing.", "structure.", "rough_poses.", "rounds.", "kept_lines.", "frame.", "advice.")
+OF_SCENE = ("matching.", "posing.", "structure.", "rough_poses.", "rounds.", "kept_lines.", "frame.", "advice.", "bow_share")
 
 OF_TARGET = tuple(
     f"calibration.{part}"
@@ -186,6 +186,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
         Rule(("scene.posing.rectangle.",), lambda call: call.values["poses"].startswith("rectangle:"), "with `poses` rectangle"),
         Rule(("scene.matching.tolerance.",), lambda call: not call.has("tolerance_px"), "without `tolerance_px`"),
+        Rule(("scene.matching.bow.",), lambda call: not call.has("scene.bow_share"), "without `scene.bow_share`"),
     ),
     "adjust": (
         Rule(("partition",), lambda call: "poses" in call.values["refine"], "with `refine` poses"),

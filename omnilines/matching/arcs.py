@@ -67,6 +67,12 @@ class ViewedArcs:
         """The same with a further standard deviation of every end, for what no arc knows of: errors of poses and cameras."""
         return replace(self, covariance_px2=self.covariance_px2 + tolerance_px**2 * np.eye(2))
 
+    def bowed(self, bow_share: float) -> "ViewedArcs":
+        """The same with a further standard deviation of every end, a share of the length of its arc: real edges are not quite
+        straight, and the longer an arc is, the less its own noise says of where the line lies that is meant."""
+        bow_px2 = (bow_share * self.length_px) ** 2
+        return replace(self, covariance_px2=self.covariance_px2 + bow_px2[:, None, None, None] * np.eye(2))
+
     def moved_to(self, first: Pose) -> "ViewedArcs":
         """The same arcs where all photos moved as one, so that the first of them has the pose `first` (1,)."""
         back = self.poses[[0]].inverse()
@@ -119,11 +125,26 @@ class ViewedArcs:
         return np.linalg.norm(np.einsum("nkxp,nx->nkp", self.by_pixel, normal), axis=-1).max(-1)
 
     @cached_property
+    def reach_rad(self) -> Float[np.ndarray, " n"]:
+        """Angle between the ends of each."""
+        cosine = (self.bearings[:, 0] * self.bearings[:, 1]).sum(-1)
+        return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+    @cached_property
+    def length_px(self) -> Float[np.ndarray, " n"]:
+        """Length of each, in pixels of the size that they have across it."""
+        return self.reach_rad / self.px_rad
+
+    @cached_property
+    def sigma_px(self) -> Float[np.ndarray, " n"]:
+        """Standard deviation of each arc across it, of its worse end."""
+        sigma: Float[np.ndarray, " n"] = self.packed[:, 12:].max(-1) / self.px_rad
+        return sigma
+
+    @cached_property
     def circle_sigma_rad(self) -> Float[np.ndarray, " n"]:
         """Standard deviation of each great circle: that of its worse end across it over the sine of its length."""
-        cosine = (self.bearings[:, 0] * self.bearings[:, 1]).sum(-1)
-        reach = np.arccos(np.clip(cosine, -1.0, 1.0))
-        sigma: Float[np.ndarray, " n"] = self.packed[:, 12:].max(-1) / np.sin(np.minimum(reach, np.pi / 2))
+        sigma: Float[np.ndarray, " n"] = self.packed[:, 12:].max(-1) / np.sin(np.minimum(self.reach_rad, np.pi / 2))
         return sigma
 
     @cached_property

@@ -1,5 +1,6 @@
 """For every arc the 3D line that the other photos agree on, over all arcs of all photos (`kernels/voting.py`)."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,14 @@ class Hypotheses:
     """Arcs of other photos that could show its line, and look like it."""
     neighbours: Bool[np.ndarray, "m m"]
     """The photos that each was compared with."""
+
+    def clearest(self, rows: Int[np.ndarray, " n"], share: float) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+        """The arcs of the lines that stand out most from their rivals, a share of all: arcs of which these are (of `rows`, one
+        for each line), then their supporters, and the line of each."""
+        best = np.argsort(self.rival - self.score, kind="stable")[: max(1, math.ceil(share * len(rows)))]
+        support = self.support[best]
+        member = np.concatenate([rows[best], support[support >= 0]])
+        return member, np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
 
 
 def find_hypotheses(

@@ -4,16 +4,19 @@ found = match_arcs(arcs)        # ViewedArcs: both ends of every arc as bearings
 found.tracks.track              # (n,) line of every arc or -1; found.tracks.lines: a `Triangulation`
 
 How far arcs of one line may lie apart follows from their stated noise and from a slack for what no arc knows of: errors of poses
-and cameras (`tolerance_px`). Unless given, the slack is chosen by the data (`slack.py`).
+and cameras (`tolerance_px`). Unless given, the slack is chosen by the data (`slack.py`). Long edges may be farther from straight
+than that (`bow.py`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from camera_models.errors import InputError
 from omnilines.matching.arcs import ViewedArcs
+from omnilines.matching.bow import shown_bow, with_bowed
 from omnilines.matching.hypotheses import Hypotheses, find_hypotheses, near_photos
 from omnilines.matching.kernels.supporters import supporting_photos
 from omnilines.matching.options import MatchingOptions
@@ -30,13 +33,20 @@ class Matched:
     """The tracks with what led to them."""
 
     arcs: ViewedArcs
-    """As given, widened by the slack."""
+    """As given, widened by the slack; those of tracks that take it into account, by what edges bow too."""
     hypotheses: Hypotheses
     tracks: Tracks
     tolerance_px: float
     """The slack."""
     beyond_chance: bool = True
     """Whether lines stand out by more than sampling explains, where the slack was chosen by that."""
+    bow_share: float = 0.0
+    """Standard deviation of long arcs from their lines, as edges are not quite straight, over their length."""
+
+    @cached_property
+    def bow_px(self) -> Float[np.ndarray, " n"]:
+        """Standard deviation that each arc was given as edges are not quite straight."""
+        return np.where(self.tracks.bowed, self.bow_share * self.arcs.length_px, 0.0)
 
     def agreeing_photos(self) -> Int[np.ndarray, " n"]:
         """Number of other photos that support the best line of every arc."""
@@ -79,3 +89,26 @@ def match_arcs(
     found = find_hypotheses(widened, near, options=options, progress=progress, workers=workers)
     tracks = build_tracks(widened, found, min_views, options, progress)
     return Matched(widened, found, tracks, tolerance_px, beyond_chance)
+
+
+def with_long_edges(
+    matched: Matched,
+    *,
+    min_views: int = LEAST_VIEWS,
+    bow_share: float | None = None,
+    options: MatchingOptions = MatchingOptions(),
+    progress: ProgressCallback = silent,
+) -> Matched:
+    """The tracks with the long arcs that have none as edges are not quite straight; `bow_share` is found where it is not given.
+
+    The same where edges are straight, and where lines do not stand out.
+    """
+    if bow_share is None:
+        found = matched.hypotheses.neighbours
+        bow_share = shown_bow(matched.arcs, found, options) if matched.beyond_chance else 0.0
+    if bow_share == 0.0:
+        return matched
+    arcs, tracks = with_bowed(
+        matched.arcs, matched.tracks, matched.hypotheses.neighbours, bow_share, min_views, options, progress
+    )
+    return replace(matched, arcs=arcs, tracks=tracks, bow_share=bow_share)

@@ -93,6 +93,20 @@ class ToleranceOptions(NamedTuple):
     """The most that cameras are turned for that: what photos have in common hardly changes."""
 
 
+class BowOptions(NamedTuple):
+    """How far edges are from straight."""
+
+    most_share: float = 0.002
+    """Share of their length, as a standard deviation, that edges are taken to bow by while it is told how much they do, and about
+    the most that is found."""
+    telling_arcs: int = 1000
+    """Arcs that are asked: those that are longest for what their noise is."""
+    min_sigmas: float = 2.0
+    """Times the noise of an arc that such a bow has to be for the arc to tell anything."""
+    min_lines: int = 10
+    """Of which enough arcs tell it; with fewer, edges are taken to be straight."""
+
+
 class ChanceOptions(NamedTuple):
     """How probable it is that photos would show a line that is not there."""
 
@@ -204,6 +218,8 @@ class MatchingOptions(Typed):
     """Which arcs become one track."""
     tolerance: ToleranceOptions = ToleranceOptions()
     """How the tolerance for errors of poses and cameras is chosen."""
+    bow: BowOptions = BowOptions()
+    """How far edges are from straight."""
     chance: ChanceOptions = ChanceOptions()
     """How probable a line that is not there is."""
     directions: DirectionOptions = DirectionOptions()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from camera_models.pose import Pose
@@ -117,16 +117,11 @@ def _sample(arcs: ViewedArcs, least: int, precise_share: float, rng: np.random.G
     arcs of neighbouring edges agree: their lines gain, and leave no rival.
     """
     count = max(SAMPLED_PAIRS // len(arcs), least)
-    order = np.lexsort((_stated_px(arcs), arcs.image))
+    order = np.lexsort((arcs.sigma_px, arcs.image))
     rank = np.arange(len(arcs)) - arcs.starts[arcs.image]
     of_photo = np.bincount(arcs.image, minlength=arcs.images)[arcs.image]
     precise = order[rank < max(precise_share, count / len(arcs)) * of_photo]
     return np.sort(rng.permutation(precise)[:count])
-
-
-def _stated_px(arcs: ViewedArcs) -> Float[np.ndarray, " n"]:
-    """Standard deviation (px) of each arc across it, of its worse end."""
-    return arcs.packed[:, 12:].max(-1) / arcs.px_rad
 
 
 def _turned(poses: Pose, least_rad: float, most_rad: float, rng: np.random.Generator) -> Pose:
@@ -153,12 +148,9 @@ def _shown_slack(
     """
     its, widened = options.tolerance, arcs.widened(tolerance_px)
     found = find_hypotheses(widened, neighbours, rows=rows, options=options)
-    best = np.argsort(found.rival - found.score, kind="stable")[: max(1, math.ceil(its.showing_share * len(rows)))]
-    support = found.support[best]
-    member = np.concatenate([rows[best], support[support >= 0]])
-    track = np.concatenate([np.arange(len(best)), np.nonzero(support >= 0)[0]])
-    stated_px = _stated_px(arcs)[member]
-    typical_px = ndimage.median(stated_px, track, np.arange(len(best)))
+    member, track = found.clearest(rows, its.showing_share)
+    stated_px = arcs.sigma_px[member]
+    typical_px = ndimage.median(stated_px, track, np.arange(int(track.max()) + 1))
     precise = typical_px <= np.median(typical_px)
 
     def squares_px2(some: Bool[np.ndarray, " t"]) -> tuple[float, float]:

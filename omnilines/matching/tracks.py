@@ -43,6 +43,8 @@ class Tracks:
     """Tracks of which other lines explain all but the arcs of too few photos."""
     enough_views: Int[np.ndarray, " t"]
     """Photos that have to show each line."""
+    bowed: Bool[np.ndarray, " n"]
+    """Arcs that are taken to be of edges that are not quite straight (`bow.with_bowed`)."""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -72,7 +74,7 @@ def build_tracks(
     merged = wrong = 0
     for turn in range(ROUNDS):
         progress("building tracks", turn, ROUNDS + 1)
-        track, lines, out = _triangulated(arcs, track, count)
+        track, lines, out = triangulated(arcs, track, count)
         track, candidates = _nearest_lines(arcs, track, lines, found.neighbours, options)
         track, fewer = _united(track, candidates, count, options.tracks.same_share)
         merged, wrong = merged + fewer, wrong + out
@@ -84,7 +86,7 @@ def build_tracks(
     explained = 0
     while True:
         # A track that loses members may have too few photos, and one without a line has none.
-        track, lines, out = _triangulated(arcs, track, count)
+        track, lines, out = triangulated(arcs, track, count)
         wrong, before = wrong + out, count
         track = _of_tracks(track, np.where(lines.known.numpy(), np.arange(count), -1))
         enough = _enough_views(arcs, track, count, found, min_views, options.tracks.min_agreement)
@@ -97,7 +99,7 @@ def build_tracks(
         explained += int((~own).sum())
         track, count = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), int(own.sum())
     progress("building tracks", ROUNDS + 1, ROUNDS + 1)
-    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained, enough)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), merged, wrong, explained, enough, np.zeros(len(arcs), dtype=bool))
 
 
 def spare_tracks(
@@ -112,15 +114,15 @@ def spare_tracks(
     enough = np.append(tracks.enough_views, np.full(extra, views))
     own, explained = np.zeros(len(enough), dtype=bool), 0
     while not own.all():
-        track, lines, _ = _triangulated(arcs, track, len(enough))
+        track, lines, _ = triangulated(arcs, track, len(enough))
         own = lines.known.numpy() & (_views(arcs, track, len(enough)) >= enough)
         if own[count:].all():
             own = _needed(arcs, track, lines, enough, found.neighbours, options)
             explained += int((~own[count:]).sum())
         own[:count] = True
         track, enough = _of_tracks(track, np.where(own, np.cumsum(own) - 1, -1)), enough[own]
-    track, lines, wrong = _triangulated(arcs, np.where(track >= count, track - count, -1), len(enough) - count)
-    return Tracks(track, lines, np.flatnonzero(track >= 0), 0, wrong, explained, enough[count:])
+    track, lines, wrong = triangulated(arcs, np.where(track >= count, track - count, -1), len(enough) - count)
+    return Tracks(track, lines, np.flatnonzero(track >= 0), 0, wrong, explained, enough[count:], tracks.bowed)
 
 
 def _enough_views(
@@ -163,7 +165,7 @@ def _needed(
     return needed(by_views, starts, member, arcs.image, arcs.images, line_starts, candidates.track[by_arc], enough)
 
 
-def _triangulated(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> tuple[np.ndarray, Triangulation, int]:
+def triangulated(arcs: ViewedArcs, track: Int[np.ndarray, " n"], count: int) -> tuple[np.ndarray, Triangulation, int]:
     """The tracks without their wrong members, the lines, and how many members were wrong."""
     rows = np.flatnonzero(track >= 0)
     found = robust_triangulate(arcs.tracks(rows, track[rows], count), method="ml", sigma=1.0)

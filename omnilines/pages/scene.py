@@ -73,6 +73,7 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
         ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
+        ("bow of edges", f"{100 * of_photos.bow_share:g} percent of their length"),
         ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
@@ -148,6 +149,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
         "lines_by_chance": None if lines.chance_share is None else float(np.nansum(lines.chance_share)),
         "rms_px": scene.adjusted.rms_px(),
         "slack_px": of_photos.tolerance_px,
+        "bow_share": of_photos.bow_share,
         "median_sigma_m": scene.median_sigma_m(),
         "noise": noise_data(adjusted.noise),
         "outcome": adjusted.outcome.name.lower(),

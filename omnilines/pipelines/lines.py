@@ -11,7 +11,7 @@ from camera_models import Calibration, CameraModel, GeometryError
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.match import Matched, match_arcs
+from omnilines.matching.match import Matched, match_arcs, with_long_edges
 from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.chance_lines import MovedLines, with_chance
 from omnilines.pipelines.confirmed_lines import spare_of, with_confirmed
@@ -44,7 +44,7 @@ def lines_of_arcs(
     while True:
         turn += 1
         # From the second round on poses are those of the adjustment: what they still lack is found anew.
-        matched = _matched(viewed_arcs(found, poses, cameras), options.tolerance_px, options, progress, compare)
+        matched = _matched(viewed_arcs(found, poses, cameras), options, progress, compare)
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)
         scene = _adjusted(segments, poses, cameras, options, progress, workers=workers)
@@ -58,24 +58,34 @@ def lines_of_arcs(
             break
         before, tolerance_px = members, matched.tolerance_px
         poses, cameras = scene.poses if moved is None else moved, refined
-    refined = replace(cameras, cameras=_refined(cameras, scene))
-    kept = kept_lines(found, segments, matched, scene, refined.cameras, options=options, progress=progress)
-    again = _moved_lines(kept, found, refined, options, progress, compare)
-    kept = with_chance(kept, found, refined.cameras, again, options=options, progress=progress)
-    return _with_spare(kept, found, refined, options, progress)
+    cameras = replace(cameras, cameras=_refined(cameras, scene))
+    # Only now do long edges that bow take part: poses are those of edges that fit as they are.
+    longer = _with_long_edges(matched, options, progress)
+    if longer is not matched:
+        matched, segments = longer, _with_tracks(segments, longer)
+        scene = _adjusted(segments, scene.poses, cameras, options, progress, workers=workers)
+        cameras = replace(cameras, cameras=_refined(cameras, scene))
+    kept = kept_lines(found, segments, matched, scene, cameras.cameras, options=options, progress=progress)
+    again = _moved_lines(kept, found, cameras, options, progress, compare)
+    kept = with_chance(kept, found, cameras.cameras, again, options=options, progress=progress)
+    return _with_spare(kept, found, cameras, options, progress)
 
 
-def _matched(
-    arcs: ViewedArcs, tolerance_px: float | None, options: SceneOptions, progress: ProgressCallback, compare: Each | None
-) -> Matched:
+def _matched(arcs: ViewedArcs, options: SceneOptions, progress: ProgressCallback, compare: Each | None) -> Matched:
     return match_arcs(
         arcs,
         min_views=options.min_views,
-        tolerance_px=tolerance_px,
+        tolerance_px=options.tolerance_px,
         options=options.matching,
         seed=options.seed,
         progress=progress,
         workers=compare,
+    )
+
+
+def _with_long_edges(matched: Matched, options: SceneOptions, progress: ProgressCallback) -> Matched:
+    return with_long_edges(
+        matched, min_views=options.min_views, bow_share=options.bow_share, options=options.matching, progress=progress
     )
 
 
@@ -87,14 +97,15 @@ def _moved_lines(
     progress: ProgressCallback,
     compare: Each | None,
 ) -> MovedLines:
-    """Matches and adjusts arcs in photos that stand elsewhere, as those of `kept` were, and with their slack."""
-    alone = replace(options, refine=("lines",), partition=0)
+    """Matches and adjusts arcs in photos that stand elsewhere, as those of `kept` were, and with their slack and bow."""
+    known = replace(options, tolerance_px=kept.tolerance_px, bow_share=kept.matched.bow_share)
+    alone = replace(known, refine=("lines",), partition=0)
 
     def again(poses: ImagePoses, rows: Int[np.ndarray, " k"]) -> tuple[Matched, AdjustedScene] | None:
         """The tracks of some of the arcs, and their lines."""
         try:
             arcs = viewed_arcs(found, poses, cameras).rows(rows)
-            matched = _matched(arcs, kept.tolerance_px, options, progress, compare)
+            matched = _with_long_edges(_matched(arcs, known, progress, compare), known, progress)
             if not len(matched.tracks):
                 return None
             segments = _with_tracks(kept.segments.rows(rows), matched)

@@ -135,6 +135,9 @@ class SceneOptions(Typed):
     tolerance_px: float | None = None
     """Standard deviation that arcs have beyond what they state, for errors of poses and calibration; found from the arcs where it
     is not given."""
+    bow_share: float | None = None
+    """Standard deviation that arcs have besides, over their length, as edges are not quite straight; found from the arcs where it
+    is not given."""
     triangulation: str = "ml"
     """Method: dual, averaging, svd or ml."""
     triangulation_options: Mapping[str, Any] = field(default_factory=dict)
@@ -175,7 +178,7 @@ class SceneOptions(Typed):
 OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")
 """Of matched segments that a user brings: they are taken as they are."""
 OF_PHOTOS = (
-    "min_views", "tolerance_px", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines", "frame",
-    "advice",
+    "min_views", "tolerance_px", "bow_share", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines",
+    "frame", "advice",
 )  # fmt: skip
 """Options that decide nothing of such segments: what is looked for in photos, and in the arcs of photos."""

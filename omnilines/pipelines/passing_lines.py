@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy import ndimage
 
 from camera_models import CameraModel
 from omnilines.adjustment.lines import end_sigma_m
@@ -61,7 +62,7 @@ def passing_lines(
     lines = scene.lines
     limit_px = max(limits.max_rms_tolerances * matched.tolerance_px, limits.max_rms_px)
     known = lines.known
-    far = known & (lines.rms_px > limit_px)
+    far = known & (lines.rms_px > np.maximum(limit_px, limits.max_rms_tolerances * _typical_bow_px(matched)))
     # Of lines that rest on one camera most are right: the table calls them weak, and keeps them.
     weak = known & ~far & (np.array(lines.status) == "weak") & ~scene.rests_on_one
     kept = np.flatnonzero(known & ~far & ~weak)
@@ -78,6 +79,12 @@ def passing_lines(
     dropped = Dropped(int(far.sum()), int(weak.sum()), unsupported, by_chance, hardly_shown)
     supported = _arcs_of_stretches(matched, kept, scene, stretches, row)
     return PassingLines(table, kept[stretches.line[row]], supported, limit_px, dropped)
+
+
+def _typical_bow_px(matched: Matched) -> Float[np.ndarray, " t"]:
+    """Of each track the median of what its arcs were given as edges are not quite straight."""
+    tracks = matched.tracks
+    return ndimage.median(matched.bow_px, tracks.track, np.arange(len(tracks)))
 
 
 def _lines_of(scene: AdjustedScene, tracks: Int[np.ndarray, " k"]) -> PlueckerLines:

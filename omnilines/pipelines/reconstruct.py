@@ -58,6 +58,8 @@ def check_options(options: SceneOptions, cameras: Calibration) -> None:
             f"`min_views` of 3 or more and a `tolerance_px` above 0 were expected, found {options.min_views} and "
             f"{options.tolerance_px}; correct the options."
         )
+    if options.bow_share is not None and not 0 <= options.bow_share < 1:
+        raise InputError(f"A `bow_share` from 0 to below 1 was expected, found {options.bow_share}; correct the option.")
     if options.seed < 0:
         raise InputError(f"A `seed` of 0 or more was expected, found {options.seed}; correct it.")
     if "rig" in options.refine and not cameras.rig:
@@ -178,7 +180,8 @@ def _scene(
     )
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
-        folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, frame.families, frame.up
+        folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
+        frame.families, frame.up,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(

@@ -39,6 +39,8 @@ class FromPhotos:
     """What became of the arcs of each photo."""
     tolerance_px: float
     """Standard deviation that arcs were given beyond their own, for errors of poses and calibration."""
+    bow_share: float
+    """That they were given besides, over their length, for edges that are not quite straight."""
     families: Families
     """Of parallel lines."""
     up: tuple[float, float, float]
