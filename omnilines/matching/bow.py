@@ -28,9 +28,11 @@ LEAST_PHOTOS = 3
 def shown_bow(
     arcs: ViewedArcs,
     neighbours: Bool[np.ndarray, "m m"],
+    tolerance_px: float,
     options: MatchingOptions = MatchingOptions(),
 ) -> float:
-    """Standard deviation of arcs from their lines, beyond their noise (that of the poses included), as a share of their length.
+    """Standard deviation of arcs from their lines, beyond their noise and the slack `tolerance_px` that they were widened by, as a
+    share of their length.
 
     It is told by the arcs that are longest for what their noise is, among those of the lines that stand out most; of these only
     by arcs so long that a bow of `options.bow.most_share` is several times their noise. 0 where they are too few, and where they
@@ -46,7 +48,8 @@ def shown_bow(
     level = noise_level(bowed.tracks(member, track, count))
     length_px, stated_px2 = float(np.median(arcs.length_px[member])), float(np.median(arcs.sigma_px[member])) ** 2
     shown_px2 = level**2 * (stated_px2 + (its.most_share * length_px) ** 2)
-    if not shown_px2 > options.tolerance.max_noise_factor**2 * stated_px2:
+    own_px2 = stated_px2 - tolerance_px**2
+    if not shown_px2 > options.tolerance.max_noise_factor**2 * own_px2 + tolerance_px**2:
         return 0.0
     # Two digits, since they are printed, and no more is known of it.
     return float(f"{math.sqrt(shown_px2 - stated_px2) / length_px:.2g}")

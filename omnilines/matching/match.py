@@ -105,7 +105,7 @@ def with_long_edges(
     """
     if bow_share is None:
         found = matched.hypotheses.neighbours
-        bow_share = shown_bow(matched.arcs, found, options) if matched.beyond_chance else 0.0
+        bow_share = shown_bow(matched.arcs, found, matched.tolerance_px, options) if matched.beyond_chance else 0.0
     if bow_share == 0.0:
         return matched
     arcs, tracks = with_bowed(
