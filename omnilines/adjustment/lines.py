@@ -28,6 +28,7 @@ from omnilines.costs import WHITENED
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Progress
+from omnilines.least_squares.dense import LEAST_EIGENVALUE
 from omnilines.least_squares.devices import usable_device
 
 MOST_TURNS, CONVERGED = 12, 1e-3
@@ -203,6 +204,17 @@ def end_sigma_m(chart: LineChart, covariance: Float[Tensor, "t 4 4"], ends_m: Fl
     finite = torch.isfinite(spread).flatten(1).all(-1)
     largest = torch.linalg.eigvalsh(torch.where(finite[:, None, None, None], spread, 0.0))[..., -1].clamp_min(0).sqrt()
     return torch.where(finite, largest.amax(-1), math.nan)
+
+
+def lost_lines(arcs: MatchedArcs, state: LinesAndPoses) -> Bool[Tensor, " t"]:
+    """Lines that their arcs do not determine where they came to lie, such as in a camera: their own normal equations are
+    singular, whatever is known of the cameras."""
+    everywhere = torch.ones(len(state.rig_from_world), dtype=torch.bool)
+    at = LineProblem(arcs, WHITENED, Freedom(everywhere), state).linearise(state)
+    blocks = torch.zeros(arcs.tracks, 4, 4, dtype=torch.float64)
+    blocks.index_add_(0, arcs.track, torch.nan_to_num(at.by_eliminated.mT @ at.by_eliminated))
+    unit = blocks.diagonal(dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
+    return torch.linalg.eigvalsh(blocks * unit[:, :, None] * unit[:, None])[:, 0] < LEAST_EIGENVALUE
 
 
 def drop_unknown(arcs: MatchedArcs, known: Bool[Tensor, " t"]) -> tuple[MatchedArcs, Int[Tensor, " k"]]:

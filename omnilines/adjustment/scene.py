@@ -16,7 +16,7 @@ from camera_models.pose import Pose
 from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import ArcTable, MatchedArcs, arcs_from_segments
 from omnilines.adjustment.line_table import line_table, too_uncertain
-from omnilines.adjustment.lines import adjust_lines, drop_unknown
+from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_lines
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.parts_engine import Workers
@@ -27,8 +27,9 @@ from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.suspects import Suspect, suspects
 from omnilines.costs import cost_named
 from omnilines.geometry.line_chart import LineChart
-from omnilines.least_squares import Loss, Progress
+from omnilines.least_squares import Loss, Outcome, Progress
 from omnilines.records import ImagePoses, Lines, Segments
+from omnilines.triangulation.degeneracy import without_lines
 from omnilines.triangulation.result import Triangulation
 
 REFINABLE = ("lines", "poses", "intrinsics", "rig")
@@ -103,11 +104,8 @@ def reconstruct_lines(
     state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
     method = Method(triangulation, triangulation_options or {}, robust, device)
     state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
-    inner, tracks = drop_unknown(arcs.rows(member), first.known)
-    centres = state.cam_from_world.centre[inner.image]
-    state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
 
-    def adjust(start: LinesAndPoses, scaled: Loss) -> Adjusted:
+    def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss) -> Adjusted:
         """From a start, with a loss at its scale."""
         return adjust_lines(
             inner,
@@ -128,12 +126,21 @@ def reconstruct_lines(
             workers=workers,
         )
 
-    adjusted = adjust(state, scaled_loss(loss, cost, inner, state, options))
+    while True:
+        inner, tracks = drop_unknown(arcs.rows(member), first.known)
+        centres = state.cam_from_world.centre[inner.image]
+        state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
+        adjusted = adjust(inner, state, scaled_loss(loss, cost, inner, state, options))
+        lost = lost_lines(inner, adjusted.state) if adjusted.outcome is Outcome.DEGENERATE else torch.zeros(len(tracks)).bool()
+        if not lost.any():
+            break
+        # One such line leaves all others, and the poses, without covariances.
+        first = without_lines(first, tracks[lost], "through_centre")
     level = adjusted.noise.measured
     if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
         # Errors of the start are in the first scale.
         unit = residual_sigma(cost, inner, adjusted.state)
-        adjusted = adjust(adjusted.state, Loss(loss, options.loss_scale * level * unit))
+        adjusted = adjust(inner, adjusted.state, Loss(loss, options.loss_scale * level * unit))
     if refine_poses or refine_rig:
         poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
     rests = _Rests(inner, tracks, member, first)

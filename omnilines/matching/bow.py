@@ -31,8 +31,8 @@ def shown_bow(
     tolerance_px: float,
     options: MatchingOptions = MatchingOptions(),
 ) -> float:
-    """Standard deviation of arcs from their lines, beyond their noise and the slack `tolerance_px` that they were widened by, as a
-    share of their length.
+    """Standard deviation of arcs from their lines beyond their noise and the slack `tolerance_px` that they were widened by, over
+    their length.
 
     It is told by the arcs that are longest for what their noise is, among those of the lines that stand out most; of these only
     by arcs so long that a bow of `options.bow.most_share` is several times their noise. 0 where they are too few, and where they

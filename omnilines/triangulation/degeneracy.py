@@ -243,6 +243,11 @@ def hidden(result: Triangulation) -> Triangulation:
     return replace(result, lines=PlueckerLines(result.lines.direction + blank, result.lines.moment + blank))
 
 
+def without_lines(result: Triangulation, tracks: Int[Tensor, " k"], status: str) -> Triangulation:
+    """The same result without the lines of some tracks, for that reason."""
+    return hidden(replace(result, status=result.status.index_fill(0, tracks, LINE_STATUSES.index(status))))
+
+
 def gather(lines: list[tuple[Tensor, PlueckerLines]], like: TrackFrames) -> PlueckerLines:
     """Lines of groups of tracks in one table; NaN for tracks of no group."""
     direction = torch.full_like(like.focus, torch.nan)
