@@ -83,7 +83,7 @@ def with_bowed(
     bowed = arcs.bowed(bow_share)
     long = np.flatnonzero((tracks.track < 0) & (bow_share * arcs.length_px > arcs.sigma_px))
     known, track = known_lines(arcs, tracks.track, tracks.lines), tracks.track.copy()
-    arc, line, alike, square = known.explaining(bowed.rows(long), options)
+    arc, line, alike, square = known.explaining(bowed.rows(long), options, known.shown_near(arcs, track, neighbours))
     best = most_likely(arc, alike, square)
     track[long[arc[best]]] = known.track[line[best]]
     rest = long[track[long] < 0]

@@ -61,6 +61,12 @@ class KnownLines:
         track = np.concatenate([self.track, more.track])
         return KnownLines(track, chart, torch.cat([self.covariance, more.covariance]), *table)
 
+    def shown_near(self, arcs: ViewedArcs, track: Int[np.ndarray, " n"], neighbours: Bool[np.ndarray, "m m"]) -> AskedLines:
+        """Of each photo the lines that it or one of its neighbours shows; `track` is that of every arc, -1 for none."""
+        place = np.full(max(int(self.track.max(initial=-1)), int(track.max(initial=-1))) + 2, -1)
+        place[self.track] = np.arange(len(self))
+        return AskedLines.near(neighbours, arcs.image, place[track], len(self))
+
     def looks_like(
         self, arcs: ViewedArcs, arc: Int[np.ndarray, " k"], line: Int[np.ndarray, " k"], options: LikenessOptions
     ) -> Float[np.ndarray, " k"]:

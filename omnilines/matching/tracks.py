@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from omnilines.matching.arcs import ViewedArcs
-from omnilines.matching.asked import AskedLines
 from omnilines.matching.hypotheses import Hypotheses
 from omnilines.matching.kernels.supporters import free_supporters, photos_of_tracks, supporting_photos
 from omnilines.matching.kernels.track import claim, needed, united
@@ -192,10 +191,7 @@ def _nearest_lines(
 ) -> tuple[Int[np.ndarray, " n"], _Candidates]:
     """The track whose line explains each arc best, -1 for none, and all that explain it, of those that neighbours show."""
     known = known_lines(arcs, track, lines)
-    number = np.full(len(lines) + 1, -1)
-    number[known.track] = np.arange(len(known))
-    asked = AskedLines.near(neighbours, arcs.image, number[track], len(known))
-    arc, line, alike, square = known.explaining(arcs, options, asked)
+    arc, line, alike, square = known.explaining(arcs, options, known.shown_near(arcs, track, neighbours))
     best = most_likely(arc, alike, square)
     nearest = np.full_like(track, -1)
     nearest[arc[best]] = known.track[line[best]]
