@@ -121,3 +121,15 @@ def test_lines_of_photos_hold_their_long_arcs() -> None:
 def test_a_wrong_bow_is_refused(bow_share: float) -> None:
     with pytest.raises(InputError, match="`bow_share` from 0 to below 1"):
         check_options(SceneOptions(bow_share=bow_share), Calibration({"cam0": room("panorama").camera}))
+
+
+def test_nothing_to_add_and_no_line_to_add_to() -> None:
+    """Every arc short, and arcs of which none has a partner."""
+    scene = room("fisheye")
+    found = match_arcs(scene.arcs(NOISE_PX, 1), tolerance_px=0.05)
+    longer = with_long_edges(found, bow_share=1e-6)
+    assert not longer.tracks.bowed.any()
+    np.testing.assert_array_equal(longer.tracks.track, found.tracks.track)
+    alone = found.arcs.rows(np.flatnonzero(scene.line == scene.image % 7))
+    nothing = with_long_edges(match_arcs(alone, tolerance_px=0.05), bow_share=0.002)
+    assert len(nothing.tracks) == 0 and (nothing.tracks.track == -1).all()
