@@ -103,12 +103,10 @@ def with_long_edges(
 
     The same where edges are straight, and where lines do not stand out.
     """
+    near = matched.hypotheses.neighbours
     if bow_share is None:
-        found = matched.hypotheses.neighbours
-        bow_share = shown_bow(matched.arcs, found, matched.tolerance_px, options) if matched.beyond_chance else 0.0
+        bow_share = shown_bow(matched.arcs, near, matched.tolerance_px, options) if matched.beyond_chance else 0.0
     if bow_share == 0.0:
         return matched
-    arcs, tracks = with_bowed(
-        matched.arcs, matched.tracks, matched.hypotheses.neighbours, bow_share, min_views, options, progress
-    )
+    arcs, tracks = with_bowed(matched.arcs, matched.tracks, near, bow_share, min_views, options, progress)
     return replace(matched, arcs=arcs, tracks=tracks, bow_share=bow_share)
