@@ -10,8 +10,9 @@ from matching_scenes import MatchingScene, room
 
 import omnilines.adjustment.scene as scene_adjustment
 from camera_models import Calibration
+from camera_models.pose import Pose
 from omnilines.adjustment.adjusted import Adjusted
-from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
 from omnilines.adjustment.lines import adjust_lines, lost_lines
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import PlueckerLines
@@ -43,6 +44,22 @@ def in_a_camera(state: LinesAndPoses, arcs: MatchedArcs, line: int) -> LinesAndP
     return replace(state, chart=LineChart.from_lines(moved, state.chart.centre, state.chart.scale))
 
 
+def named(arcs: MatchedArcs, state: LinesAndPoses) -> dict[str, list[int]]:
+    return {status: torch.nonzero(some).flatten().tolist() for status, some in lost_lines(arcs, state).items()}
+
+
+def test_lines_whose_planes_coincide_are_told_from_those_in_a_camera() -> None:
+    """All cameras at one place, and none of the centres that lines are charted about."""
+    scene = room("panorama")
+    segments, poses = tables(scene)
+    arcs = arcs_from_segments(segments, poses, Calibration({"cam0": scene.camera})).arcs
+    centre = scene.poses.centre.mean(0).expand(len(scene.poses), 3)
+    together = Pose(scene.poses.rotation, -(scene.poses.rotation @ centre[..., None])[..., 0])
+    chart = LineChart.about_cameras(scene.truth(), scene.poses.centre[arcs.image], arcs.track)
+    found = named(arcs, LinesAndPoses(together, chart))
+    assert found == {"through_centre": [], "parallel_planes": list(range(len(scene.ends_m)))}
+
+
 def test_a_lost_line_is_left_out_and_the_others_are_adjusted(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, turns = room("panorama"), []
     segments, poses = tables(scene)
@@ -52,9 +69,9 @@ def test_a_lost_line_is_left_out_and_the_others_are_adjusted(monkeypatch: pytest
         turns.append(arcs.tracks)
         if len(turns) > 1:
             return found
-        assert not lost_lines(arcs, found.state).any()
+        assert not any(some.any() for some in lost_lines(arcs, found.state).values())
         lost = in_a_camera(found.state, arcs, LOST)
-        assert torch.nonzero(lost_lines(arcs, lost)).flatten().tolist() == [LOST]
+        assert named(arcs, lost) == {"through_centre": [LOST], "parallel_planes": []}
         return replace(found, state=lost, outcome=Outcome.DEGENERATE)
 
     monkeypatch.setattr(scene_adjustment, "adjust_lines", losing)

@@ -33,6 +33,8 @@ from omnilines.least_squares.devices import usable_device
 
 MOST_TURNS, CONVERGED = 12, 1e-3
 """Times that the noise and a solution with a prior are found in turn, and the relative change of the noise that ends it."""
+IN_A_CAMERA = 1e-4
+"""Distance of a line from a camera, over that from its cameras (median), below which it lies in it."""
 LEAST_LEVEL = 1e-9
 """Noise below it is that of rounding: it says nothing of what a prior weighs."""
 
@@ -206,15 +208,19 @@ def end_sigma_m(chart: LineChart, covariance: Float[Tensor, "t 4 4"], ends_m: Fl
     return torch.where(finite, largest.amax(-1), math.nan)
 
 
-def lost_lines(arcs: MatchedArcs, state: LinesAndPoses) -> Bool[Tensor, " t"]:
-    """Lines that their arcs do not determine where they came to lie, such as in a camera: their own normal equations are
-    singular, whatever is known of the cameras."""
+def lost_lines(arcs: MatchedArcs, state: LinesAndPoses) -> dict[str, Bool[Tensor, " t"]]:
+    """Lines that their arcs do not determine where they came to lie, whatever is known of the cameras, by the status that says
+    why: they lie in a camera, or their planes coincide."""
     everywhere = torch.ones(len(state.rig_from_world), dtype=torch.bool)
     at = LineProblem(arcs, WHITENED, Freedom(everywhere), state).linearise(state)
     blocks = torch.zeros(arcs.tracks, 4, 4, dtype=torch.float64)
     blocks.index_add_(0, arcs.track, torch.nan_to_num(at.by_eliminated.mT @ at.by_eliminated))
     unit = blocks.diagonal(dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
-    return torch.linalg.eigvalsh(blocks * unit[:, :, None] * unit[:, None])[:, 0] < LEAST_EIGENVALUE
+    lost = torch.linalg.eigvalsh(blocks * unit[:, :, None] * unit[:, None])[:, 0] < LEAST_EIGENVALUE
+    away = state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image])
+    nearest = torch.full_like(state.chart.scale, torch.inf).scatter_reduce(0, arcs.track, away, "amin")
+    inside = nearest < IN_A_CAMERA * state.chart.scale
+    return {"through_centre": lost & inside, "parallel_planes": lost & ~inside}
 
 
 def drop_unknown(arcs: MatchedArcs, known: Bool[Tensor, " t"]) -> tuple[MatchedArcs, Int[Tensor, " k"]]:

@@ -105,7 +105,7 @@ def reconstruct_lines(
     method = Method(triangulation, triangulation_options or {}, robust, device)
     state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
 
-    def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss) -> Adjusted:
+    def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss | None = None) -> Adjusted:
         """From a start, with a loss at its scale."""
         return adjust_lines(
             inner,
@@ -117,7 +117,7 @@ def reconstruct_lines(
             refine_rig=refine_rig,
             models=start.models,
             prior=_prior(frames, pose_sigma),
-            loss=scaled,
+            loss=scaled or scaled_loss(loss, cost, inner, start, options),
             cautious=cautious,
             options=options,
             callback=callback,
@@ -126,24 +126,14 @@ def reconstruct_lines(
             workers=workers,
         )
 
-    while True:
-        inner, tracks = drop_unknown(arcs.rows(member), first.known)
-        centres = state.cam_from_world.centre[inner.image]
-        state = replace(state, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
-        adjusted = adjust(inner, state, scaled_loss(loss, cost, inner, state, options))
-        lost = lost_lines(inner, adjusted.state) if adjusted.outcome is Outcome.DEGENERATE else torch.zeros(len(tracks)).bool()
-        if not lost.any():
-            break
-        # One such line leaves all others, and the poses, without covariances.
-        first = without_lines(first, tracks[lost], "through_centre")
+    rests, state, adjusted = _sound(arcs, member, first, state, adjust)
     level = adjusted.noise.measured
     if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
         # Errors of the start are in the first scale.
-        unit = residual_sigma(cost, inner, adjusted.state)
-        adjusted = adjust(inner, adjusted.state, Loss(loss, options.loss_scale * level * unit))
+        unit = residual_sigma(cost, rests.inner, adjusted.state)
+        adjusted = adjust(rests.inner, adjusted.state, Loss(loss, options.loss_scale * level * unit))
     if refine_poses or refine_rig:
         poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
-    rests = _Rests(inner, tracks, member, first)
     return _described(rests, state, adjusted, poses, names, table=table, refined_rig=refine_rig, options=options)
 
 
@@ -158,6 +148,27 @@ class _Rests:
     member: Bool[Tensor, " n"]
     """Of all arcs, those that were not left out."""
     first: Triangulation
+
+
+def _sound(
+    arcs: MatchedArcs,
+    member: Bool[Tensor, " n"],
+    first: Triangulation,
+    start: LinesAndPoses,
+    adjust: Callable[[MatchedArcs, LinesAndPoses], Adjusted],
+) -> tuple[_Rests, LinesAndPoses, Adjusted]:
+    """The adjustment of all lines that stay determined, and its start. One that does not, such as one that comes to lie in a
+    camera, is left out: it would leave all others, and the poses, without covariances."""
+    while True:
+        inner, tracks = drop_unknown(arcs.rows(member), first.known)
+        centres = start.cam_from_world.centre[inner.image]
+        state = replace(start, chart=LineChart.about_cameras(first.lines[tracks], centres, inner.track))
+        adjusted = adjust(inner, state)
+        lost = lost_lines(inner, adjusted.state) if adjusted.outcome is Outcome.DEGENERATE else {}
+        if not any(bool(some.any()) for some in lost.values()):
+            return _Rests(inner, tracks, member, first), state, adjusted
+        for status, some in lost.items():
+            first = without_lines(first, tracks[some], status)
 
 
 def _described(

@@ -104,7 +104,7 @@ class BowOptions(NamedTuple):
     min_sigmas: float = 2.0
     """Times the noise of an arc that such a bow has to be for the arc to tell anything."""
     min_lines: int = 10
-    """Of which enough arcs tell it; with fewer, edges are taken to be straight."""
+    """Lines whose arcs have to tell it; with fewer, edges are taken to be straight."""
 
 
 class ChanceOptions(NamedTuple):
