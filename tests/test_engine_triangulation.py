@@ -1,13 +1,18 @@
 """The compiled triangulation against the general path in torch, tracks in batches, and other devices where there are some."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
 from engine_scenes import Row, row
 
 from camera_models import InputError
+from omnilines.adjustment import lines as adjustment
 from omnilines.adjustment.lines import adjust_lines, end_sigma_m
+from omnilines.adjustment.minimum import minimum_on
+from omnilines.adjustment.problem import LineProblem
+from omnilines.least_squares import Loss, Outcome
 from omnilines.least_squares.devices import moved_to, usable_device
 from omnilines.triangulation import degeneracy, dual, likelihood, observations, residuals, triangulate
 from omnilines.triangulation.batches import triangulate_on
@@ -87,6 +92,36 @@ def test_batches_give_what_all_tracks_give_at_once() -> None:
     torch.testing.assert_close(parts.covariance, whole.covariance, rtol=1e-9, atol=0, equal_nan=True)
 
 
+def wrong(scene: Row) -> Row:
+    """With two of five observations somewhere else."""
+    arcs = scene.arcs
+    far = torch.rand(len(arcs), generator=torch.Generator().manual_seed(0)) < 0.4
+    bearings = torch.where(far[:, None, None], arcs.bearings + 0.02, arcs.bearings)
+    return dataclasses.replace(scene, arcs=dataclasses.replace(arcs, bearings=bearings / bearings.norm(dim=-1, keepdim=True)))
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_lines_go_to_their_own_minima_also_where_another_device_iterates(monkeypatch: pytest.MonkeyPatch, poses: bool) -> None:
+    """The way that a GPU takes, on the processor: as many iterations as in the compiled engine, not more than are allowed."""
+    scene, device = wrong(row(lines=400, reach=8, seed=3)), torch.device("cpu")
+
+    def there(task: Any, state: Any, prior: Any, most: int, callback: Any, *, place: torch.device) -> Any:
+        problem = LineProblem(task.arcs, task.cost, task.freedom, state, prior)
+        return minimum_on(device, problem, state, task.loss, max_iterations=most, callback=callback)
+
+    options: dict[str, Any] = {"loss": Loss("cauchy", 2.0), "refine_poses": poses}
+    compiled = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)
+    with monkeypatch.context() as patch:
+        patch.setattr(adjustment, "line_minimum", there)
+        found = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)
+    assert found.outcome is compiled.outcome is Outcome.CONVERGED and 0 < found.iterations <= compiled.iterations
+    assert abs(found.cost / compiled.cost - 1) < 1e-9
+    turned = (found.state.chart.S - compiled.state.chart.S).flatten(1).norm(dim=1)
+    sigma = compiled.line_covariance.diagonal(dim1=1, dim2=2).clamp_min(0).sqrt()[:, :3].norm(dim=1)
+    # A line whose arcs are half wrong can have two minima.
+    assert float((turned <= 1e-3 * sigma + 1e-12).double().mean()) > 0.99
+
+
 def test_a_wrong_device_is_named() -> None:
     with pytest.raises(InputError, match="one of cpu, cuda, found 'tpu'"):
         usable_device("tpu")
@@ -96,9 +131,10 @@ def test_a_wrong_device_is_named() -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that PyTorch can use on this machine")
-@pytest.mark.parametrize("options", [{}, {"cost": "whitened"}, {"refine_poses": False}])
+@pytest.mark.parametrize("options", [{}, {"cost": "whitened"}, {"refine_poses": False}, {"loss": Loss("cauchy", 2.0)}])
 def test_a_gpu_gives_what_the_processor_gives(options: dict[str, object]) -> None:
     scene = row(cameras=20, lines=200, seed=10)
+    scene = wrong(scene) if "loss" in options else scene
     here = adjust_lines(scene.arcs, scene.lines, scene.poses, **options)  # type: ignore[arg-type]
     there = adjust_lines(scene.arcs, scene.lines, scene.poses, device="cuda", **options)  # type: ignore[arg-type]
     assert abs(there.cost / here.cost - 1) < 1e-10

@@ -36,7 +36,7 @@ def line_minimum(
     if place.type != "cpu":
         if state.models:
             raise InputError("Cameras are refined on the processor, found the device cuda; use the device cpu.")
-        return _on_device(place, problem, state, loss, max_iterations, callback=callback)
+        return minimum_on(place, problem, state, loss, max_iterations=max_iterations, callback=callback)
     if task.division is not None:
         with closing(PartsEngine(problem, state, loss, task.division, task.workers)) as parts:
             return parts_solution(parts, parts.minimise(state, max_iterations, callback)).end
@@ -72,21 +72,26 @@ def _reweighted(
     return Minimum(found.state, found.outcome, found.cost, initial, iterations)
 
 
-def _on_device(
+def minimum_on(
     device: torch.device,
     problem: LineProblem,
     state: LinesAndPoses,
     loss: Loss,
-    max_iterations: int,
     *,
+    max_iterations: int,
     callback: Callable[[Progress], None] | None,
 ) -> Minimum[LinesAndPoses]:
-    """The iterations of a problem on another device. Raises InputError where it does not fit there."""
+    """The iterations of a problem on another device. After each, lines go to their own minima on the processor: where a loss
+    leaves arcs out, some need many small steps. Raises InputError where the problem does not fit into the device's memory.
+    """
+    home = state.chart.phi.device
     arcs, freedom, prior = moved_to(problem.arcs, device), moved_to(problem.freedom, device), moved_to(problem.prior, device)
     require_for_general(arcs, problem.structure.kept_size)
-    own = moved_to(state, device)
-    found = solve(
-        LineProblem(arcs, problem.cost_name, freedom, own, prior), own, loss, max_iterations=max_iterations, callback=callback
-    )
-    end = moved_to(found.state, torch.device("cpu"))
-    return Minimum(end, found.outcome, found.cost, found.initial_cost, found.iterations)
+    here, own = line_convergence(problem, loss), moved_to(state, device)
+
+    def converge(there: LinesAndPoses) -> LinesAndPoses:
+        return there if here is None else moved_to(here(moved_to(there, home)), device)
+
+    there = LineProblem(arcs, problem.cost_name, freedom, own, prior)
+    found = solve(there, own, loss, max_iterations=max_iterations, callback=callback, converge=converge)
+    return Minimum(moved_to(found.state, home), found.outcome, found.cost, found.initial_cost, found.iterations)

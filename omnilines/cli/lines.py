@@ -67,9 +67,7 @@ MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or ca
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
 PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
 PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
-Device = Annotated[
-    str, typer.Option("--device", help="cpu or cuda (never tried on one): where lines are triangulated and adjusted.")
-]
+Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 MaybeRefine = Annotated[
     str | None,
