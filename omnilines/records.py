@@ -186,6 +186,19 @@ class ImagePoses(Typed):
         return len(self.images)
 
 
+@dataclass(frozen=True)
+class PosePoints(Typed):
+    """Points of known place that the pose of a photo was found from. Raises InputError where there is not a pixel of each."""
+
+    points_m: Float[np.ndarray, "k 3"]
+    pixels: Float[np.ndarray, "k 2"]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no table."""
+        super().__post_init__()
+        _require(len(self.pixels) == len(self.points_m), "`pixels` of PosePoints", f"of {len(self.points_m)}", len(self.pixels))
+
+
 LINE_STATUSES = (
     "ok",
     "weak",
@@ -251,6 +264,9 @@ class Lines(Typed):
     chance_share: Float[np.ndarray, " n"] | None = None
     """Share of lines like each that are there by chance, as far as moved photos tell; NaN where a corner confirms a line, None
     where segments were matched by others."""
+    calibration_sigma_m: Float[np.ndarray, " n"] | None = None
+    """What of `sigma_m` is for errors of the calibration, as its file states them: lines have these in common. None where the
+    file states none, or the cameras were refined."""
 
     def __len__(self) -> int:
         return len(self.tracks)

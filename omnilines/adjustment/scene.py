@@ -116,7 +116,7 @@ def reconstruct_lines(
             rig=start.rig,
             refine_rig=refine_rig,
             models=start.models,
-            prior=_prior(frames, pose_sigma),
+            prior=pose_prior(frames, pose_sigma),
             loss=scaled or scaled_loss(loss, cost, inner, start, options),
             cautious=cautious,
             options=options,
@@ -207,7 +207,7 @@ def _described(
     )
 
 
-def _prior(frames: Pose, sigma: tuple[float, float] | None) -> PosePrior | None:
+def pose_prior(frames: Pose, sigma: tuple[float, float] | None) -> PosePrior | None:
     """The poses of all frames with the same standard deviations (rad, m), or nothing."""
     if sigma is None:
         return None

@@ -14,8 +14,10 @@ from omnilines.records import LINE_STATUSES, ImagePoses, Lines
 
 ENDS = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 COLUMNS = ("track", *ENDS, "views", "rms_px", "sigma_m", "status")
-OPTIONAL = ("shown_share", "chance_share")
+SHARES = ("shown_share", "chance_share")
 """Of lines that were found in photos."""
+BY_CALIBRATION = "calibration_sigma_m"
+OPTIONAL = (*SHARES, BY_CALIBRATION)
 
 
 def read_lines(path: str | Path) -> Lines:
@@ -41,10 +43,11 @@ def read_lines(path: str | Path) -> Lines:
     views = table.whole_numbers("views")
     table.require(views >= 0, "views", "a number of views, not negative")
     rms, sigma = table.numbers_or_nan("rms_px", "sigma_m").T
-    shown, chance = (_share(table, name) for name in OPTIONAL)
+    shown, chance = (_share(table, name) for name in SHARES)
+    by_calibration = table.numbers_or_nan(BY_CALIBRATION)[:, 0].copy() if BY_CALIBRATION in table.columns else None
     ends = ends.reshape(-1, 2, 3)
     table_of = (tracks, ends, views, np.ascontiguousarray(rms), np.ascontiguousarray(sigma), status)
-    return Lines(*table_of, shown_share=shown, chance_share=chance)
+    return Lines(*table_of, shown_share=shown, chance_share=chance, calibration_sigma_m=by_calibration)
 
 
 def _share(table: Table, name: str) -> Float[np.ndarray, " n"] | None:
@@ -69,9 +72,9 @@ def write_lines(path: str | Path, lines: Lines) -> None:
     columns["sigma_m"] = number_cells(lines.sigma_m, path, "sigma_m", may_be_nan=True)
     columns["status"] = list(lines.status)
     for name in OPTIONAL:
-        share = getattr(lines, name)
-        if share is not None:
-            columns[name] = number_cells(share, path, name, may_be_nan=True)
+        values = getattr(lines, name)
+        if values is not None:
+            columns[name] = number_cells(values, path, name, may_be_nan=True)
     write_table(path, columns)
 
 

@@ -125,15 +125,21 @@ def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
 
 
 def _of_number(scene: Scene) -> tuple[Advice, ...]:
-    """Where nothing else limits: what as many photos again would do."""
-    sigma, views = scene.median_sigma_m(), scene.lines.views[scene.lines.known]
+    """Where nothing else limits: what as many photos again would do, or a better calibration."""
+    sigma, views, common = scene.median_sigma_m(), scene.lines.views[scene.lines.known], scene.median_calibration_sigma_m()
     if not len(views) or math.isnan(sigma):
         return ()
+    if 2.0 * common**2 > sigma**2:
+        said = (
+            f"Errors of the calibration leave {length(common, scene.lines.unit)} of the {length(sigma, scene.lines.unit)} of the "
+            "sigma of a line: more photos do not lower them."
+        )
+        return (Advice(said, "Calibrate the camera with more photos of a board: its report says where to hold it."),)
     said = (
         f"Nothing stands out but the noise of arcs and the number of photos: half of the lines are seen by "
         f"{np.median(views):.0f} or fewer."
     )
-    after = length(sigma / math.sqrt(2), scene.lines.unit)
+    after = length(math.sqrt(max(0.5 * (sigma**2 - common**2), 0.0) + common**2), scene.lines.unit)
     return (Advice(said, f"As many photos again, from places in between, would bring the sigma of a line to about {after}."),)
 
 

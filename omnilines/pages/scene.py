@@ -75,9 +75,18 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
         ("bow of edges", f"{100 * of_photos.bow_share:g} percent of their length"),
         ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
+        *_by_calibration(scene),
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
     return rows, (*_outcome(scene), *noise_notes(scene.adjusted.adjusted.noise))
+
+
+def _by_calibration(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """What of that is for errors of the calibration, where these are known."""
+    if scene.lines.calibration_sigma_m is None:
+        return ()
+    sigma, sign = scene.median_calibration_sigma_m(), scene.lines.unit.sign
+    return (("of it, for errors of the calibration", figure(sigma, ".3g", sign)),)
 
 
 def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:
@@ -111,6 +120,7 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
         ("rms_px before", figure(adjusted.rms_px(before=True), ".4f")),
         ("rms_px after", figure(adjusted.rms_px(), ".4f")),
         ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
+        *_by_calibration(scene),
         ("noise of the end points", noise_row(adjusted.adjusted.noise)),
     )
     notes = _named("do not belong to their track and were left out", adjusted.wrong)
@@ -151,6 +161,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
         "slack_px": of_photos.tolerance_px,
         "bow_share": of_photos.bow_share,
         "median_sigma_m": scene.median_sigma_m(),
+        "median_calibration_sigma_m": None if lines.calibration_sigma_m is None else scene.median_calibration_sigma_m(),
         "noise": noise_data(adjusted.noise),
         "outcome": adjusted.outcome.name.lower(),
         **_data_of_families(of_photos.families),
@@ -176,14 +187,15 @@ def _data_of_families(families: Families) -> dict[str, Any]:
 
 
 def _data_of_tables(scene: Scene) -> dict[str, Any]:
-    adjusted = scene.adjusted
+    adjusted, lines = scene.adjusted, scene.lines
     return {
-        "tracks": len(scene.lines),
+        "tracks": len(lines),
         UNIT_KEY: scene.lines.unit.sign,
         "status": dict(Counter(scene.lines.status)),
         "rms_px_before": adjusted.rms_px(before=True),
         "rms_px": adjusted.rms_px(),
         "median_sigma_m": scene.median_sigma_m(),
+        "median_calibration_sigma_m": None if lines.calibration_sigma_m is None else scene.median_calibration_sigma_m(),
         "noise": noise_data(adjusted.adjusted.noise),
         "outcome": adjusted.adjusted.outcome.name.lower(),
         "iterations": adjusted.adjusted.iterations,

@@ -17,6 +17,7 @@ from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.calibration_errors import errors_by_calibration, with_calibration_errors
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
@@ -25,7 +26,7 @@ from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Check, ImagePoses, LengthUnit, Segments
+from omnilines.records import Check, ImagePoses, LengthUnit, PosePoints, Segments
 from omnilines.triangulation import check_triangulation
 from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
@@ -73,6 +74,8 @@ def adjust(
     progress("triangulating", 0, 0)
     scene = _adjusted(segments, table, cameras, options, robust, pose_sigma, executor=executor, progress=progress)
     misfit = _judged(scene, table.cam_from_world, cameras, options)
+    points = poses.points if isinstance(poses, PhotoPoses) else {}
+    scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
@@ -120,6 +123,23 @@ def _adjusted(
         arcs = arcs_from_segments(segments, table, cameras, with_nodes=False).arcs
         judge_tracks(arcs, table.cam_from_world, list(cameras.values()), options=options.judge, seed=options.seed)
         raise
+
+
+def _with_calibration_errors(
+    scene: AdjustedScene,
+    given: ImagePoses,
+    points: Mapping[str, PosePoints],
+    cameras: Calibration,
+    options: SceneOptions,
+    pose_sigma: tuple[float, float] | None,
+) -> AdjustedScene:
+    """With what errors of the calibration leave uncertain of the lines."""
+    used = torch.as_tensor(np.isfinite(scene.residual_px).all(1))
+    arcs, every = scene.table.arcs.rows(used), np.arange(len(scene.lines))
+    errors = errors_by_calibration(
+        scene.lines, arcs, every, scene.poses, cameras, options, points, pose_sigma=pose_sigma, given=given
+    )
+    return replace(scene, lines=with_calibration_errors(scene.lines, errors))
 
 
 def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:

@@ -175,6 +175,7 @@ def moved_lines(lines: Lines, scale: float, turn: torch.Tensor) -> Lines:
         sigma_m=scale * lines.sigma_m,
         chart_centre_m=None if lines.chart_centre_m is None else scale * (lines.chart_centre_m @ rotation.T),
         chart_scale_m=None if lines.chart_scale_m is None else scale * lines.chart_scale_m,
+        calibration_sigma_m=None if lines.calibration_sigma_m is None else scale * lines.calibration_sigma_m,
     )
 
 

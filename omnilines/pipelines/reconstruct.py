@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
+from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.scene import check_refine
-from omnilines.costs import check_cost
+from omnilines.costs import check_cost, cost_named
 from omnilines.files import photo_folder, write_poses
 from omnilines.files.folders import work_folder
 from omnilines.least_squares import Loss
@@ -20,6 +22,7 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.better_poses import better_poses
+from omnilines.pipelines.calibration_errors import errors_by_calibration, states_errors, with_calibration_errors
 from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
@@ -153,8 +156,9 @@ def _scene(
     progress: ProgressCallback,
 ) -> Scene:
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
-    progress("looking for parallel lines", 0, 0)
+    errors = _errors_by_calibration(found, posed, cameras, options, progress)
     lines, poses = found.scene.lines, found.scene.poses
+    progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
     if options.kept_lines.guided_by_families:
         lines = guided_lines(lines, families)
@@ -169,7 +173,9 @@ def _scene(
         lines, poses, families, source=posed.source, unit=posed.unit, known=distance,
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
-    found = replace(found, scene=replace(found.scene, lines=frame.lines, poses=frame.poses))
+    # Only now: families and corners are of lines whose errors are their own.
+    whole = with_calibration_errors(frame.lines, errors)
+    found = replace(found, scene=replace(found.scene, lines=whole, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)
     told = (
         *arcs.notes,
@@ -196,6 +202,18 @@ def _scene(
         _checks(found),
         advice(found, options, progress),
     )
+
+
+def _errors_by_calibration(
+    found: KeptLines, posed: PhotoPoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+) -> Float[np.ndarray, "n 4 4"] | None:
+    """What errors of the calibration leave uncertain of the lines."""
+    if not states_errors(cameras):
+        return None
+    progress("following the errors of the calibration", 0, 0)
+    lines, poses = found.scene.lines, found.scene.poses
+    arcs = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
+    return errors_by_calibration(lines, arcs, found.track, poses, cameras, options, posed.points)
 
 
 def _checks(found: KeptLines) -> tuple[Check, ...]:

@@ -114,6 +114,12 @@ class Scene:
         known = self.lines.sigma_m[np.isfinite(self.lines.sigma_m)]
         return float(np.median(known)) if len(known) else float("nan")
 
+    def median_calibration_sigma_m(self) -> float:
+        """What of that is for errors of the calibration; 0 where they are not known."""
+        sigma = self.lines.calibration_sigma_m
+        known = np.zeros(0) if sigma is None else sigma[np.isfinite(sigma)]
+        return float(np.median(known)) if len(known) else 0.0
+
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the scene folder (docs/reconstruction.md) but for the report; the files written. Raises InputError where one
         cannot be."""

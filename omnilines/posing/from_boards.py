@@ -1,6 +1,7 @@
 """Poses of photos from a calibration target that each of them shows: the board frame is the world."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,7 +17,17 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.resection import resect
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses
+from omnilines.records import ImagePoses, PosePoints
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """The pose of a photo that shows a board, and the corners that it was found from."""
+
+    cam_from_board: Pose
+    covariance: Float[np.ndarray, "6 6"]
+    """Of the left perturbation."""
+    corners: PosePoints
 
 
 def poses_from_boards(
@@ -40,7 +51,7 @@ def poses_from_boards(
     photo's pose is right up to that turn, and several need not agree. Raises InputError for such a board with more than one photo
     that shows it, and where no photo shows the board.
     """
-    found: list[tuple[str, Pose, Float[np.ndarray, "6 6"]]] = []
+    found: dict[str, BoardPose] = {}
     lost = {}
     for done, photo in enumerate(photos):
         progress("finding boards", done, len(photos))
@@ -48,7 +59,7 @@ def poses_from_boards(
         if isinstance(outcome, str):
             lost[photo] = f"{photo} has no pose: {outcome}"
         else:
-            found.append((photo, *outcome))
+            found[photo] = outcome
     progress("finding boards", len(photos), len(photos))
     if not found:
         raise InputError(
@@ -64,12 +75,12 @@ def poses_from_boards(
             )
         notes += (f"The {pattern.specification} looks the same after half a turn: its x axis is taken to point to the right.",)
     table = ImagePoses(
-        tuple(photo for photo, _, _ in found),
-        Pose.stack([pose for _, pose, _ in found]),
-        tuple(camera_of[photo] for photo, _, _ in found),
-        np.stack([covariance for _, _, covariance in found]),
+        tuple(found),
+        Pose.stack([one.cam_from_board for one in found.values()]),
+        tuple(camera_of[photo] for photo in found),
+        np.stack([one.covariance for one in found.values()]),
     )
-    return PhotoPoses(table, lost, notes)
+    return PhotoPoses(table, lost, notes, points={photo: one.corners for photo, one in found.items()})
 
 
 def is_mirrored(model: CameraModel) -> bool:
@@ -87,8 +98,8 @@ def board_pose(
     pattern: Pattern,
     options: PosingOptions = PosingOptions(),
     detection: DetectionOptions = DetectionOptions(),
-) -> tuple[Pose, Float[np.ndarray, "6 6"]] | str:
-    """cam_from_board and its covariance, or one sentence why there is none."""
+) -> BoardPose | str:
+    """The pose of a photo, or one sentence why there is none."""
     if image.shape[1::-1] != model.image_size:
         size = f"{image.shape[1]}x{image.shape[0]} px"
         return f"a photo of {model.image_size[0]}x{model.image_size[1]} px was expected for its camera, found one of {size}."
@@ -111,7 +122,7 @@ def _completed(
     options: PosingOptions,
     *,
     detection: DetectionOptions,
-) -> tuple[Pose, Float[np.ndarray, "6 6"]] | None:
+) -> BoardPose | None:
     """The pose from all corners that the camera leads to from those found; None where they are too few or contradict it."""
     start = _resected(model, pattern, found, options, detection.min_corners)
     if start is None:
@@ -122,7 +133,8 @@ def _completed(
         return None
     board_m = pattern.points_m[corners.ids]
     pose, residual = refit_pose(model, guided.cam_from_board, board_m, corners.pixels)
-    return pose, robust_scale_px(residual) ** 2 * pose_covariance(model, pose, board_m, 1.0)
+    covariance = robust_scale_px(residual) ** 2 * pose_covariance(model, pose, board_m, 1.0)
+    return BoardPose(pose, covariance, PosePoints(board_m, corners.pixels))
 
 
 def _resected(model: CameraModel, pattern: Pattern, found: Detection, options: PosingOptions, min_corners: int) -> Pose | None:

@@ -12,7 +12,7 @@ from camera_models.pose_fit import pose_covariance, refit_pose, robust_scale_px
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.resection import MIN_POINTS, resect
-from omnilines.records import Corners, ImagePoses
+from omnilines.records import Corners, ImagePoses, PosePoints
 
 
 def poses_from_corners(
@@ -28,6 +28,7 @@ def poses_from_corners(
     where none is left.
     """
     found: dict[str, tuple[Pose, Float[np.ndarray, "6 6"]]] = {}
+    points: dict[str, PosePoints] = {}
     lost: dict[str, str] = {}
     for view, image in enumerate(corners.images):
         if image not in camera_of:
@@ -37,6 +38,7 @@ def poses_from_corners(
         try:
             model = cameras[camera_of[image]]
             found[image] = pose_of_points(model, corners.pixels[own], corners.board_m[own], sigma, options)
+            points[image] = PosePoints(corners.board_m[own], corners.pixels[own])
         except GeometryError as error:
             lost[image] = f"{image} has no pose: {error}"
     if not found:
@@ -46,7 +48,7 @@ def poses_from_corners(
     names = tuple(found)
     poses, covariance = Pose.stack([found[name][0] for name in names]), np.stack([found[name][1] for name in names])
     table = ImagePoses(names, poses, tuple(camera_of[name] for name in names), covariance)
-    return PhotoPoses(table, lost, ("The world is that of the points in the table.",))
+    return PhotoPoses(table, lost, ("The world is that of the points in the table.",), points=points)
 
 
 def pose_of_points(

@@ -9,7 +9,7 @@ import torch
 from camera_models import GeometryError
 from camera_models.pose import Pose
 from camera_models.rotations import nearest_rotation
-from omnilines.records import ImagePoses, LengthUnit
+from omnilines.records import ImagePoses, LengthUnit, PosePoints
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class PhotoPoses:
     source: str = "table"
     """What they come from: table, colmap, rig, boards, rectangle or sfm. The world of sfm is the frame of a photo."""
     unit: LengthUnit = LengthUnit.METRES
+    points: Mapping[str, PosePoints] = field(default_factory=dict)
+    """Of photos whose pose was found from points of known place: with another camera it would be another one."""
 
 
 def image_poses(

@@ -1,0 +1,97 @@
+"""What errors of the calibration leave uncertain of the lines of a scene, where its file states them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from camera_models import Calibration
+from camera_models.pose import Pose
+from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.by_calibration import Followed, KnownCalibration, calibration_covariance
+from omnilines.adjustment.lines import end_sigma_m
+from omnilines.adjustment.rig import rig_of_photos
+from omnilines.adjustment.scene import pose_prior
+from omnilines.adjustment.start import scaled_loss
+from omnilines.adjustment.state import LinesAndPoses
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.options import SceneOptions
+from omnilines.records import ImagePoses, Lines, PosePoints
+
+
+def states_errors(cameras: Calibration) -> bool:
+    """Whether the file of a calibration says how uncertain cameras or the rig are."""
+    known = [one.covariance for one in cameras.estimates.values()] + [one.covariance for one in cameras.rig.values()]
+    return any(covariance is not None for covariance in known)
+
+
+def errors_by_calibration(
+    lines: Lines,
+    arcs: MatchedArcs,
+    track: Int[np.ndarray, " n"],
+    poses: ImagePoses,
+    cameras: Calibration,
+    options: SceneOptions,
+    points: Mapping[str, PosePoints],
+    *,
+    pose_sigma: tuple[float, float] | None = None,
+    given: ImagePoses | None = None,
+) -> Float[np.ndarray, "n 4 4"] | None:
+    """Covariance of each line from errors of the calibration alone, in its chart; NaN where there is no line, None where cameras
+    were refined or the file does not state its errors.
+
+    The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. `points` are those that poses were
+    found from, which move with the cameras unless lines refine them; `pose_sigma` (rad, m) is that of the prior, the poses
+    `given`, where there is one.
+    """
+    if not states_errors(cameras) or "intrinsics" in options.refine or options.partition or not lines.known.any():
+        return None
+    held = "poses" not in options.refine
+    calibration, frames = _known(poses, cameras, options)
+    rows = np.flatnonzero(lines.known)
+    _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
+    line_of_row = np.full(len(lines), -1)
+    line_of_row[rows] = line
+    of_arc = torch.as_tensor(line_of_row)[arcs.track]
+    inner = replace(arcs, track=of_arc, tracks=len(first)).rows(of_arc >= 0)
+    own = _charts(lines, rows)
+    start = own[torch.as_tensor(first)]
+    loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
+    places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
+    prior = None if given is None else pose_prior(_known(given, cameras, options)[1], pose_sigma)
+    followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior)
+    covariance = np.full((len(lines), 4, 4), np.nan)
+    covariance[rows] = calibration_covariance(followed, calibration, own, torch.as_tensor(line)).numpy()
+    return covariance
+
+
+def with_calibration_errors(lines: Lines, errors: Float[np.ndarray, "n 4 4"] | None) -> Lines:
+    """Lines whose covariances hold errors of the calibration too, and `calibration_sigma_m`, their share."""
+    if errors is None or lines.covariance is None:
+        return lines
+    rows = np.flatnonzero(lines.known)
+    chart, ends, whole = _charts(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors
+    sigma, own = lines.sigma_m.copy(), np.full(len(lines), np.nan)
+    sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), ends).numpy()
+    own[rows] = end_sigma_m(chart, torch.as_tensor(errors[rows]), ends).numpy()
+    return replace(lines, covariance=whole, sigma_m=sigma, calibration_sigma_m=own)
+
+
+def _charts(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:
+    """Of rows that have a line."""
+    assert lines.chart_centre_m is not None and lines.chart_scale_m is not None
+    ends, centre, scale = (torch.as_tensor(a[rows]) for a in (lines.ends_m, lines.chart_centre_m, lines.chart_scale_m))
+    return LineChart.from_lines(PlueckerLines.from_points(ends[:, 0], ends[:, 1]), centre, scale)
+
+
+def _known(poses: ImagePoses, cameras: Calibration, options: SceneOptions) -> tuple[KnownCalibration, Pose]:
+    """The calibration with its errors, and the poses that lines are adjusted with."""
+    names, rigid = list(cameras), cameras.rig and "rig" not in options.refine
+    mounted, frames = rig_of_photos(poses, names, cameras.rig, False, options.adjustment.most_turned_deg)
+    camera = torch.tensor([names.index(name) for name in poses.cameras or (names[0],) * len(poses)])
+    mounts = tuple(cameras.rig[name] for name in names) if rigid else ()
+    estimates = tuple(cameras.estimates.get(name) for name in names)
+    return KnownCalibration(tuple(cameras.values()), estimates, camera, mounted, mounts), frames

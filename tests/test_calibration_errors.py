@@ -1,0 +1,177 @@
+"""What errors of a calibration leave uncertain of lines: against cameras that are drawn from its covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import omnilines as ol
+from camera_models import Calibration, OpenCVFisheye
+from camera_models.formats.calibration_data import CameraEstimate, RigCamera
+from camera_models.pose import Pose
+from camera_models.pose_fit import refit_pose
+from omnilines.adjustment.by_calibration import KnownCalibration, camera_steps, followed_poses
+from omnilines.adjustment.lines import motion_across
+from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.options import OF_TABLES
+from omnilines.records import ImagePoses, Lines, PosePoints, Segments
+
+CAMERA = OpenCVFisheye([320.0, 322.0, 510.0, 390.0, 0.02, -0.01, 0.002, 0.0], (1032, 778))
+SIGMA = np.array([0.5, 0.5, 0.3, 0.3, 1e-3, 5e-4, 0.0, 0.0])
+CAMERAS, LINES, DRAWS = 8, 24, 40
+PARTS = (("lines", "poses"), ("lines",))
+
+
+def covariance() -> np.ndarray:
+    """Of fx, fy, cx, cy, k1 and k2; fx and fy go together, and k1 against both."""
+    mix = np.eye(8)
+    mix[1, 0], mix[4, 0], mix[5, 4] = 0.9, -0.5, -0.7
+    root = SIGMA[:, None] * mix / np.linalg.norm(mix, axis=1)[:, None]
+    return root @ root.T
+
+
+def calibration(camera: OpenCVFisheye = CAMERA) -> Calibration:
+    return Calibration({"cam0": camera}, {"cam0": CameraEstimate(covariance=covariance())})
+
+
+def world() -> tuple[Segments, ImagePoses, np.ndarray]:
+    """Exact segments of lines that all cameras see, their poses, and the ends of the lines."""
+    rng = np.random.default_rng(5)
+    centre = rng.uniform(-0.8, 0.8, (CAMERAS, 3)) * [1.5, 1.0, 0.3]
+    turn = torch.as_tensor(np.concatenate([0.1 * rng.standard_normal((CAMERAS, 3)), np.zeros((CAMERAS, 3))], 1))
+    rotation = Pose.exp(turn).rotation
+    poses = Pose(rotation, -(rotation @ torch.as_tensor(centre)[..., None])[..., 0])
+    middle = rng.uniform([-1.5, -1.0, 2.0], [1.5, 1.0, 3.5], (LINES, 3))
+    way = rng.standard_normal((LINES, 3))
+    way *= 0.5 / np.linalg.norm(way, axis=1, keepdims=True)
+    ends = np.stack([middle - way, middle + way], 1)
+    image, track = np.repeat(np.arange(CAMERAS), LINES), np.tile(np.arange(LINES), CAMERAS)
+    pixels, seen = CAMERA.project(poses[torch.as_tensor(image)].transform(torch.as_tensor(ends[track])))
+    assert bool(seen.all())
+    names = tuple(f"{k}.png" for k in range(CAMERAS))
+    noise = np.broadcast_to(0.3**2 * np.eye(2), (len(track), 2, 2, 2)).copy()
+    segments = Segments(image, names, track, tuple(f"t{k}" for k in range(LINES)), pixels.numpy(), covariance_px2=noise)
+    return segments, ImagePoses(names, poses, ("cam0",) * CAMERAS), ends
+
+
+def charts(lines: Lines) -> LineChart:
+    assert lines.chart_centre_m is not None and lines.chart_scale_m is not None
+    ends = torch.as_tensor(lines.ends_m)
+    own = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
+    return LineChart.from_lines(own, torch.as_tensor(lines.chart_centre_m), torch.as_tensor(lines.chart_scale_m))
+
+
+def squares_m2(lines: Lines, covariance: np.ndarray) -> np.ndarray:
+    """Expected squared motion of both ends of each line across it."""
+    across = motion_across(charts(lines), torch.as_tensor(lines.ends_m))
+    return np.einsum("tkii->tk", (across @ torch.as_tensor(covariance)[:, None] @ across.mT).numpy()).sum(1)
+
+
+@pytest.mark.parametrize("refine", [("lines",), ("lines", "poses")])
+def test_lines_scatter_as_is_stated_where_cameras_are_drawn_from_the_covariance(refine: tuple[str, ...]) -> None:
+    segments, poses, _ = world()
+    options = replace(OF_TABLES, refine=refine)
+    stated, plain = (ol.adjust(segments, poses, one, options).lines for one in (calibration(), CAMERA))
+    assert plain.calibration_sigma_m is None and plain.covariance is not None and stated.covariance is not None
+    np.testing.assert_allclose(stated.ends_m, plain.ends_m, atol=1e-12)
+    expected = squares_m2(plain, stated.covariance - plain.covariance)
+    rng, at = np.random.default_rng(1), torch.as_tensor(plain.ends_m)
+    moved = np.zeros(LINES)
+    for draw in rng.multivariate_normal(np.zeros(8), covariance(), DRAWS):
+        camera = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(draw))
+        ends = torch.as_tensor(ol.adjust(segments, poses, camera, options).lines.ends_m)
+        found = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
+        moved += (found - at).square().sum((1, 2)).numpy() / DRAWS
+    assert 0.75 < moved.sum() / expected.sum() < 1.33
+    assert (moved < 3.0 * expected).all() and (moved > expected / 3.0).all()
+
+
+def test_the_share_of_the_calibration_is_stated_and_adds_up() -> None:
+    segments, poses, _ = world()
+    stated, plain = (ol.adjust(segments, poses, one).lines for one in (calibration(), CAMERA))
+    share = stated.calibration_sigma_m
+    assert share is not None and (share > 0).all() and (stated.sigma_m > plain.sigma_m).all() and (share < stated.sigma_m).all()
+    # Each is the largest in some direction, at some end: together at most as if these were the same.
+    assert (stated.sigma_m <= np.hypot(share, plain.sigma_m) * (1 + 1e-9)).all()
+    refined = ol.adjust(segments, poses, calibration(), replace(OF_TABLES, refine=("lines", "poses", "intrinsics")))
+    assert refined.lines.calibration_sigma_m is None
+
+
+def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:
+    segments, poses, _ = world()
+    free, held = (ol.adjust(segments, poses, calibration(), replace(OF_TABLES, refine=r)).lines for r in PARTS)
+    shares = [ol.adjust(segments, poses, calibration(), pose_sigma=(s, s)).lines.calibration_sigma_m for s in (1e-6, 1.0)]
+    np.testing.assert_allclose(shares[0], held.calibration_sigma_m, rtol=0.02)
+    # A prior on where all photos are fixes the scale, which without it is free.
+    assert np.median(shares[1] / free.calibration_sigma_m) < 2.0  # type: ignore[operator]
+
+
+def test_errors_that_move_no_pixel_are_left_out() -> None:
+    pixels = torch.as_tensor(world()[0].endpoints_px.reshape(-1, 2))
+    steps = camera_steps(CAMERA, covariance(), pixels)
+    assert 3 <= len(steps) <= 6
+    bearings, _ = CAMERA.unproject(pixels)
+    moved = [CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(one)).project(bearings)[0] - pixels for one in steps]
+    size = [float(one.square().sum()) for one in moved]
+    assert size == sorted(size, reverse=True)
+    assert camera_steps(CAMERA, np.zeros((8, 8)), pixels).shape == (0, 8)
+
+
+def test_poses_that_were_found_from_points_follow_the_camera() -> None:
+    _, poses, ends = world()
+    points, pose = ends.reshape(-1, 3), poses.cam_from_world[2]
+    seen, _ = CAMERA.project(pose.transform(torch.as_tensor(points)))
+    seen = seen + 0.1 * torch.randn(len(points), 2, generator=torch.Generator().manual_seed(0)).double()
+    start, _ = refit_pose(CAMERA, pose, points, seen.numpy())
+    table = Pose(poses.cam_from_world.rotation.clone(), poses.cam_from_world.translation.clone())
+    table.rotation[2], table.translation[2] = start.rotation, start.translation
+    moved = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(SIGMA))
+    known = KnownCalibration((moved,), (None,), torch.zeros(CAMERAS, dtype=torch.long))
+    found = followed_poses(table, {2: PosePoints(points, seen.numpy())}, known)
+    before = followed_poses(table, {2: PosePoints(points, seen.numpy())}, replace(known, models=(CAMERA,)))
+    expected = (refit_pose(moved, start, points, seen.numpy())[0] @ start.inverse()).log()
+    off = (found[2] @ before[2].inverse()).log() - expected
+    assert float(off.norm()) < 0.1 * float(expected.norm())
+    assert torch.equal(found.rotation[0], table.rotation[0])
+
+
+def stereo() -> tuple[Segments, ImagePoses, Pose]:
+    """The same lines through two cameras that are mounted together, 0.3 m apart; where the second is."""
+    segments, poses, ends = world()
+    second = Pose.exp(torch.tensor([0.0, 0.0, 0.0, 0.3, 0.0, 0.0], dtype=torch.float64))
+    rotation, translation = poses.cam_from_world.rotation.clone(), poses.cam_from_world.translation.clone()
+    placed = second @ poses.cam_from_world[0::2]
+    rotation[1::2], translation[1::2] = placed.rotation, placed.translation
+    own = Pose(rotation, translation)
+    pixels, _ = CAMERA.project(own[torch.as_tensor(segments.image)].transform(torch.as_tensor(ends)[segments.track]))
+    names = tuple(f"cam{k % 2}" for k in range(CAMERAS))
+    table = ImagePoses(poses.images, own, names, frames=tuple(str(k // 2) for k in range(CAMERAS)))
+    return replace(segments, endpoints_px=pixels.numpy(), cameras=names), table, second
+
+
+@pytest.mark.parametrize("refine", [("lines",), ("lines", "poses")])
+def test_lines_scatter_as_is_stated_where_a_rig_is_drawn_from_its_covariance(refine: tuple[str, ...]) -> None:
+    segments, poses, second = stereo()
+    sigma = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 5e-4])
+    options = replace(OF_TABLES, refine=refine)
+
+    def adjusted(place: Pose, known: np.ndarray | None, table: ImagePoses) -> Lines:
+        mounts = {"cam0": RigCamera(Pose.identity(1)[0]), "cam1": RigCamera(place, covariance=known)}
+        return ol.adjust(segments, table, Calibration({"cam0": CAMERA, "cam1": CAMERA}, rig=mounts), options).lines
+
+    stated, plain = adjusted(second, np.diag(sigma**2), poses), adjusted(second, None, poses)
+    assert stated.covariance is not None and plain.covariance is not None
+    expected = squares_m2(plain, stated.covariance - plain.covariance)
+    rng, at = np.random.default_rng(2), torch.as_tensor(plain.ends_m)
+    moved = np.zeros(LINES)
+    for draw in sigma * rng.standard_normal((DRAWS // 2, 6)):
+        place = Pose.exp(torch.as_tensor(draw)) @ second
+        rotation, translation = poses.cam_from_world.rotation.clone(), poses.cam_from_world.translation.clone()
+        placed = place @ poses.cam_from_world[0::2]
+        rotation[1::2], translation[1::2] = placed.rotation, placed.translation
+        ends = torch.as_tensor(adjusted(place, None, replace(poses, cam_from_world=Pose(rotation, translation))).ends_m)
+        found = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
+        moved += (found - at).square().sum((1, 2)).numpy() / (DRAWS // 2)
+    assert 0.6 < moved.sum() / expected.sum() < 1.6
