@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from omnilines.posing.find_rectangle import BearingArcs, FoundRectangle, find_re
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rectangles import half_turns
 from omnilines.posing.rectangle import Rectangle, corner_distances, parse_rectangle, pose_of_corners
+from omnilines.records import Corners
 from omnilines.scenes import scene_camera, sheet_from_world
 from omnilines.studies.book import BookOptions
 
@@ -252,6 +254,24 @@ def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) 
     assert list(swapped.left_out) == [poses.images[0]]
     with pytest.raises(InputError, match="check the unit"):
         reconstruct_photos(photos, calibration, "rectangle:279x216m", tmp_path / "none")
+
+
+def test_corners_of_a_board_that_bends_give_poses_though_they_are_known_better() -> None:
+    camera, _ = scene_camera("opencv-fisheye", (1100, 1100), 0)
+    grid = np.stack([*np.meshgrid(np.arange(8) * 0.03, np.arange(6) * 0.03), np.zeros((6, 8))], -1).reshape(-1, 3)
+    bent = grid + [0.0, 0.0, 1.0] * (0.4 * np.square(grid[:, :1] - 0.105))
+    pose = Pose.exp(torch.tensor([0.2, -0.1, 0.05, -0.1, -0.07, 0.25], dtype=torch.float64))
+    pixels = camera.project(pose.transform(torch.as_tensor(bent)))[0].numpy()
+    assert camera.project(pose.transform(torch.as_tensor(grid)))[0].sub(torch.as_tensor(pixels)).norm(dim=-1).max() > 1.0
+    view, names = np.zeros(len(grid), np.int64), ("a.png",)
+    stated = Corners(view, names, names, grid, pixels, sigma_px=np.full(len(grid), 0.02))
+    found = poses_from_corners(stated, {"cam0": camera}, {"a.png": "cam0"})
+    off = (found.poses.cam_from_world[0] @ pose.inverse()).log().numpy()
+    assert found.poses.images == names and np.abs(off[:3]).max() < 0.01 and np.abs(off[3:]).max() < 0.005
+    np.testing.assert_array_equal(found.points["a.png"].pixels, pixels)
+    mixed = np.random.default_rng(0).permutation(pixels)
+    with pytest.raises(InputError, match="that fit its camera were expected, found none"):
+        poses_from_corners(replace(stated, pixels=mixed), {"cam0": camera}, {"a.png": "cam0"})
 
 
 def test_the_book_experiment_holds_and_the_adjustment_attains_the_noise(tmp_path: Path) -> None:

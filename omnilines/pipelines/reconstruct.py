@@ -133,7 +133,8 @@ def reconstruct(
     except GeometryError as error:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
-        raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}") from None
+        why = next((f" {reason}" for reason in posed.left_out.values()), "")
+        raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}{why}") from None
     if not found.matched.beyond_chance:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
     made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs

@@ -65,13 +65,14 @@ def pose_of_points(
     if int(valid.sum()) < MIN_POINTS:
         raise GeometryError(f"{MIN_POINTS} points that the camera sees were expected, found {int(valid.sum())}; give more.")
     jacobian = model.unproject_jacobian(torch.as_tensor(pixels[valid])).detach()
-    sigma_rad = gross * sigma[valid] * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
+    usual = np.maximum(sigma[valid], options.given.corner_sigma_px)
+    sigma_rad = gross * usual * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
     start = resect(bearings[valid], points_m[valid], sigma_rad, options=options.resection).pose
     pose, residual = refit_pose(model, start, points_m[valid], pixels[valid])
-    shown = robust_scale_px(residual / sigma[valid, None])
-    if shown > gross:
+    if robust_scale_px(residual / usual[:, None]) > gross:
         worst = float(np.linalg.norm(residual, axis=-1).max())
         raise GeometryError(
             f"points that fit the camera were expected, found one {worst:.1f} px off; check order, unit and camera."
         )
+    shown = robust_scale_px(residual / sigma[valid, None])
     return pose, pose_covariance(model, pose, points_m[valid], sigma[valid]) * max(1.0, shown) ** 2

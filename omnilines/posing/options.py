@@ -164,7 +164,8 @@ class GivenOptions(NamedTuple):
     picked_sigma_px: float = 1.0
     """Of points picked by hand, where the table states none."""
     gross_misfit: float = 10.0
-    """A pose that fits its points so many times worse than they are certain is none."""
+    """A pose that fits its points so many times worse than they are certain, and worse than `corner_sigma_px`, is none: corners
+    are found to hundredths of a pixel, but boards bend, and cameras differ from their model, by tenths."""
     min_common: int = 8
     """Matched points that two photos share, and that a photo is resected from."""
     ransac_sigmas: float = 3.0
