@@ -101,3 +101,26 @@ def test_lines_of_three_cameras_of_a_rig_lie_where_the_fourth_shows_edges(shared
     place, beside = held_out(lines.ends_m[lines.known], pose, calibration["cam2"], arcs)
     assert len(place) > 15
     assert (place < NEAR_PX).mean() > 0.5 + (beside < NEAR_PX).mean()
+
+
+def test_edges_of_a_printed_board_are_where_they_are_drawn_and_a_camera_that_stood_still_is_named(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A fisheye on a stand, calibrated with the same photos; the corners are known from the drawing of the board."""
+    photos, own = shared_data / "calibration" / "fisheye_wide", tmp_path / "own"
+    with pytest.raises(SystemExit, match="^0$"):
+        main(["calibrate", str(photos), "--pattern", "checkerboard:7x6:10mm", "--out", str(own)])
+    known = ["--calibration", str(own / "calibration.yaml"), "--poses", str(own / "corners.csv")]
+    with pytest.raises(SystemExit, match="^0$"):
+        main(["reconstruct", str(photos), *known, "--out", str(tmp_path / "lines")])
+    assert "the camera stood still" in capsys.readouterr().out
+    lines = read_lines(tmp_path / "lines" / "lines.csv")
+    ends = lines.ends_m[lines.known] / 0.01
+    upright = np.ptp(ends[..., 1], axis=1) > np.ptp(ends[..., 0], axis=1)
+    place = np.where(upright[:, None], ends[..., 0], ends[..., 1])
+    drawn = (np.abs(np.stack([place - np.rint(place), ends[..., 2]])) < 0.2).all((0, 2)) & (place > -0.5).all(1)
+    drawn &= (place < np.where(upright, 7, 6)[:, None] - 0.5).all(1)
+    assert len({(bool(u), round(p)) for u, p in zip(upright[drawn], place[drawn, 0], strict=True)}) >= 11
+    away = np.hypot(place - np.rint(place), ends[..., 2])[drawn].max(1) * 0.01
+    assert lines.calibration_sigma_m is not None and (lines.calibration_sigma_m > 0).all()
+    assert (away < 2.45 * lines.sigma_m[lines.known][drawn]).mean() > 0.85

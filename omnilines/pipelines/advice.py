@@ -17,6 +17,7 @@ from omnilines.matching.resection import PlacedByLines, explained_by_lines, refi
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
+from omnilines.pipelines.still_camera import still_share
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, PhotoCount
 
@@ -50,6 +51,9 @@ def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) 
     """
     weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
     names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
+    still = still_share(scene)
+    if still > options.advice.still:
+        return (*_still(still), *_by_chance(scene, options.advice))
     better = {} if refined else _better_poses(scene, names, options, progress)
     return (
         *_wrong_poses(scene, weak, better),
@@ -57,6 +61,15 @@ def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) 
         *_whole(scene, refined, options.min_views, options.advice),
         *_by_chance(scene, options.advice),
     )
+
+
+def _still(share: float) -> tuple[Advice, ...]:
+    """A camera that stood still, while a board was moved."""
+    told = (
+        f"{100 * share:.0f} % of the arcs in no line stay where they are from photo to photo, while the lines move: the camera "
+        "stood still."
+    )
+    return (Advice(told, "Only what was moved is rebuilt. Leave the board where it is, and move the camera."),)
 
 
 def _better_poses(

@@ -92,6 +92,9 @@ class AdviceOptions(NamedTuple):
     """Share of the lines that are there by chance above which it is spoken of."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
+    still: float = 0.3
+    """Share of the arcs in no line that do not move in the image, while the lines do, above which the camera is said to have
+    stood still (0.4 in two real sets where it did, up to 0.2 in others)."""
 
 
 class JudgeOptions(NamedTuple):
