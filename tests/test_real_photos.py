@@ -108,10 +108,10 @@ def test_edges_of_a_printed_board_are_where_they_are_drawn_and_a_camera_that_sto
 ) -> None:
     """A fisheye on a stand, calibrated with the same photos; the corners are known from the drawing of the board."""
     photos, own = shared_data / "calibration" / "fisheye_wide", tmp_path / "own"
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["calibrate", str(photos), "--pattern", "checkerboard:7x6:10mm", "--out", str(own)])
     known = ["--calibration", str(own / "calibration.yaml"), "--poses", str(own / "corners.csv")]
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["reconstruct", str(photos), *known, "--out", str(tmp_path / "lines")])
     assert "the camera stood still" in capsys.readouterr().out
     lines = read_lines(tmp_path / "lines" / "lines.csv")

@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.kept_lines import KeptLines
 
-PAIRS = 8
-"""Of photos that are compared, at most."""
+PAIRS, ARCS = 8, 100
+"""Of photos that are compared, and of arcs of each, at most."""
 NEAR_PX = 2.0
 """Distance within which an arc is taken to show the same as one of another photo, in the same place of the image."""
 MOVED = 10.0
@@ -30,6 +30,7 @@ def still_share(scene: KeptLines) -> float:
 
 def _share(scene: KeptLines, arcs: ViewedArcs, in_line: Bool[np.ndarray, " n"], pair: tuple[int, int]) -> float:
     rest = np.flatnonzero((arcs.image == pair[0]) & ~in_line)
+    rest = rest[:: 1 + len(rest) // ARCS]
     others = np.flatnonzero(arcs.image == pair[1])
     if not len(rest) or not len(others):
         return float("nan")
@@ -56,11 +57,14 @@ def _near(own: Float[np.ndarray, "n 2 3"], other: Float[np.ndarray, "m 2 3"], ne
     """Arcs of which both ends are near the great circle of one of the others, and the middle beside it."""
     normal = np.cross(other[:, 0], other[:, 1])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True).clip(1e-12)
-    beside = (np.abs(np.einsum("nek,mk->nme", own, normal)) < near_rad).all(-1)
-    middle = own.sum(1)
-    after = np.einsum("mk,nk->nm", np.cross(normal, other[:, 0]), middle) > 0.0
-    before = np.einsum("mk,nk->nm", np.cross(other[:, 1], normal), middle) > 0.0
-    near: Bool[np.ndarray, " n"] = (beside & after & before).any(1)
+    row, column = np.nonzero(np.abs(own[:, 0] @ normal.T) < near_rad)
+    along = np.abs((own[row, 1] * normal[column]).sum(-1)) < near_rad
+    row, column = row[along], column[along]
+    middle, start, end = own[row].sum(1), other[column, 0], other[column, 1]
+    after = (np.cross(normal[column], start) * middle).sum(-1) > 0.0
+    before = (np.cross(end, normal[column]) * middle).sum(-1) > 0.0
+    near = np.zeros(len(own), dtype=bool)
+    near[row[after & before]] = True
     return near
 
 
