@@ -73,19 +73,27 @@ def squares_m2(lines: Lines, covariance: np.ndarray) -> np.ndarray:
 def test_lines_scatter_as_is_stated_where_cameras_are_drawn_from_the_covariance(refine: tuple[str, ...]) -> None:
     segments, poses, _ = world()
     options = replace(OF_TABLES, refine=refine)
-    stated, plain = (ol.adjust(segments, poses, one, options).lines for one in (calibration(), CAMERA))
+    own, exact = (ol.adjust(segments, poses, one, options) for one in (calibration(), CAMERA))
+    stated, plain = own.lines, exact.lines
     assert plain.calibration_sigma_m is None and plain.covariance is not None and stated.covariance is not None
     np.testing.assert_allclose(stated.ends_m, plain.ends_m, atol=1e-12)
     expected = squares_m2(plain, stated.covariance - plain.covariance)
     rng, at = np.random.default_rng(1), torch.as_tensor(plain.ends_m)
-    moved = np.zeros(LINES)
+    moved, apart = np.zeros(LINES), torch.zeros(CAMERAS, 6, dtype=torch.float64)
     for draw in rng.multivariate_normal(np.zeros(8), covariance(), DRAWS):
         camera = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(draw))
-        ends = torch.as_tensor(ol.adjust(segments, poses, camera, options).lines.ends_m)
-        found = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
-        moved += (found - at).square().sum((1, 2)).numpy() / DRAWS
+        found = ol.adjust(segments, poses, camera, options)
+        ends = torch.as_tensor(found.lines.ends_m)
+        apart += (found.poses.cam_from_world @ exact.poses.cam_from_world.inverse()).log().square() / DRAWS
+        there = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
+        moved += (there - at).square().sum((1, 2)).numpy() / DRAWS
     assert 0.75 < moved.sum() / expected.sum() < 1.33
     assert (moved < 3.0 * expected).all() and (moved > expected / 3.0).all()
+    if "poses" in refine:
+        assert own.poses.covariance is not None and exact.poses.covariance is not None
+        of_poses = (own.poses.covariance - exact.poses.covariance).diagonal(axis1=1, axis2=2).reshape(-1, 2, 3).sum((0, 2))
+        ratio = apart.numpy().reshape(-1, 2, 3).sum((0, 2)) / of_poses
+        assert (ratio > 0.7).all() and (ratio < 1.4).all()
 
 
 def test_the_share_of_the_calibration_is_stated_and_adds_up() -> None:

@@ -1,4 +1,4 @@
-"""What the uncertainty of a calibration leaves uncertain of lines.
+"""What the uncertainty of a calibration leaves uncertain of lines and poses.
 
 It is common to all arcs of a camera, so that no residual shows it. A calibration with the covariance C = L L' is moved by one
 standard deviation in each direction L v in which it moves the pixels of the arcs, the v being the right singular vectors of their
@@ -70,8 +70,8 @@ class Followed:
     """Of photos whose pose was found from points, where poses are held."""
     prior: PosePrior | None = None
 
-    def with_calibration(self, known: KnownCalibration) -> PlueckerLines:
-        """The lines as they are found with other cameras."""
+    def with_calibration(self, known: KnownCalibration) -> tuple[PlueckerLines, Pose]:
+        """The lines, and `cam_from_world` of all photos, as they are found with other cameras."""
         arcs, rig, poses = self.arcs.seen_by(known.models), known.mounted, self.rig_from_world
         if rig is not None and not self.refine_poses:
             poses, rig = rig.cam_from_rig[rig.camera] @ poses[rig.frame], None
@@ -81,22 +81,32 @@ class Followed:
             arcs, self.lines, poses, cost=self.cost, refine_poses=self.refine_poses, rig=rig, prior=self.prior,
             loss=self.loss, max_iterations=MOST_ITERATIONS,
         )  # fmt: skip
-        return found.state.chart.lines()
+        return found.state.chart.lines(), found.state.cam_from_world
 
 
-def calibration_covariance(
+@dataclass(frozen=True)
+class CalibrationErrors:
+    """Covariances from the errors of the calibration alone."""
+
+    lines: Float[Tensor, "n 4 4"]
+    """Of each line in its chart; NaN where it follows no camera."""
+    poses: Float[Tensor, "images 6 6"]
+    """Of the left perturbation of each pose; zero for those that do not follow."""
+
+
+def calibration_errors(
     followed: Followed, known: KnownCalibration, chart: LineChart, track: Int[Tensor, " n"]
-) -> Float[Tensor, "n 4 4"]:
-    """Of each line in its chart, from the errors of the calibration alone; `track` is the number of each in `followed`.
-
-    NaN where a line follows no camera.
-    """
-    start = followed.with_calibration(known)
-    covariance = torch.zeros(len(chart), 4, 4, dtype=torch.float64)
+) -> CalibrationErrors:
+    """What errors of the calibration leave uncertain of lines in these charts, and of poses; `track` is the number of each line
+    in `followed`."""
+    lines, poses = followed.with_calibration(known)
+    of_lines, of_poses = (torch.zeros(len(one), k, k, dtype=torch.float64) for one, k in ((chart, 4), (poses, 6)))
     for moved in motions(known, followed.arcs):
-        away = _motion(chart, start[track], followed.with_calibration(moved)[track]) / STEP
-        covariance += away[:, :, None] * away[:, None, :]
-    return covariance
+        now, there = followed.with_calibration(moved)
+        away, apart = _motion(chart, lines[track], now[track]) / STEP, (there @ poses.inverse()).log() / STEP
+        of_lines += away[:, :, None] * away[:, None, :]
+        of_poses += apart[:, :, None] * apart[:, None, :]
+    return CalibrationErrors(of_lines, of_poses)
 
 
 def _motion(chart: LineChart, start: PlueckerLines, end: PlueckerLines) -> Float[Tensor, "n 4"]:

@@ -17,7 +17,11 @@ from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
-from omnilines.pipelines.calibration_errors import errors_by_calibration, with_calibration_errors
+from omnilines.pipelines.calibration_errors import (
+    errors_by_calibration,
+    lines_with_calibration_errors,
+    poses_with_calibration_errors,
+)
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
@@ -133,13 +137,14 @@ def _with_calibration_errors(
     options: SceneOptions,
     pose_sigma: tuple[float, float] | None,
 ) -> AdjustedScene:
-    """With what errors of the calibration leave uncertain of the lines."""
+    """With what errors of the calibration leave uncertain of lines and poses."""
     used = torch.as_tensor(np.isfinite(scene.residual_px).all(1))
     arcs, every = scene.table.arcs.rows(used), np.arange(len(scene.lines))
     errors = errors_by_calibration(
         scene.lines, arcs, every, scene.poses, cameras, options, points, pose_sigma=pose_sigma, given=given
     )
-    return replace(scene, lines=with_calibration_errors(scene.lines, errors))
+    lines, poses = lines_with_calibration_errors(scene.lines, errors), poses_with_calibration_errors(scene.poses, errors)
+    return replace(scene, lines=lines, poses=poses)
 
 
 def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:

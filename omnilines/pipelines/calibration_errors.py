@@ -1,16 +1,16 @@
-"""What errors of the calibration leave uncertain of the lines of a scene, where its file states them."""
+"""What errors of the calibration leave uncertain of the lines and poses of a scene, where its file states them."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from camera_models import Calibration
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.by_calibration import Followed, KnownCalibration, calibration_covariance
+from omnilines.adjustment.by_calibration import CalibrationErrors, Followed, KnownCalibration, calibration_errors
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.scene import pose_prior
@@ -39,9 +39,9 @@ def errors_by_calibration(
     *,
     pose_sigma: tuple[float, float] | None = None,
     given: ImagePoses | None = None,
-) -> Float[np.ndarray, "n 4 4"] | None:
-    """Covariance of each line from errors of the calibration alone, in its chart; NaN where there is no line, None where cameras
-    were refined or the file does not state its errors.
+) -> CalibrationErrors | None:
+    """Covariances from errors of the calibration alone, of each line (NaN where there is none) and pose; None where cameras were
+    refined or the file does not state its errors.
 
     The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. `points` are those that poses were
     found from, which move with the cameras unless lines refine them; `pose_sigma` (rad, m) is that of the prior, the poses
@@ -63,20 +63,28 @@ def errors_by_calibration(
     places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
     prior = None if given is None else pose_prior(_known(given, cameras, options)[1], pose_sigma)
     followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior)
-    covariance = np.full((len(lines), 4, 4), np.nan)
-    covariance[rows] = calibration_covariance(followed, calibration, own, torch.as_tensor(line)).numpy()
-    return covariance
+    found = calibration_errors(followed, calibration, own, torch.as_tensor(line))
+    of_lines = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)
+    of_lines[torch.as_tensor(rows)] = found.lines
+    return replace(found, lines=of_lines)
 
 
-def with_calibration_errors(lines: Lines, errors: Float[np.ndarray, "n 4 4"] | None) -> Lines:
+def poses_with_calibration_errors(poses: ImagePoses, errors: CalibrationErrors | None) -> ImagePoses:
+    """Poses whose covariances, where they have some, hold errors of the calibration too."""
+    if errors is None or poses.covariance is None:
+        return poses
+    return replace(poses, covariance=poses.covariance + errors.poses.numpy())
+
+
+def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None) -> Lines:
     """Lines whose covariances hold errors of the calibration too, and `calibration_sigma_m`, their share."""
     if errors is None or lines.covariance is None:
         return lines
     rows = np.flatnonzero(lines.known)
-    chart, ends, whole = _charts(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors
+    chart, ends, whole = _charts(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors.lines.numpy()
     sigma, own = lines.sigma_m.copy(), np.full(len(lines), np.nan)
     sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), ends).numpy()
-    own[rows] = end_sigma_m(chart, torch.as_tensor(errors[rows]), ends).numpy()
+    own[rows] = end_sigma_m(chart, errors.lines[torch.as_tensor(rows)], ends).numpy()
     return replace(lines, covariance=whole, sigma_m=sigma, calibration_sigma_m=own)
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
 from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.by_calibration import CalibrationErrors
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost, cost_named
 from omnilines.files import photo_folder, write_poses
@@ -22,7 +22,12 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.better_poses import better_poses
-from omnilines.pipelines.calibration_errors import errors_by_calibration, states_errors, with_calibration_errors
+from omnilines.pipelines.calibration_errors import (
+    errors_by_calibration,
+    lines_with_calibration_errors,
+    poses_with_calibration_errors,
+    states_errors,
+)
 from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
@@ -158,7 +163,7 @@ def _scene(
 ) -> Scene:
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
     errors = _errors_by_calibration(found, posed, cameras, options, progress)
-    lines, poses = found.scene.lines, found.scene.poses
+    lines, poses = found.scene.lines, poses_with_calibration_errors(found.scene.poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
     if options.kept_lines.guided_by_families:
@@ -175,7 +180,7 @@ def _scene(
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     # Only now: families and corners are of lines whose errors are their own.
-    whole = with_calibration_errors(frame.lines, errors)
+    whole = lines_with_calibration_errors(frame.lines, errors)
     found = replace(found, scene=replace(found.scene, lines=whole, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)
     told = (
@@ -207,8 +212,8 @@ def _scene(
 
 def _errors_by_calibration(
     found: KeptLines, posed: PhotoPoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
-) -> Float[np.ndarray, "n 4 4"] | None:
-    """What errors of the calibration leave uncertain of the lines."""
+) -> CalibrationErrors | None:
+    """What errors of the calibration leave uncertain of lines and poses."""
     if not states_errors(cameras):
         return None
     progress("following the errors of the calibration", 0, 0)
