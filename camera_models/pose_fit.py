@@ -26,7 +26,7 @@ FREEDOM = 6
 _UNSEEN_COST = 20.0
 """What the camera cannot see costs as much as a point far off, so that no pose hides points from it."""
 _MOST_DAMPING = 1e8
-_LEAST_SCALE_PX = 0.02
+LEAST_SCALE_PX = 0.02
 _ROUNDS, _STEPS, _LEAST_GAIN = 4, 8, 1e-9
 _MOVED = 1e-6
 """A step that lowers the cost by more than this for each point has moved them by more than a thousandth of c."""
@@ -112,7 +112,7 @@ def refit_pose(
     with torch.no_grad():
         for _ in range(_ROUNDS):
             scale_px = robust_scale_px((observed - model.project(pose.transform(board))[0]).numpy())
-            loss_px = LOSS_SIGMAS * max(scale_px, _LEAST_SCALE_PX)
+            loss_px = LOSS_SIGMAS * max(scale_px, LEAST_SCALE_PX)
             fit = fit_pose(pose, residuals_at, loss_px, steps=_STEPS, least_gain=_LEAST_GAIN)
             pose = fit.pose
             if not fit.moved:

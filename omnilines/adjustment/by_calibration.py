@@ -18,11 +18,11 @@ from torch import Tensor
 from camera_models import CameraModel, InputError
 from camera_models.formats.calibration_data import CameraEstimate, RigCamera
 from camera_models.pose import Pose, vector_from_rotation
-from camera_models.pose_fit import LOSS_SIGMAS, by_pose, robust_scale_px
+from camera_models.pose_fit import LEAST_SCALE_PX, LOSS_SIGMAS, by_pose, robust_scale_px
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import adjust_lines
 from omnilines.adjustment.prior import PosePrior
-from omnilines.adjustment.state import Rig
+from omnilines.adjustment.state import Rig, moved_poses
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss
@@ -34,8 +34,6 @@ STEP = 0.25
 """Standard deviations that a calibration is moved by, so that what follows is linear."""
 SEEN = 2000
 """Pixels of a camera that tell in which directions it is uncertain."""
-LEAST_LOSS_PX = 1e-6
-"""Of points without noise."""
 MOST_ITERATIONS = 3
 """Of the lines and poses that follow so small a step: more change their motion by less than a hundredth."""
 
@@ -133,11 +131,8 @@ def motions(known: KnownCalibration, arcs: MatchedArcs) -> Iterator[KnownCalibra
             continue
         variance, axes = np.linalg.eigh(mount.covariance)
         for step in (axes * np.sqrt(variance.clip(0.0)))[:, variance > 0.0].T:
-            placed = known.mounted.cam_from_rig
-            rotation, translation = placed.rotation.clone(), placed.translation.clone()
-            own = Pose.exp(torch.as_tensor(STEP * step)) @ placed[k]
-            rotation[k], translation[k] = own.rotation, own.translation
-            yield replace(known, mounted=replace(known.mounted, cam_from_rig=Pose(rotation, translation)))
+            placed = moved_poses(known.mounted.cam_from_rig, torch.tensor([k]), torch.as_tensor(STEP * step)[None])
+            yield replace(known, mounted=replace(known.mounted, cam_from_rig=placed))
 
 
 def camera_steps(
@@ -172,16 +167,14 @@ def _moved(model: CameraModel, step: Float[np.ndarray, " p"]) -> tuple[CameraMod
 def followed_poses(poses: Pose, points: Mapping[int, PosePoints], known: KnownCalibration) -> Pose:
     """Poses that fit the points of their photos best with these cameras, near those given: one step with the weights of
     `refit_pose`."""
-    rotation, translation = poses.rotation.clone(), poses.translation.clone()
+    steps = []
     for image, seen in points.items():
         model, pose = known.models[int(known.camera[image])], poses[image]
         there = pose.transform(torch.as_tensor(seen.points_m))
         pixels, valid, by_point, _ = model.project_with_jacobians(there)
         residual = torch.as_tensor(seen.pixels) - pixels
-        loss_px = LOSS_SIGMAS * robust_scale_px(residual[valid].numpy())
-        weight = (valid / (1.0 + residual.square().sum(-1) / max(loss_px, LEAST_LOSS_PX) ** 2)).sqrt()[:, None]
+        loss_px = LOSS_SIGMAS * max(robust_scale_px(residual[valid].numpy()), LEAST_SCALE_PX)
+        weight = (valid / (1.0 + residual.square().sum(-1) / loss_px**2)).sqrt()[:, None]
         by_twist = weight[..., None] * by_pose(by_point, there)
-        step = torch.linalg.lstsq(by_twist.flatten(0, 1), (weight * residual).flatten()[:, None]).solution[:, 0]
-        own = Pose.exp(step) @ pose
-        rotation[image], translation[image] = own.rotation, own.translation
-    return Pose(rotation, translation)
+        steps.append(torch.linalg.lstsq(by_twist.flatten(0, 1), (weight * residual).flatten()[:, None]).solution[:, 0])
+    return moved_poses(poses, torch.tensor(list(points)), torch.stack(steps))

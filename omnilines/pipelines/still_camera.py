@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from camera_models.pose import rotation_from_vector
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.kept_lines import KeptLines
 
@@ -38,8 +39,8 @@ def _share(scene: KeptLines, arcs: ViewedArcs, in_line: Bool[np.ndarray, " n"], 
     if not _lines_move(scene, arcs, in_line, pair) > MOVED * near_rad:
         return float("nan")
     own, other = arcs.bearings[rest], arcs.bearings[others]
-    turns = [_turned(own, sign * TURN_RAD * axis) for axis in np.eye(3) for sign in (-1.0, 1.0)]
-    chance = float(np.mean([_near(one, other, near_rad).mean() for one in turns]))
+    turns = rotation_from_vector(TURN_RAD * torch.cat([torch.eye(3), -torch.eye(3)]).double()).numpy()
+    chance = float(np.mean([_near(own @ turn.T, other, near_rad).mean() for turn in turns]))
     return float(_near(own, other, near_rad).mean()) - chance
 
 
@@ -66,12 +67,3 @@ def _near(own: Float[np.ndarray, "n 2 3"], other: Float[np.ndarray, "m 2 3"], ne
     near = np.zeros(len(own), dtype=bool)
     near[row[after & before]] = True
     return near
-
-
-def _turned(own: Float[np.ndarray, "n 2 3"], turn: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 2 3"]:
-    """Bearings turned by a rotation vector."""
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle
-    along = (own @ axis)[..., None] * axis
-    turned: Float[np.ndarray, "n 2 3"] = along + np.cos(angle) * (own - along) + np.sin(angle) * np.cross(axis, own)
-    return turned
