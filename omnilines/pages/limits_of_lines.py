@@ -47,7 +47,8 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
         a, b = _farthest_apart(scene)
         do = f"Measure how far apart {a} and {b} were taken, and give it: `scale_from` {a},{b}:METRES."
         found.append(Advice("Photos alone do not tell how large the scene is.", do))
-    found += [*_weak_lines(scene), *_least_sure_photo(scene)]
+    if not scene.camera_stood_still:
+        found += [*_weak_lines(scene), *_least_sure_photo(scene)]
     return tuple(found) or _of_number(scene)
 
 

@@ -17,7 +17,6 @@ from omnilines.matching.resection import PlacedByLines, explained_by_lines, refi
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
-from omnilines.pipelines.still_camera import still_share
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, PhotoCount
 
@@ -43,15 +42,15 @@ def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[P
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(scene: KeptLines, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
-    """The photos, and the stage, at which most arcs are lost, each with what to do.
+def advice(scene: KeptLines, still: float, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
+    """The photos, and the stage, at which most arcs are lost, each with what to do; `still` is the share of arcs that stay
+    where they are.
 
     Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
     pose is at fault. With poses refined that was done before.
     """
     weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
     names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
-    still = still_share(scene)
     if still > options.advice.still:
         return (*_still(still), *_by_chance(scene, options.advice))
     better = {} if refined else _better_poses(scene, names, options, progress)

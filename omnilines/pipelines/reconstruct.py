@@ -43,6 +43,7 @@ from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
+from omnilines.pipelines.still_camera import still_share
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
@@ -190,10 +191,11 @@ def _scene(
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
     )
+    still = still_share(found)
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
         folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
-        frame.families, frame.up,
+        frame.families, frame.up, still,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(
@@ -206,7 +208,7 @@ def _scene(
         of_photos,
         options,
         _checks(found),
-        advice(found, options, progress),
+        advice(found, still, options, progress),
     )
 
 

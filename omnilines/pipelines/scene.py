@@ -45,6 +45,8 @@ class FromPhotos:
     """Of parallel lines."""
     up: tuple[float, float, float]
     """The direction (unit) that is up."""
+    still_share: float
+    """Share of the arcs in no line that do not move in the image, while the lines do; NaN where that cannot be told."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,11 @@ class Scene:
     def families(self) -> Families | None:
         """Families of parallel lines, where they were looked for."""
         return None if self.from_photos is None else self.from_photos.families
+
+    @property
+    def camera_stood_still(self) -> bool:
+        """Whether the camera stood still, while a board was moved that its poses come from."""
+        return self.from_photos is not None and self.from_photos.still_share > self.options.advice.still
 
     @property
     def notes(self) -> tuple[str, ...]:
