@@ -251,7 +251,7 @@ def test_what_a_scene_can_get_wrong(tmp_path, capsys):
     assert "--refine" in refused(capsys, "adjust", *options, "--refine", "everything")
     assert "--subset was expected with --triangulation averaging" in refused(capsys, "adjust", *options, "--subset", "4")
     assert "--weights was expected with" in refused(capsys, "adjust", *options, "--triangulation", "svd", "--weights", "unit")
-    assert "unit, published, most-likely" in refused(capsys, "adjust", *options, "--weights", "heavy")
+    assert "unit, published, most-likely" in refused(capsys, "adjust", *options, "--triangulation", "dual", "--weights", "heavy")
     text = (tmp_path / "calibration.yaml").read_text()
     (tmp_path / "calibration.yaml").write_text(text.replace("fx:", "fz:"))
     assert "calibration.yaml" in refused(capsys, "adjust", *options)

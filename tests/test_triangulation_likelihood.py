@@ -25,6 +25,9 @@ from camera_models.errors import InputError
 from camera_models.pose import Pose, hat
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
+from omnilines.least_squares import Outcome
+from omnilines.pipelines.adjust import adjust, segments_of_arrays
+from omnilines.pipelines.options import OF_TABLES
 from omnilines.triangulation import triangulate
 from omnilines.triangulation.dual import frames_and_lines
 from omnilines.triangulation.likelihood import refine
@@ -201,8 +204,8 @@ def test_ends_of_unequal_noise_are_weighed_by_it() -> None:
     assert 1.5 * errors[0] < errors[1]
 
 
-def arcs_of_all_kinds(scene: LineSet, seed: int) -> PlaneObservations:
-    """Pieces of the arcs, down to a fiftieth, whose ends are known to between 0.05 and 20 px."""
+def pieces_of_all_kinds(scene: LineSet, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """The ends (px) of pieces of the arcs, down to a fiftieth, known to between 0.05 and 20 px, and their covariances."""
     rng, count = np.random.default_rng(seed), len(scene.track)
     sigma_px = torch.as_tensor(np.exp(rng.uniform(math.log(0.05), math.log(20.0), (count, 2))))
     share = torch.as_tensor(rng.uniform(0.02, 1.0, (count, 1)))
@@ -210,10 +213,15 @@ def arcs_of_all_kinds(scene: LineSet, seed: int) -> PlaneObservations:
     whole, _ = scene.camera.unproject(scene.pixels.flatten(0, 1))
     ends = torch.stack([whole[:, 0] * (1 - at) + whole[:, 1] * at for at in (first, first + share)], 1)
     pixels = scene.camera.project(ends)[0] + sigma_px[..., None] * torch.as_tensor(rng.standard_normal((count, 2, 2)))
+    return pixels, sigma_px[..., None, None] ** 2 * torch.eye(2, dtype=torch.float64)
+
+
+def arcs_of_all_kinds(scene: LineSet, seed: int) -> PlaneObservations:
+    """The same as planes."""
+    pixels, covariance = pieces_of_all_kinds(scene, seed)
     bearings, seen = scene.camera.unproject(pixels)
     assert bool(seen.all())
     poses = scene.poses[torch.arange(len(scene.poses)).repeat(len(scene.ends))]
-    covariance = sigma_px[..., None, None] ** 2 * torch.eye(2, dtype=torch.float64)
     return PlaneObservations.from_arcs(
         bearings, poses, scene.track, len(scene.ends), scene.camera.unproject_jacobian(pixels), covariance_px2=covariance
     )
@@ -235,6 +243,22 @@ def test_the_least_minimum_is_found_where_arcs_are_known_very_differently_well()
     assert int((dual > 1.01 * least + 1.0).sum()) >= 20
     assert int((found > 1.01 * least[result.known] + 1.0).sum()) <= 2 and bool((found < 100.0).all())
     assert len(found) > 0.8 * len(scene.ends)
+
+
+def test_an_adjustment_by_default_starts_where_arcs_known_very_differently_well_fit() -> None:
+    scene = room(20)
+    pixels, covariance = pieces_of_all_kinds(scene, 1)
+    image = torch.arange(len(scene.poses)).repeat(len(scene.ends))
+    size_px = torch.as_tensor(scene.camera.image_size, dtype=torch.float64)
+    inside = ((pixels >= 0) & (pixels <= size_px - 1)).flatten(1).all(1)
+    segments = segments_of_arrays(pixels[inside], image[inside], scene.track[inside], covariance_px2=covariance[inside])
+    held = replace(OF_TABLES, refine=("lines",))
+    default, dual = (
+        adjust(segments, scene.poses, scene.camera, options).adjusted.adjusted
+        for options in (held, replace(held, triangulation="dual"))
+    )
+    assert default.outcome is Outcome.CONVERGED and default.noise.measured < 1.1
+    assert dual.noise.measured > 2.0 * default.noise.measured
 
 
 def test_stated_noise_decides_whether_planes_differ() -> None:

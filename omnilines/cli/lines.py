@@ -56,9 +56,6 @@ Weights = Annotated[
         show_default=False,
     ),
 ]
-MaybeTriangulation = Annotated[
-    str | None, typer.Option("--triangulation", help="dual, averaging, svd or ml (of photos: ml, of segments: dual).")
-]
 MaybeCost = Annotated[
     str | None,
     typer.Option("--cost", help="sector, whitened (default), taylor-kriegman or bartoli-sturm."),
@@ -100,7 +97,7 @@ def reconstruct(
     out: Out,
     photos: ScenePhotos = None,
     segments: MaybeSegments = None,
-    triangulation: MaybeTriangulation = None,
+    triangulation: Triangulation = "ml",
     subset: Subset = None,
     bandwidth: Bandwidth = None,
     weights: Weights = None,
@@ -140,7 +137,7 @@ def reconstruct(
         settings,
         {"subset": subset, "bandwidth": bandwidth, "weights": weights},
         refine=refine or ("lines,poses" if of_photos and poses == "sfm" else "lines"),
-        triangulation=triangulation or ("ml" if of_photos else "dual"),
+        triangulation=triangulation,
         cost=cost or "whitened",
         loss=loss or ("cauchy" if of_photos else "none"),
         device=device,
@@ -205,7 +202,7 @@ def adjust(
     poses: Poses,
     segments: SegmentTable,
     out: Out,
-    triangulation: Triangulation = "dual",
+    triangulation: Triangulation = "ml",
     subset: Subset = None,
     bandwidth: Bandwidth = None,
     weights: Weights = None,

@@ -178,7 +178,7 @@ class SceneOptions(Typed):
     """When poses, cameras and tracks are refused because they do not belong together."""
 
 
-OF_TABLES = SceneOptions(refine=("lines", "poses"), triangulation="dual", loss="none")
+OF_TABLES = SceneOptions(refine=("lines", "poses"), loss="none")
 """Of matched segments that a user brings: they are taken as they are."""
 OF_PHOTOS = (
     "min_views", "tolerance_px", "bow_share", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines",
