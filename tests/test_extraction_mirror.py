@@ -1,21 +1,26 @@
-"""What a mirror shows beside the scene, and photos that went through a camera's JPEG: against what was painted."""
+"""What a mirror shows beside the scene, where the domain of a camera ends, and photos that went through a camera's JPEG:
+against what was painted."""
 
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from camera_models import Pinhole, Scaramuzza
+from camera_models import OpenCVFisheye, Pinhole, Scaramuzza
 from omnilines.extraction import extract_arcs
 from omnilines.extraction.kernels import step_algebra, step_edge
 from omnilines.extraction.kernels.tables import Window
 from omnilines.extraction.mirror import within_rim
 from omnilines.extraction.options import ExtractionOptions
+from omnilines.files import read_photo
 
 MIRROR = Scaramuzza([318.2, 241.5, 0.9997, 0.0001, 0.0002, -121.0, 2.4e-3, -1.0e-6, 2.0e-9], (640, 480))
 LENS = Scaramuzza([318.2, 241.5, 0.9997, 0.0001, 0.0002, 121.0, -2.4e-3, 1.0e-6, -2.0e-9], (640, 480))
+FOLD = OpenCVFisheye([227.27, 226.55, 471.73, 305.88, 0.02341, -0.02145, 0.01918, -0.007075], (960, 600))
+"""Pixels do not change with the bearing where it ends, 91.6 degrees off axis, 340 px from its centre."""
 KNOWN_PX, RIM_PX = 150.0, 210.0
 
 
@@ -94,3 +99,20 @@ def test_what_sharpening_and_jpeg_leave_beside_an_edge_is_no_edge() -> None:
     phone = cv2.imdecode(cv2.imencode(".jpg", sharp, [cv2.IMWRITE_JPEG_QUALITY, 85])[1], cv2.IMREAD_COLOR)
     counts = [len(extract_arcs(one, model, options=ExtractionOptions(min_length_px=20.0))) for one in (drawn, phone)]
     assert counts == pytest.approx([96, 96], abs=8)
+
+
+@pytest.mark.parametrize(("inside_px", "arcs"), [(0.0, 0), (1.0, 1)])
+def test_an_arc_along_the_end_of_the_domain_of_a_camera_is_none(inside_px: float, arcs: int) -> None:
+    """There a pixel is a degree and more, and an end point would be stated to be known exactly."""
+    u = np.tile(np.arange(960.0), (600, 1))
+    image = cv2.GaussianBlur(np.where(u > 131.66 + inside_px, 200.0, 100.0), (0, 0), 0.7)
+    image = np.rint(image + np.random.default_rng(0).normal(0.0, 1.0, u.shape)).astype(np.uint8)
+    found = extract_arcs(image, FOLD)
+    assert len(found) == arcs
+    assert (np.linalg.eigvalsh(found.covariance_px2) > 1e-3).all()
+
+
+def test_ends_of_arcs_in_real_photos_that_reach_the_end_of_the_domain_are_uncertain(shared_data: Path) -> None:
+    found = extract_arcs(read_photo(shared_data / "rigs" / "stereo_fisheye" / "left" / "left8.jpg"), FOLD)
+    assert len(found) > 100
+    assert (np.linalg.eigvalsh(found.covariance_px2) > 1e-4).all()

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction.arcs import Arcs, across_px, arcs_of_ends, lengths_px, spans
+from omnilines.extraction.bearings import bearings_at
 from omnilines.extraction.blocks import Profiled, profiled
 from omnilines.extraction.clutter import stands_out
 from omnilines.extraction.edgels import find_points, noise_level, numbered, seen_chains
@@ -152,10 +153,25 @@ def _finished(photo: Photo, fitted: Refitted, noise: float, options: ExtractionO
     length_px = lengths_px(photo.model, arcs)
     rate = spans(photo.model, arcs)[1]
     single = ~_twice(photo, arcs, length_px, rate, np.arange(len(arcs)), options=options) & (length_px >= options.min_length_px)
+    single &= ends_seen(photo.model, arcs)
     order = np.flatnonzero(single)[np.argsort(-length_px[single], kind="stable")]
     arcs = arcs.keep(order)
     ends, covariance = _end_points(photo.model, arcs, options.along_sigma_px)
     return ExtractedArcs(arcs, ends, covariance, length_px[order]), blur_px
+
+
+def ends_seen(model: CameraModel, arcs: Arcs) -> Bool[np.ndarray, " n"]:
+    """Arcs whose ends the camera sees with what lies a pixel to either side of them: along the edge of its domain, where pixels
+    no longer change with the bearing, an arc could lie degrees off."""
+    row, size = np.arange(len(arcs)), np.array(model.image_size)
+    seen = np.ones(len(arcs), dtype=bool)
+    for angle in (arcs.low, arcs.high):
+        pixel, across, _, valid = across_px(model, arcs, row, angle)
+        seen &= valid
+        for beside in (pixel - across, pixel + across):
+            outside = ((beside < -0.5) | (beside > size - 0.5)).any(-1)
+            seen &= outside | bearings_at(model, beside)[1]
+    return seen
 
 
 def _twice(
