@@ -96,6 +96,25 @@ def test_lines_scatter_as_is_stated_where_cameras_are_drawn_from_the_covariance(
         assert (ratio > 0.7).all() and (ratio < 1.4).all()
 
 
+def test_lines_whose_loss_leaves_arcs_out_follow_the_camera_to_the_end() -> None:
+    """Against whole adjustments with the camera moved along the axes of its covariance; two of eight arcs are of other lines."""
+    segments, poses, _ = world()
+    off = np.random.default_rng(3).uniform(-8.0, 8.0, (len(segments.image), 1, 2)) * (segments.image < 2)[:, None, None]
+    segments = replace(segments, endpoints_px=segments.endpoints_px + off)
+    options = replace(OF_TABLES, refine=("lines",), loss="cauchy")
+    stated, plain = (ol.adjust(segments, poses, one, options).lines for one in (calibration(), CAMERA))
+    assert stated.covariance is not None and plain.covariance is not None
+    at, moved = torch.as_tensor(plain.ends_m), np.zeros(LINES)
+    variance, axes = np.linalg.eigh(covariance())
+    for step in 0.25 * (axes * np.sqrt(variance.clip(0.0)))[:, variance > 1e-12 * variance.max()].T:
+        camera = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(step))
+        ends = torch.as_tensor(ol.adjust(segments, poses, camera, options).lines.ends_m)
+        there = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
+        moved += (there - at).square().sum((1, 2)).numpy() / 0.25**2
+    expected = squares_m2(plain, stated.covariance - plain.covariance)
+    np.testing.assert_allclose(expected, moved, rtol=0.1)
+
+
 def test_the_share_of_the_calibration_is_stated_and_adds_up() -> None:
     segments, poses, _ = world()
     stated, plain = (ol.adjust(segments, poses, one).lines for one in (calibration(), CAMERA))

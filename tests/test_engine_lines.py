@@ -13,7 +13,7 @@ from omnilines.adjustment import minimum
 from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_solution import LineSolution
-from omnilines.adjustment.kernels.line import LOSS_KINDS, Views
+from omnilines.adjustment.kernels.line import LOSS_KINDS, Views, factorise
 from omnilines.adjustment.kernels.line_step import take_loss_curvature
 from omnilines.adjustment.kernels.schur import line_block
 from omnilines.adjustment.lines import adjust_lines
@@ -138,6 +138,14 @@ def test_the_curvature_of_a_loss_is_its_second_derivative(loss: Loss) -> None:
     line_block(by_line, r, 9, e, gradient)
     take_loss_curvature(views, 9, by_line, r, e)
     np.testing.assert_allclose(np.tril(e), np.tril(expected.numpy()), rtol=1e-12, atol=1e-12)
+
+
+def test_a_block_whose_loss_curves_away_in_all_directions_has_no_factor() -> None:
+    """It would be taken for one of nothing but zeros, and its line for one that has come to rest."""
+    factor = np.empty(10)
+    assert not factorise(-np.eye(4), 1e-4, factor)
+    assert factorise(np.zeros((4, 4)), 1e-4, factor)
+    np.testing.assert_array_equal(factor, [1, 0, 1, 0, 0, 1, 0, 0, 0, 1])
 
 
 def test_few_doubtful_lines_do_not_hold_up_poses(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -242,7 +242,7 @@ def factorise(e, damping, factor):
 
     A block that is nothing but zeros counts as the identity. Returns False where the block is singular.
     """
-    if e[0, 0] <= 0.0 and e[1, 1] <= 0.0 and e[2, 2] <= 0.0 and e[3, 3] <= 0.0:
+    if e[0, 0] == 0.0 and e[1, 1] == 0.0 and e[2, 2] == 0.0 and e[3, 3] == 0.0:
         factor[:] = 0.0
         factor[0], factor[2], factor[5], factor[9] = 1.0, 1.0, 1.0, 1.0
         return True
