@@ -3,7 +3,9 @@
 import math
 import os
 import stat
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -349,8 +351,33 @@ def test_a_rig_lists_every_camera_and_a_calibration_has_one() -> None:
         Calibration(whole.cameras, rig={"right": whole.rig["right"]})
     with pytest.raises(InputError, match="at least one camera"):
         Calibration({})
-    with pytest.raises(InputError, match="must be 8 x 8, found 2 x 2"):
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: c + np.where(np.eye(len(c)), np.nan, 0.0), "of finite numbers"),
+        (lambda c: c + np.where(np.eye(len(c)), np.inf, 0.0), "of finite numbers"),
+        (lambda c: -c, "no negative variance"),
+        (lambda c: c + np.eye(len(c), k=1), "symmetric"),
+        (lambda c: c + 5.0 * (np.ones_like(c) - np.eye(len(c))), "no combination"),
+        (lambda c: np.diag(np.arange(len(c)) > 0) + np.eye(len(c))[::-1], "no combination"),
+    ],
+)
+def test_a_covariance_of_nothing_is_refused(change: Any, told: str) -> None:
+    cameras, rig = full_calibration().cameras, full_calibration().rig
+    with pytest.raises(InputError, match="covariance of camera left must.* " + told):
+        Calibration(cameras, {"left": CameraEstimate(covariance=change(np.eye(8)))})
+    with pytest.raises(InputError, match="covariance of rig camera right must.* " + told):
+        Calibration(cameras, rig={**rig, "right": replace(rig["right"], covariance=change(np.eye(6)))})
+
+
+def test_what_is_known_of_cameras_and_rigs_has_their_size_and_sign() -> None:
+    whole = full_calibration()
+    with pytest.raises(InputError, match="must be an array of 8 x 8 numbers, found 2 x 2"):
         Calibration(whole.cameras, {"left": CameraEstimate(covariance=np.eye(2))})
+    with pytest.raises(InputError, match="sigma of rig camera right was expected as six numbers of 0 or more"):
+        Calibration(whole.cameras, rig={**whole.rig, "right": replace(whole.rig["right"], sigma=np.full(6, -1.0))})
 
 
 def test_what_a_file_cannot_hold_is_refused(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from camera_models.pose import Pose
 SIGN_SOURCES = ("assumed", "mirror", "tags", "target", "rig")
 """What decided the side of the lens (the sign of a0), which plain planar boards leave open: nothing (a0 > 0 assumed), the
 `--mirror` option, decoded tags, a target that is not planar, the consistency of a rig."""
+ROUNDED = 1e-6
+"""Of a standard deviation: what numbers of a file may be off by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +119,8 @@ class Calibration(Mapping[str, CameraModel]):
             )
         for name, estimate in self.estimates.items():
             _check_estimate(name, self.cameras[name], estimate)
+        for name, mount in self.rig.items():
+            _check_mount(name, mount)
 
     def __getitem__(self, name: str) -> CameraModel:
         return self.cameras[name]
@@ -135,14 +139,34 @@ def _check_estimate(name: str, model: CameraModel, estimate: CameraEstimate) -> 
             raise InputError(f"The sigma of camera {name} may name {' '.join(names)}, found '{key}'; correct the name.")
         if value < 0:
             raise InputError(f"The sigma of {key} of camera {name} must not be negative, found {value:g}; correct it.")
-    c = estimate.covariance
+    _check_covariance(f"camera {name}", estimate.covariance, len(names))
+
+
+def _check_mount(name: str, mount: RigCamera) -> None:
+    sigma = mount.sigma
+    if sigma is not None and not (sigma.shape == (6,) and np.isfinite(sigma).all() and (sigma >= 0).all()):
+        raise InputError(
+            f"The sigma of rig camera {name} was expected as six numbers of 0 or more, found {sigma.tolist()}; correct it."
+        )
+    _check_covariance(f"rig camera {name}", mount.covariance, 6)
+
+
+def _check_covariance(whose: str, c: Float[np.ndarray, "p p"] | None, size: int) -> None:
+    """Raises InputError where a matrix is the covariance of nothing."""
     if c is None:
         return
-    if c.shape != (len(names), len(names)):
-        raise InputError(
-            f"The covariance of camera {name} must be {len(names)} x {len(names)}, found {c.shape[0]} x {c.shape[1]}."
-        )
+    if not isinstance(c, np.ndarray) or c.shape != (size, size):
+        found = " x ".join(map(str, c.shape)) if isinstance(c, np.ndarray) else type(c).__name__
+        raise InputError(f"The covariance of {whose} must be an array of {size} x {size} numbers, found {found}; correct it.")
+    if not np.isfinite(c).all():
+        raise InputError(f"The covariance of {whose} must be of finite numbers, found others; estimate it again.")
     variances = np.diagonal(c)
     scale = np.sqrt(np.abs(np.outer(variances, variances)))
-    if (variances < 0).any() or (np.abs(c - c.T) > 1e-6 * scale).any():
-        raise InputError(f"The covariance of camera {name} must be symmetric with no negative variance; estimate it again.")
+    if (variances < 0).any() or (np.abs(c - c.T) > ROUNDED * scale).any():
+        raise InputError(f"The covariance of {whose} must be symmetric with no negative variance; estimate it again.")
+    correlation = np.divide(c, scale, out=np.zeros_like(c), where=scale > 0)
+    if np.linalg.eigvalsh(correlation)[0] < -size * ROUNDED or (np.abs(c) > (1 + ROUNDED) * scale).any():
+        raise InputError(
+            f"The covariance of {whose} must leave no combination of its numbers a negative variance, found one that has; "
+            "estimate it again."
+        )
