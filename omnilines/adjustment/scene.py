@@ -19,6 +19,7 @@ from omnilines.adjustment.line_table import line_table, too_uncertain
 from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_lines
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
+from omnilines.adjustment.parallel import require_directions
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.rig import rig_of_photos
@@ -95,7 +96,8 @@ def reconstruct_lines(
     triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor. `partition`
     and `workers` are those of `adjust_lines`.
 
-    Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line.
+    Raises InputError where files do not fit together or the problem into memory, GeometryError where no track has a line, and
+    where poses are refined by lines that are all parallel.
     """
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras, with_nodes=cost_named(cost).integrates)
@@ -104,6 +106,8 @@ def reconstruct_lines(
     state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
     method = Method(triangulation, triangulation_options or {}, robust, device)
     state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
+    if refine_poses and pose_sigma is None:
+        require_directions(arcs.rows(member), first)
 
     def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss | None = None) -> Adjusted:
         """From a start, with a loss at its scale."""

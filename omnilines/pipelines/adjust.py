@@ -1,5 +1,6 @@
 """Matched segments, poses and cameras -> 3D lines: `triangulate`, and `adjust` with all that is refined."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -23,14 +24,14 @@ from omnilines.pipelines.calibration_errors import (
     poses_with_calibration_errors,
 )
 from omnilines.pipelines.inside import require_inside
-from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks
+from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks, limits_px
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Check, ImagePoses, LengthUnit, PosePoints, Segments
+from omnilines.records import Check, ImagePoses, LengthUnit, Lines, PosePoints, Segments
 from omnilines.triangulation import check_triangulation
 from omnilines.triangulation.batches import triangulate_on
 from omnilines.triangulation.observations import PlaneObservations
@@ -78,6 +79,7 @@ def adjust(
     progress("triangulating", 0, 0)
     scene = _adjusted(segments, table, cameras, options, robust, pose_sigma, executor=executor, progress=progress)
     misfit = _judged(scene, table.cam_from_world, cameras, options)
+    _require_lines(scene.lines)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
@@ -86,7 +88,13 @@ def adjust(
     told += size_notes(scene.lines, scene.poses, options.judge)
     made_from = {"options": options} if inputs is None else inputs
     return Scene(
-        scene, segments, refined_calibration(scene, cameras), made_from, told, checks=_checks(scene, misfit), options=options
+        scene,
+        segments,
+        refined_calibration(scene, cameras),
+        made_from,
+        told,
+        options=options,
+        checks=_checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1]),
     )
 
 
@@ -129,6 +137,16 @@ def _adjusted(
         raise
 
 
+def _require_lines(lines: Lines) -> None:
+    """Raises GeometryError where no track has a line, with the reasons."""
+    if not lines.known.any():
+        reasons = ", ".join(f"{count} {status}" for status, count in Counter(lines.status).most_common())
+        raise GeometryError(
+            f"At least one track that determines a line was expected, found none of {len(lines)} after the adjustment: "
+            f"{reasons}; give photos from more places."
+        )
+
+
 def _with_calibration_errors(
     scene: AdjustedScene,
     given: ImagePoses,
@@ -156,16 +174,13 @@ def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None
         )
 
 
-def _checks(scene: AdjustedScene, misfit: Misfit | None) -> tuple[Check, ...]:
+def _checks(scene: AdjustedScene, misfit: Misfit | None, limit_px: float) -> tuple[Check, ...]:
     """Whether the lines are those of the tracks: not where half of the tracks, or of the segments, lie far from their lines."""
-    if misfit is None:
-        return ()
     far_px = np.abs(scene.residual_px).max(-1)
     known = far_px[np.isfinite(far_px)]
-    figures = {"half of the tracks from any line": misfit.px}
+    figures = {} if misfit is None else {"half of the tracks from any line": misfit.px}
     if len(known):
         figures["half of the segments from their lines"] = float(np.median(known))
-    limit_px = misfit.limit_px
     return tuple(Check(f"distance of {what}", px, limit_px, "px", px <= limit_px) for what, px in figures.items())
 
 

@@ -73,8 +73,6 @@ class Misfit:
     """How far half of the tracks lie from any line, as they were judged."""
 
     px: float
-    limit_px: float
-    """From which on the lines are not those of the photos."""
     rough_px: float
     """From which on it is spoken of."""
 
@@ -113,8 +111,9 @@ def judge_tracks(
     enough = options.fitting_px**2
     if float(square.median()) <= enough:
         return _misfit(sampled, square, cameras) if refined is None else _misfit_of(chosen(refined[0]), refined[1], cameras)
-    # An adjustment may mend poses that were read wrongly, but in a world of its own.
+    # An adjustment may mend poses that were read wrongly, and bend them to another camera, but in a world of its own.
     _refuse_reading(sampled, given, square, cameras)
+    _refuse_camera(sampled, given, square)
     if refined is not None:
         final, end = chosen(refined[0]), refined[1]
         better = final.misfit(end)
@@ -141,11 +140,14 @@ def _misfit_of(sampled: _Sampled, poses: Pose, cameras: Sequence[CameraModel]) -
 
 def _misfit(sampled: _Sampled, square: Float[Tensor, " k"], cameras: Sequence[CameraModel]) -> Misfit:
     """Beside what segments are off by, which they may state, and the size of the images."""
-    options = sampled.options
-    stated = float(sampled.arcs.covariance_px2.diagonal(dim1=-2, dim2=-1).median().sqrt()) if sampled.arcs.sigma_known else 1.0
+    return Misfit(math.sqrt(float(square.median())), limits_px(sampled.arcs, cameras, sampled.options)[0])
+
+
+def limits_px(arcs: MatchedArcs, cameras: Sequence[CameraModel], options: JudgeOptions) -> tuple[float, float]:
+    """Distances of half of the tracks, or segments, from which on they are spoken of, and from which on lines do not hold."""
+    stated = float(arcs.covariance_px2.diagonal(dim1=-2, dim2=-1).median().sqrt()) if arcs.sigma_known else 1.0
     rough = options.rough_px * max(stated, 1.0)
-    limit = max(rough, options.rough_share * max(max(camera.image_size) for camera in cameras))
-    return Misfit(math.sqrt(float(square.median())), limit, rough)
+    return rough, max(rough, options.rough_share * max(max(camera.image_size) for camera in cameras))
 
 
 def far_photos(scene: AdjustedScene, options: JudgeOptions) -> tuple[str, ...]:
