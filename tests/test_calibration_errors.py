@@ -126,6 +126,27 @@ def test_the_share_of_the_calibration_is_stated_and_adds_up() -> None:
     assert refined.lines.calibration_sigma_m is None
 
 
+def test_lines_that_errors_of_the_calibration_leave_uncertain_are_weak() -> None:
+    segments, poses, _ = world()
+    wide = Calibration({"cam0": CAMERA}, {"cam0": CameraEstimate(covariance=2500.0 * covariance())})
+    known, unknown = (ol.adjust(segments, poses, one, replace(OF_TABLES, refine=("lines",))).lines for one in (CAMERA, wide))
+    assert set(known.status) == {"ok"} and unknown.chart_scale_m is not None
+    assert [one == "weak" for one in unknown.status] == (unknown.sigma_m > 0.1 * unknown.chart_scale_m).tolist()
+    assert unknown.status.count("weak") >= 5
+
+
+def test_errors_that_are_not_followed_are_named() -> None:
+    segments, poses, second = stereo()
+    mounts = {"cam0": RigCamera(Pose.identity(1)[0]), "cam1": RigCamera(second)}
+    some = Calibration({"cam0": CAMERA, "cam1": CAMERA}, {"cam0": CameraEstimate(covariance=covariance())}, mounts)
+    both = replace(some, estimates={name: some.estimates["cam0"] for name in some})
+    told = [ol.adjust(segments, poses, one, replace(OF_TABLES, refine=("lines",))).told for one in (some, both)]
+    assert [any("no covariance of cam1" in said for said in one) for one in told] == [True, False]
+    segments, poses, _ = world()
+    parts = ol.adjust(segments, poses, calibration(), replace(OF_TABLES, partition=4))
+    assert parts.lines.calibration_sigma_m is None and any("in parts" in said for said in parts.told)
+
+
 def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:
     segments, poses, _ = world()
     free, held = (ol.adjust(segments, poses, calibration(), replace(OF_TABLES, refine=r)).lines for r in PARTS)

@@ -125,6 +125,15 @@ def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: S
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
 
 
+def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:
+    three = replace(found, photos=found.photos[:3])
+    own, asked = (reconstruct(three, poses, cameras["cam0"], SceneOptions(min_views=k)) for k in (4, 3))
+    np.testing.assert_array_equal(own.lines.ends_m, asked.lines.ends_m)
+    assert len(own.lines) >= 10 and not any("4 photos" in reason for stage in own.stages for reason, _ in stage.dropped)
+    assert any("All 3 photos have to see a line" in one for one in own.notes)
+    assert " lines from 3 photos" in str(scene_summary(own).verdict)
+
+
 def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_path: Path) -> None:
     scene.save(tmp_path / "scene")
     for given in (scene, tmp_path / "scene"):
@@ -282,6 +291,11 @@ def test_a_result_is_the_last_one_only_with_the_contents_it_had(room: Path, pose
     assert stamp.result() is None
     lines.write_bytes(content)
     assert stamp.result() is not None
+    copied = shutil.copytree(tmp_path / "scene", tmp_path / "copied")
+    again = Stamp(copied / "done.json", stamp.inputs).result()
+    assert again is not None and {file.parent for file in again.files} == {copied} and again.report == copied / "report.html"
+    (copied / "lines.csv").unlink()
+    assert Stamp(copied / "done.json", stamp.inputs).result() is None and stamp.result() is not None
     lines.unlink()
     assert stamp.result() is None
     assert len(read_segments(tmp_path / "scene" / "segments.csv")) > 100

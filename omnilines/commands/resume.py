@@ -1,6 +1,7 @@
 """A run with the same inputs and options as the last does nothing."""
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ class Stamp:
         """The last result, if it was made from the same inputs and all its files are there with the contents they had."""
         try:
             kept = json.loads(read_text(self.path))
-            files = {Path(name): content for name, content in kept["files"]}
+            files = {self._file(name): content for name, content in kept["files"]}
             whole = kept["inputs"] == self.inputs and all(content_hash(file) == content for file, content in files.items())
             summaries, data = tuple(map(_summary, kept["summaries"])), mapping(kept["data"], "data")
-            report = Path(kept["report"])
+            report = None if kept["report"] is None else self._file(kept["report"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):  # InputError is a ValueError
             return None
         if not whole:
@@ -39,13 +40,20 @@ class Stamp:
         """Keep a result, after all its files are written."""
         kept: dict[str, Any] = {
             "inputs": self.inputs,
-            "files": [(str(file), content_hash(file)) for file in result.files],
-            "report": str(result.report),
+            "files": [(self._name(file), content_hash(file)) for file in result.files],
+            "report": None if result.report is None else self._name(result.report),
             "summaries": [asdict(summary) for summary in result.summaries],
             "data": result.data,
         }
         with claimed(self.path.parent, [self.path.name], by="done"):
             write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
+
+    def _name(self, file: Path) -> str:
+        """Seen from the folder of the stamp, which may be moved, or copied, with what is in it."""
+        return os.path.relpath(file, self.path.parent)
+
+    def _file(self, name: str) -> Path:
+        return Path(os.path.normpath(self.path.parent / name))
 
 
 def _summary(kept: Any) -> Summary:

@@ -48,7 +48,8 @@ def _verdict(scene: Scene) -> str:
     sigma = scene.median_sigma_m()
     known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
-    return f"{int(lines.known.sum())} lines from {len(scene.poses)} photos{known}{faint}."
+    photos = len(scene.poses) if scene.from_photos is None else len(scene.segments.images)
+    return f"{int(lines.known.sum())} lines from {photos} photos{known}{faint}."
 
 
 def _known_to(scene: Scene, sigma: float) -> str:

@@ -22,6 +22,7 @@ from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
     poses_with_calibration_errors,
+    unfollowed_errors,
 )
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks, limits_px
@@ -83,6 +84,7 @@ def adjust(
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
+    told += unfollowed_errors(cameras, options)
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += size_notes(scene.lines, scene.poses, options.judge)
@@ -161,8 +163,8 @@ def _with_calibration_errors(
     errors = errors_by_calibration(
         scene.lines, arcs, every, scene.poses, cameras, options, points, pose_sigma=pose_sigma, given=given
     )
-    lines, poses = lines_with_calibration_errors(scene.lines, errors), poses_with_calibration_errors(scene.poses, errors)
-    return replace(scene, lines=lines, poses=poses)
+    lines = lines_with_calibration_errors(scene.lines, errors, options.adjustment.weak_share)
+    return replace(scene, lines=lines, poses=poses_with_calibration_errors(scene.poses, errors))
 
 
 def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:

@@ -11,6 +11,7 @@ from camera_models import Calibration
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.by_calibration import CalibrationErrors, Followed, KnownCalibration, calibration_errors
+from omnilines.adjustment.line_table import too_uncertain
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.scene import pose_prior
@@ -26,6 +27,21 @@ def states_errors(cameras: Calibration) -> bool:
     """Whether the file of a calibration says how uncertain cameras or the rig are."""
     known = [one.covariance for one in cameras.estimates.values()] + [one.covariance for one in cameras.rig.values()]
     return any(covariance is not None for covariance in known)
+
+
+def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str, ...]:
+    """What is not in the uncertainty of lines, though the file of the calibration states errors."""
+    if not states_errors(cameras) or "intrinsics" in options.refine:
+        return ()
+    if options.partition:
+        return (
+            "Errors of the calibration are not in the uncertainty of the lines: in parts (`partition`) they are not followed.",
+        )
+    known = [name for name, one in cameras.estimates.items() if one.covariance is not None]
+    exact = ", ".join(name for name in cameras if name not in known)
+    if not known or not exact:
+        return ()
+    return (f"The calibration states no covariance of {exact}: these cameras count as exact in the uncertainty of the lines.",)
 
 
 def errors_by_calibration(
@@ -76,8 +92,9 @@ def poses_with_calibration_errors(poses: ImagePoses, errors: CalibrationErrors |
     return replace(poses, covariance=poses.covariance + errors.poses.numpy())
 
 
-def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None) -> Lines:
-    """Lines whose covariances hold errors of the calibration too, and `calibration_sigma_m`, their share."""
+def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None, weak_share: float) -> Lines:
+    """Lines whose covariances hold errors of the calibration too, and `calibration_sigma_m`, their share; those that are too
+    uncertain then are weak."""
     if errors is None or lines.covariance is None:
         return lines
     rows = np.flatnonzero(lines.known)
@@ -85,7 +102,10 @@ def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None
     sigma, own = lines.sigma_m.copy(), np.full(len(lines), np.nan)
     sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), ends).numpy()
     own[rows] = end_sigma_m(chart, errors.lines[torch.as_tensor(rows)], ends).numpy()
-    return replace(lines, covariance=whole, sigma_m=sigma, calibration_sigma_m=own)
+    wider = replace(lines, covariance=whole, sigma_m=sigma, calibration_sigma_m=own)
+    weak = too_uncertain(wider, weak_share)
+    status = tuple("weak" if weak[k] and one == "ok" else one for k, one in enumerate(lines.status))
+    return replace(wider, status=status)
 
 
 def _charts(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:

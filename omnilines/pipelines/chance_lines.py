@@ -96,9 +96,10 @@ def with_chance(
     share = settled_share(shown, by_chance, arcs.free)
     rows = np.flatnonzero(share <= limits.max_chance_share)
     if not len(rows):
+        rough = "" if "poses" in options.refine else " (`refine` lines,poses mends rough ones)"
         raise GeometryError(
             f"No line was left: of {len(lines)} lines, all are likely there by chance, as photos that are moved a little show "
-            f"{len(by_chance)} (`max_chance_share` {limits.max_chance_share:g}); check the poses, or give more photos."
+            f"{len(by_chance)} (`max_chance_share` {limits.max_chance_share:g}); check the poses{rough}, or give more photos."
         )
     return _some(kept, replace(lines, chance_share=share), rows, options.min_views)
 

@@ -27,6 +27,7 @@ from omnilines.pipelines.calibration_errors import (
     lines_with_calibration_errors,
     poses_with_calibration_errors,
     states_errors,
+    unfollowed_errors,
 )
 from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
@@ -114,6 +115,8 @@ def reconstruct(
     cameras = calibration_of(camera)
     arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     check_options(options, cameras)
+    # No line is seen by more photos than there are.
+    options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
     if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
         posed = better_poses(
@@ -181,12 +184,14 @@ def _scene(
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     # Only now: families and corners are of lines whose errors are their own.
-    whole = lines_with_calibration_errors(frame.lines, errors)
+    whole = lines_with_calibration_errors(frame.lines, errors, options.adjustment.weak_share)
     found = replace(found, scene=replace(found.scene, lines=whole, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)
     told = (
         *arcs.notes,
         *_by_chance(found),
+        *unfollowed_errors(cameras, options),
+        *_of_few(len(arcs.used), options.min_views),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
@@ -242,6 +247,13 @@ def _by_chance(found: KeptLines) -> tuple[str, ...]:
         f"The arcs of the photos agree no more than by chance, and the lines explain {kept} of {arcs}: do not rely on them, and "
         "check that poses and calibration are of these photos.",
     )
+
+
+def _of_few(photos: int, min_views: int) -> tuple[str, ...]:
+    """Where every photo has to see every line."""
+    if photos > min_views:
+        return ()
+    return (f"All {photos} photos have to see a line: what only some of them show is left out, and no other confirms it.",)
 
 
 def _without_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[Detail, ...]:
