@@ -55,6 +55,12 @@ from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
 
 
+OF_GIVEN = (
+    "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
+    "are stated in that frame."
+)
+
+
 def check_options(options: SceneOptions, cameras: Calibration) -> None:
     """Refuse what cannot be done before any photo is looked at. Raises InputError."""
     check_refine(options.refine)
@@ -193,6 +199,7 @@ def _scene(
         *unfollowed_errors(cameras, options),
         *_of_few(len(arcs.used), options.min_views),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
+        *((OF_GIVEN,) if "poses" in options.refine and posed.source != SFM else ()),
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
     )
