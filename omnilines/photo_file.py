@@ -49,6 +49,26 @@ def decoded_photo(content: bytes, name: str) -> UInt[np.ndarray, "h w *channels"
     return pixels
 
 
+def stretched(
+    pixels: UInt[np.ndarray, "h w *channels"], levels: tuple[int, int], kind: type[np.uint8] | type[np.uint16]
+) -> UInt[np.ndarray, "h w *channels"]:
+    """Pixels of 16 bits with the first of `levels` as black and the second as white, of 8 or 16 bits."""
+    dark, bright = levels
+    white = np.iinfo(kind).max
+    table = (np.arange(np.iinfo(np.uint16).max + 1) - dark) * (white / max(bright - dark, 1))
+    return np.rint(table).clip(0, white).astype(kind)[pixels]
+
+
+def levels_of(pixels: UInt[np.ndarray, "h w *channels"]) -> tuple[int, int]:
+    """The darkest and the brightest level of all channels."""
+    return int(pixels.min()), int(pixels.max())
+
+
+def eight_bits(pixels: UInt[np.ndarray, "h w *channels"]) -> UInt8[np.ndarray, "h w *channels"]:
+    """A photo in 8 bits: of 16, which cameras seldom fill, it is stretched from its darkest level to its brightest."""
+    return pixels if pixels.dtype == np.uint8 else stretched(pixels, levels_of(pixels), np.uint8)
+
+
 def _require_room(name: str, size: tuple[int, int] | None) -> None:
     """Raises InputError where a photo of this size should not be decoded."""
     if size is None:

@@ -32,6 +32,11 @@ def size_of_photo(data: bytes) -> tuple[int, int] | None:
         return None
 
 
+def may_have_16_bits(data: bytes) -> bool:
+    """Whether the first 25 bytes of a photo leave it open that it has 16 bits a channel: a PNG says it, a TIFF or PNM later."""
+    return data[24:25] == b"\x10" if data.startswith(b"\x89PNG") else data[:2] in (b"II", b"MM", b"P2", b"P3", b"P5", b"P6")
+
+
 def _jpeg(data: bytes) -> tuple[int, int] | None:
     """That of the frame, behind other segments."""
     place = 2

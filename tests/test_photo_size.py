@@ -11,7 +11,7 @@ import pytest
 from camera_models import InputError
 from omnilines import photo_file
 from omnilines.files import PHOTO_SUFFIXES, read_photo
-from omnilines.photo_size import size_of_photo
+from omnilines.photo_size import may_have_16_bits, size_of_photo
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (37, 53, 3), dtype=np.uint8)
 
@@ -51,6 +51,14 @@ ENCODED = {
 @pytest.mark.parametrize("kind", ENCODED)
 def test_the_header_says_the_size(kind: str) -> None:
     assert size_of_photo(ENCODED[kind]) == (53, 37)
+
+
+@pytest.mark.parametrize("suffix", PHOTO_SUFFIXES)
+def test_the_first_bytes_say_that_a_photo_has_8_bits_or_leave_it_open(suffix: str) -> None:
+    assert may_have_16_bits(ENCODED[suffix][:25]) == (suffix in (".tif", ".tiff", ".pgm"))
+    if suffix in (".png", ".tif", ".tiff", ".pgm"):
+        deep = cv2.imencode(suffix, IMAGE[..., 0].astype(np.uint16))[1].tobytes()
+        assert may_have_16_bits(deep[:25]) and not may_have_16_bits(b"")
 
 
 @pytest.mark.parametrize("kind", ENCODED)

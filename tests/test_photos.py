@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from camera_models.errors import InputError
-from omnilines.files import PHOTO_SUFFIXES, find_photos, read_photo
+from omnilines.files import PHOTO_SUFFIXES, find_photos, of_one_range, photos_of, read_photo
 from omnilines.files.orientation import turned_otherwise
 
 
@@ -117,6 +117,25 @@ def test_pixels_come_as_they_were_written(shape: tuple[int, ...], dtype: type, e
     read = read_photo(path)
     assert read.dtype == dtype and read.shape == expected
     assert np.array_equal(read, pixels if len(shape) == 2 else pixels[..., :3])
+
+
+def test_photos_of_12_bits_in_16_fill_them_and_stay_as_bright_as_each_other(tmp_path: Path) -> None:
+    scene = np.random.default_rng(2).integers(0, 4096, (40, 50), dtype=np.uint16)
+    scene[0, :2] = 0, 4095
+    dim = scene // 4
+    for name, pixels in (("a.png", scene), ("b.tif", dim), ("c.png", (scene >> 4).astype(np.uint8))):
+        (tmp_path / name).write_bytes(cv2.imencode(Path(name).suffix, pixels)[1].tobytes())
+    (tmp_path / "d.png").write_bytes(b"\x89PNG cut short")
+    from_files = of_one_range(find_photos([tmp_path]))[:3]
+    in_memory = of_one_range(photos_of({"a": scene, "b": dim, "c": (scene >> 4).astype(np.uint8)}))
+    for photos in (from_files, in_memory):
+        full, darker, eight = (photo.read() for photo in photos)
+        assert np.abs(full - scene * (65535.0 / 4095.0)).max() <= 0.5
+        assert np.abs(darker - dim * (65535.0 / 4095.0)).max() <= 0.5
+        assert np.array_equal(eight, scene >> 4)
+    assert np.array_equal(
+        of_one_range(photos_of({"all": np.arange(65536, dtype=np.uint16)[None]}))[0].read()[0], np.arange(65536)
+    )
 
 
 def exif(orientation: int) -> bytes:

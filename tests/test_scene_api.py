@@ -179,6 +179,12 @@ def test_photos_in_memory_give_what_files_give(room: Path, cameras: Calibration,
     assert len(views) == 2 and all(pixels.shape == (48, 64, 3) for pixels in views.values())
 
 
+def test_photos_of_12_bits_in_16_show_the_arcs_of_those_of_8(room: Path, cameras: Calibration, found: PhotoArcs) -> None:
+    dim = {ref.name: read_photo(ref.path).astype(np.uint16) * 16 for ref in find_photos([room])[:2]}
+    for one, other in zip(extract(dim, cameras).photos, found.photos, strict=False):
+        assert abs(len(one) - len(other)) < 0.05 * len(other) and len(other) > 20
+
+
 def test_matched_segments_take_the_place_of_arcs(scene: Scene, poses: ImagePoses, cameras: Calibration) -> None:
     again = reconstruct(scene.segments, poses, cameras)
     assert again.lines.tracks == scene.lines.tracks and not again.stages and again.families is None

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
-from omnilines.photo_file import decoded_photo
+from omnilines.photo_file import decoded_photo, eight_bits
 
 RAW, PACKED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 FOXGLOVE = ("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")
@@ -108,8 +108,7 @@ def _packed(message: Any) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _bgr8(pixels: UInt[np.ndarray, "h w *channels"], conversion: int | None) -> UInt8[np.ndarray, "h w 3"]:
-    if pixels.dtype == np.uint16:
-        pixels = cv2.normalize(pixels, np.zeros_like(pixels), 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    pixels = eight_bits(pixels)
     if conversion is None and pixels.ndim == 2:
         conversion = cv2.COLOR_GRAY2BGR
     return np.asarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), dtype=np.uint8)

@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,12 +15,15 @@ from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
 from camera_models.formats.values import is_text, stray
 from omnilines.machine import available_bytes
-from omnilines.photo_file import MOST_PIXELS, read_photo
-from omnilines.photo_size import size_of_photo
+from omnilines.photo_file import MOST_PIXELS, levels_of, read_photo, stretched
+from omnilines.photo_size import may_have_16_bits, size_of_photo
+from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 _HEADER_BYTES = 1 << 16
 """Of a photo, that mostly hold its size."""
+_READ_BYTES_PER_PIXEL = 6
+"""Of a photo of 16 bits in colour."""
 _SHARE = 0.5
 """Of the memory that can be taken, for photos being worked on."""
 
@@ -32,10 +35,12 @@ class PhotoRef:
     path: Path
     name: str
     """POSIX path relative to the photo folder."""
+    levels: tuple[int, int] | None = None
+    """Of photos that are compared: the darkest and the brightest level of them all, from which one of 16 bits is stretched."""
 
     def read(self) -> UInt[np.ndarray, "h w *channels"]:
-        """The pixels, as `read_photo` gives them."""
-        return read_photo(self.path)
+        """The pixels, as `read_photo` gives them where there are no `levels`."""
+        return _of_levels(read_photo(self.path), self.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +51,16 @@ class PhotoArray:
     pixels: UInt[np.ndarray, "h w *channels"]
     time_s: float | None = None
     """When it was taken, of frames of a video."""
+    levels: tuple[int, int] | None = None
+    """As those of a `PhotoRef`."""
 
     def read(self) -> UInt[np.ndarray, "h w *channels"]:
-        """The pixels."""
-        return self.pixels
+        """The pixels, as they are given where there are no `levels`."""
+        return _of_levels(self.pixels, self.levels)
+
+
+def _of_levels(pixels: UInt[np.ndarray, "h w *channels"], levels: tuple[int, int] | None) -> UInt[np.ndarray, "h w *channels"]:
+    return pixels if levels is None or pixels.dtype == np.uint8 else stretched(pixels, levels, np.uint16)
 
 
 Photo: TypeAlias = PhotoRef | PhotoArray
@@ -85,6 +96,39 @@ def _photo_array(name: str, pixels: Any) -> PhotoArray:
             f"{array.dtype}; convert it."
         )
     return PhotoArray(name, array)
+
+
+def of_one_range(photos: Sequence[Photo], progress: ProgressCallback = silent) -> list[Photo]:
+    """The photos, those of 16 bits stretched from the darkest level of them all to the brightest.
+
+    Cameras seldom fill 16 bits, and what grey levels say would be lost; stretched each by itself, photos would no longer be as
+    bright as each other where they were. Photos that cannot be read are left as they are.
+    """
+
+    def look(photo: Photo) -> tuple[int, int] | None:
+        """The levels of one photo of 16 bits; None of others."""
+        try:
+            pixels = photo.read()
+        except InputError:
+            return None
+        return levels_of(pixels) if pixels.dtype == np.uint16 else None
+
+    deep = [photo for photo in photos if _may_have_16_bits(photo)]
+    found = on_all_cores(look, deep, "reading grey levels", progress, photos_at_once(deep, _READ_BYTES_PER_PIXEL))
+    known = [levels for levels in found if levels is not None]
+    if not known:
+        return list(photos)
+    every = min(dark for dark, _ in known), max(bright for _, bright in known)
+    return [replace(photo, levels=every) for photo in photos]
+
+
+def _may_have_16_bits(photo: Photo) -> bool:
+    if isinstance(photo, PhotoArray):
+        return photo.pixels.dtype == np.uint16
+    try:
+        return may_have_16_bits(read_bytes(photo.path, _HEADER_BYTES))
+    except InputError:
+        return False
 
 
 def photo_folder(photos: Sequence[Photo]) -> Path | None:

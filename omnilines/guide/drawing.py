@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt, UInt8
 from omnilines.guide.session import Known, Session
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.uncertainty_map import UncertaintyMap
-from omnilines.photo_file import jpeg_of
+from omnilines.photo_file import eight_bits, jpeg_of
 
 WIDEST_PX = 960
 """Of a picture on the page."""
@@ -64,7 +64,7 @@ def map_picture(session: Session) -> bytes:
 
 def _shown(pixels: UInt[np.ndarray, "h w *channels"]) -> tuple[UInt8[np.ndarray, "a b 3"], float]:
     """A picture in colour that is not too wide, and its scale."""
-    eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
+    eight = eight_bits(pixels)
     scale = min(1.0, WIDEST_PX / pixels.shape[1])
     small = cv2.resize(eight, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else eight.copy()
     return (cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if small.ndim == 2 else small), scale

@@ -14,7 +14,7 @@ from camera_models.formats.disk import write_atomically
 from omnilines.files import Photo, photos_at_once
 from omnilines.geometry.sphere import angle_between, arc_normal
 from omnilines.pages.limits_of_lines import arcs_advice
-from omnilines.photo_file import jpeg_of
+from omnilines.photo_file import eight_bits, jpeg_of
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores
@@ -126,7 +126,7 @@ def draw_arcs(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The photo, darkened, with its arcs as curves, sampled through the model, and their end points, in the colour of their kind
     (grey for -1), else one after another."""
-    grey = image if image.dtype == np.uint8 else (image // 257).astype(np.uint8)
+    grey = eight_bits(image)
     picture = (cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) if grey.ndim == 2 else grey) // 2
     width = 1 if max(model.image_size) < 3000 else 3
     for k, curve in enumerate(curves(model, found)):

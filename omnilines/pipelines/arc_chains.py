@@ -7,7 +7,7 @@ from camera_models import CameraModel, InputError
 from omnilines.extraction import ExtractionOptions
 from omnilines.extraction.edge_chains import arc_chains
 from omnilines.extraction.extract import EVERYWHERE
-from omnilines.files import Photo, Photos, photos_at_once, photos_of
+from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.chains import joined_chains
@@ -27,7 +27,7 @@ def arc_chains_of(
 ) -> tuple[Chains, tuple[Detail, ...]]:
     """The chains of all photos, and those that are left out with the reason: they cannot be read, have not the size of the
     camera, or are copies. Raises InputError where there is no photo, or none can be used."""
-    refs = photos_of(photos)
+    refs = of_one_range(photos_of(photos), progress)
 
     def look(photo: Photo) -> Chains | str:
         """The chains of one photo, or why it has none."""

@@ -18,7 +18,7 @@ from camera_models.typed import typed
 from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.extraction.extract import EVERYWHERE
-from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
+from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.kept import read_kept, write_kept
@@ -71,6 +71,7 @@ def extract(
     camera_of = cameras_of_photos(refs, cameras)
     if mask is not None:
         check_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    refs = of_one_range(refs, progress)
     turned = by_camera(refs, camera_of)
     items = [_Item(photo, camera_of[photo.name], turned.get(photo.name)) for photo in refs]
     look = _Look(
@@ -243,7 +244,7 @@ class _Kept:
             return None
         look, model = self.look, self.look.cameras[item.camera]
         camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.known_rad[item.camera])
-        what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance)!r}".encode())
+        what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance, item.photo.levels)!r}".encode())
         if look.mask is not None:
             what.update(np.packbits(look.mask).tobytes())
         return what.hexdigest()[:32]

@@ -10,7 +10,7 @@ from jaxtyping import Bool
 from camera_models import InputError
 from omnilines.extraction.options import SmoothChainOptions
 from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
-from omnilines.files import Photo, Photos, photos_at_once, photos_of
+from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.copies import copies
@@ -42,7 +42,7 @@ def chains_of(
 
     Raises InputError where there is no photo, or none can be used, or the mask is of another size.
     """
-    refs = photos_of(photos)
+    refs = of_one_range(photos_of(photos), progress)
 
     def look(photo: Photo) -> tuple[tuple[int, int], SmoothChains] | str:
         """Size and chains of one photo, or why it has none."""

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.typed import typed
-from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
+from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, require_any, skipped
@@ -46,6 +46,7 @@ def given_arcs(
     check_given(segments, refs, camera_of, name)
     require_inside(segments, [camera_of[image] for image in segments.images], cameras)
     covariance = _covariance_px2(segments, sigma_px)
+    refs = of_one_range(refs, progress)
 
     def look(photo: Photo) -> FoundArcs:
         """The segments of one photo, or why it has none."""

@@ -18,7 +18,7 @@ from omnilines.extraction.image_circle import image_circle
 from omnilines.files.colmap_scene import COLMAP_FILES, colmap_cameras, write_colmap_scene
 from omnilines.files.photos import write_png
 from omnilines.files.scene_folder import SceneTables
-from omnilines.photo_file import read_photo
+from omnilines.photo_file import eight_bits, read_photo
 
 MODEL, MASKS = "sparse/0", "masks"
 LOOKED_AT = 8
@@ -83,7 +83,7 @@ def _circle(path: Path, model: CameraModel) -> tuple[float, float, float] | None
     if photo.shape[1::-1] != model.image_size:
         expected, found = ("x".join(map(str, size)) for size in (model.image_size, photo.shape[1::-1]))
         raise InputError(f"The photo {path} was expected to be {expected} px as its camera, found {found}; give its own photos.")
-    return image_circle(photo, model)
+    return image_circle(eight_bits(photo), model)
 
 
 def _spread(photos: Sequence[Path]) -> list[Path]:

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 
 from camera_models import CameraEstimate, CameraModel, InputError
+from omnilines.photo_file import eight_bits
 from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.options import FeatureOptions
 
@@ -87,7 +88,7 @@ def feature_finder(
 
 def _grey(image: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey // 257).astype(np.uint8))
+    return np.ascontiguousarray(eight_bits(grey))
 
 
 def _searched(

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from markupsafe import Markup
 
 from camera_models.errors import InputError
-from omnilines.photo_file import jpeg_of, read_photo
+from omnilines.photo_file import eight_bits, jpeg_of, read_photo
 from omnilines.progress import ahead
 from omnilines.records import Polyline
 from omnilines.report.page import Section, fragment
@@ -113,7 +113,7 @@ def _read(path: pathlib.Path) -> UInt8[np.ndarray, "h w 3"] | None:
         pixels = read_photo(path)
     except InputError:
         return None
-    shown = pixels if pixels.dtype == np.uint8 else (pixels >> 8).astype(np.uint8)
+    shown = eight_bits(pixels)
     return shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
 
 
