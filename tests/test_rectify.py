@@ -115,6 +115,18 @@ def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
     assert load(tmp_path / "out/calibration.yaml")["perspective"].image_size == (100, 80)
 
 
+def test_black_views_are_named_in_one_sentence(tmp_path, capsys) -> None:
+    made = render_scene("room", "pinhole", RenderOptions(fov_deg=60.0, views=1, size_px=(160, 120), seed=1))
+    made.save(tmp_path / "in")
+    inputs = ["rectify", f"{tmp_path}/in", "--calibration", f"{tmp_path}/in/calibration.yaml", "--out", f"{tmp_path}/out"]
+    assert run(*inputs, "--view", "cube", "--size", "40x40") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("note: ") == 1
+    assert "The photos show nothing of the views right, back, left, up, down; they are black." in said
+    assert run(*inputs, "--yaw-deg", "180") == 0
+    assert "The photos show nothing of the view perspective; it is black." in " ".join(capsys.readouterr().err.split())
+
+
 def test_several_cameras(rendered, tmp_path, capsys) -> None:
     """Each photo through its own camera; the frame of a rig is kept."""
     scene, folder = rendered

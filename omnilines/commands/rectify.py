@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from camera_models import load
-from camera_models.wording import rounded
+from camera_models.wording import listed, rounded
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
@@ -103,8 +103,9 @@ def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> Comm
             for name, level in levels.items()
         ],
     }
-    empty = sorted({one.target.name or made.view for one in made.views if shown[one.name] == 0})
-    warnings = tuple(f"The photos show nothing of the view '{name}'; it is black." for name in empty)
+    empty = list(dict.fromkeys(one.target.name or made.view for one in made.views if shown[one.name] == 0))
+    black = f"view {empty[0]}; it is" if len(empty) == 1 else f"views {listed(empty)}; they are"
+    warnings = (f"The photos show nothing of the {black} black.",) if empty else ()
     turned = tuple((name, _row(level)) for name, level in levels.items())
     upright = (Summary("Upright", turned, (), of_photos=True),) if turned else ()
     return CommandResult((Summary("Views", rows), *upright), data, files=files, warnings=warnings)
