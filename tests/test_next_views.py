@@ -11,12 +11,15 @@ from board_views import BOARD, board_corners, board_views
 import omnilines as ol
 from camera_models import OpenCVFisheye, Scaramuzza
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines.calibration.image_field import ImageField, KnownProjection
 from omnilines.calibration.next_pose import next_views
 from omnilines.calibration.pose_candidates import view_information
+from omnilines.calibration.shooting_words import px_words
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.pages.calibration import calibration_data, calibration_summaries
+from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.next_views import lens_rim_px
 
 SIZE = (1280, 960)
@@ -190,3 +193,21 @@ def test_part_of_the_result_its_table_and_its_data(tmp_path):
     assert f'<p class="verdict">{verdict}</p>' in page and f"<td>{told[0].limit}</td><td>{told[0].do}</td>" in page
     assert page.index('class="verdict"') < page.index("Boards to shoot next over the image") < page.index('class="facts"')
     assert advice.poses[0].words in page and "Boards to shoot next over the image" in page
+    worst, median = px_words(advice.worst_px), px_words(advice.median_px)
+    known = f"The projection is known to {median} px in the median of the image and to {worst} px at worst, a single corner to"
+    assert advice.conclusion.startswith(known)
+    u, v = advice.worst_at_px
+    assert f"Over the image it is at most {rounded(advice.worst_px)} px, at ({u:.0f}, {v:.0f}) px." in page
+
+
+def test_the_map_ends_where_the_lens_does():
+    """The corners of the image, which show nothing, are the worst places of the whole of it."""
+    truth = LENSES["opencv-fisheye"]
+    fit, corners = calibrated(truth, board_views(truth, 60.0, 6, 3))
+    field = next_views(fit, corners, rim_px=rim_px(truth, 80.0), board_m=BOARD).known.field
+    every, shown = UncertaintyMap.of(fit), UncertaintyMap.of(fit, field)
+    v, u = np.meshgrid(shown.v_px, shown.u_px, indexing="ij")
+    inside = np.hypot(u - float(fit.model.centre_px[0]), v - float(fit.model.centre_px[1])) <= field.rim_px
+    assert np.array_equal(np.isfinite(shown.sigma_px), inside & np.isfinite(every.sigma_px))
+    assert np.nanmax(every.sigma_px) > 1.5 * np.nanmax(shown.sigma_px)
+    assert shown.figures == every.figures

@@ -14,6 +14,7 @@ from dataclasses import field as dataclass_field
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.calibration.image_field import ImageField, KnownProjection
@@ -120,7 +121,7 @@ def next_views(
         limits=limits_of(field, pixels, poses, seen, fit.corner_sigma_px, thresholds),
         noisy=fit.corner_sigma_px > thresholds.noisy_px,
         poses=proposed,
-        conclusion=_conclusion(float(sigma.max()), fit.corner_sigma_px, len(used), bool(proposed), thresholds),
+        conclusion=_conclusion(sigma, fit.corner_sigma_px, len(used), bool(proposed), thresholds),
         board_m=board,
         known=known,
     )
@@ -177,14 +178,17 @@ def _described(field: ImageField, seen: SeenBoards, tried: Candidates, best: int
     )
 
 
-def _conclusion(worst_px: float, corner_sigma_px: float, views: int, helps: bool, thresholds: ShootingThresholds) -> str:
+def _conclusion(
+    sigma_px: Float[Tensor, " n"], corner_sigma_px: float, views: int, helps: bool, thresholds: ShootingThresholds
+) -> str:
     more = f"{100 * (1 - math.sqrt(views / (views + TEN))):.0f} percent"
-    enough = worst_px <= corner_sigma_px
-    start = "It is good enough for most uses: the" if enough else "The"
+    worst_px, median_px = float(sigma_px.max()), float(sigma_px.median())
+    worst, median, corner = (px_words(value) for value in (worst_px, median_px, corner_sigma_px))
     known = (
-        f"{start} projection is known to {px_words(worst_px)} px or better all over the image, a single corner to "
-        f"{px_words(corner_sigma_px)} px"
-    )
+        f"It is good enough for most uses: the projection is known to {worst} px or better all over the image"
+        if worst_px <= corner_sigma_px
+        else f"The projection is known to {median} px in the median of the image and to {worst} px at worst"
+    ) + f", a single corner to {corner} px"
     if helps:
         return f"{known}; {TEN} more photos like these would lower the uncertainty by about {more}."
     least = f"{100 * thresholds.least_gain:.0f} percent"

@@ -174,7 +174,8 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
     curve_theta, curve_rho = projection_curve(result)
     values = model.parameters.numpy()
     sigmas = np.array(list(result.sigma.values()))
-    uncertainty = UncertaintyMap.of(result)
+    advice = calibrated.next_views
+    uncertainty = UncertaintyMap.of(result, None if advice is None else advice.known.field)
     sections = [
         report.verdict_section(summaries[0]),
         report.uncertainty_section(
@@ -185,6 +186,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
             circle,
             corners_px=pixels,
             supported_angle_deg=result.max_angle_deg,
+            largest=None if advice is None else (advice.worst_px, advice.worst_at_px),
         ),
         report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
         report.parameters_section(
@@ -195,8 +197,8 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
         report.radial_section(curve_theta, curve_rho, supported_angle_deg=result.max_angle_deg),
         report.views_section(result.views),
     ]
-    if calibrated.next_views is not None:
-        sections.insert(1, next_views_section(calibrated.next_views, result.model, uncertainty, pixels))
+    if advice is not None:
+        sections.insert(1, next_views_section(advice, result.model, uncertainty, pixels))
     used = [view for view in result.views if view.used]
     if photo_folder is not None:
         sections.append(report.photos_section(photo_folder, board_curves(result, corners)))

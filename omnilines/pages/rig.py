@@ -86,7 +86,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
         report.radial_section(*projection_curve(single), supported_angle_deg=angle, title=f"{name}: projection"),
     ]
     if single.covariance.any():
-        found = UncertaintyMap.of(single)
+        found = UncertaintyMap.of(single, None if advice is None else advice.known.field)
         sections.insert(
             3,
             report.uncertainty_section(
@@ -98,6 +98,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
                 corners_px=pixels,
                 supported_angle_deg=angle,
                 title=f"{name}: projection uncertainty",
+                largest=None if advice is None else (advice.worst_px, advice.worst_at_px),
             ),
         )
         if advice is not None:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
 
 MAP_STEPS = 64
@@ -43,8 +44,8 @@ class UncertaintyMap:
     """Within the field of view that the data support."""
 
     @staticmethod
-    def of(result: CertainCamera) -> "UncertaintyMap":
-        """The map of a calibration, at MAP_STEPS pixels along the longer side of its image."""
+    def of(result: CertainCamera, field: ImageField | None = None) -> "UncertaintyMap":
+        """The map of a calibration, at MAP_STEPS pixels along the longer side of its image; within a field, if one is known."""
         width, height = result.model.image_size
         step = max(width, height) / MAP_STEPS
         u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
@@ -53,9 +54,11 @@ class UncertaintyMap:
         reference = supported_grid(result.model, high, low)
         covariance, valid = projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)
         angle = angles_off_axis(result.model, pixels)
-        inside = valid & (angle >= low) & (angle <= high)
+        shown = torch.ones(len(pixels), dtype=torch.bool) if field is None else field.shows(pixels)
+        sigma = torch.where(shown, worst_sigma_px(covariance), torch.nan)
+        inside = valid & shown & (angle >= low) & (angle <= high)
         shape = len(v), len(u)
-        return UncertaintyMap(u, v, worst_sigma_px(covariance).numpy().reshape(shape), inside.numpy().reshape(shape))
+        return UncertaintyMap(u, v, sigma.numpy().reshape(shape), inside.numpy().reshape(shape))
 
     @property
     def figures(self) -> tuple[float, float]:

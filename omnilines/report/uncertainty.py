@@ -39,13 +39,14 @@ def uncertainty_section(
     corners_px: Float[np.ndarray, "n 2"],
     supported_angle_deg: float,
     title: str = "Projection uncertainty",
+    largest: tuple[float, tuple[float, float]] | None = None,
 ) -> Section:
     """A heat map with labelled contour lines of `sigma_px` at the pixels (u_px, v_px), both increasing.
 
     `sigma_px` is the standard deviation, in the worst direction of the image, of where the calibrated camera projects a known
     direction, after the best common rotation. Where it is not finite or not positive it is not known, and nothing is
     drawn. `circle_px` is the image of the cone at `supported_angle_deg`, up to which the data reach, cut (NaN) where it has no
-    image; `corners_px` are the observed points.
+    image; `corners_px` are the observed points. `largest` is the largest value (px) and its pixel, by default those of the map.
     """
     sigma = np.where(np.isfinite(sigma_px) & (sigma_px > 0), sigma_px, np.nan)
     if not np.isfinite(sigma).any():
@@ -54,7 +55,7 @@ def uncertainty_section(
     intro = (
         "The camera is known only as well as the corners tell it. The map shows the standard deviation in pixels of where it "
         "would project a known direction, in the worst direction of the image, after the best common rotation. "
-        + _figures(sigma, u_px, v_px, corners)
+        + _figures(sigma, u_px, v_px, corners, largest)
     )
     rows = sample(len(corners))
     traces = [
@@ -63,8 +64,8 @@ def uncertainty_section(
         curve(circle_px[:, 0], circle_px[:, 1], PALETTE[0], width=3),
     ]
     caption = (
-        "How to read it: pale is well known, red is badly known, blank is not known; the numbers on the lines are pixels. Dots "
-        "are the observed corners: where there are none, the uncertainty grows. "
+        "How to read it: pale is well known, red is badly known, blank is not known or shows nothing of the world; the numbers "
+        "on the lines are pixels. Dots are the observed corners: where there are none, the uncertainty grows. "
         + _reach(circle_px, image_size, supported_angle_deg)
         + " Noise of the corners is all that is counted; a wrong model is seen in the residuals instead."
         + sample_note(len(corners))
@@ -90,18 +91,22 @@ def _figures(
     u_px: Float[np.ndarray, " w"],
     v_px: Float[np.ndarray, " h"],
     corners: Float[np.ndarray, "n 2"],
+    largest: tuple[float, tuple[float, float]] | None,
 ) -> str:
     """Sentences on the uncertainty at the nearest node of the map to every corner, and on its largest value."""
-    row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
-    largest = f"Over the image it is at most {rounded(sigma[row, column])} px, at ({u_px[column]:.0f}, {v_px[row]:.0f}) px."
+    if largest is None:
+        row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
+        largest = float(sigma[row, column]), (float(u_px[column]), float(v_px[row]))
+    value, (u, v) = largest
+    most = f"Over the image it is at most {rounded(value)} px, at ({u:.0f}, {v:.0f}) px."
     # Nearest node: the number of midpoints between nodes that lie before the corner.
     columns, rows = (np.searchsorted((x[1:] + x[:-1]) / 2, corners[:, k]) for k, x in enumerate((u_px, v_px)))
     at_corners = sigma[rows, columns]
     at_corners = at_corners[np.isfinite(at_corners)]
     if not at_corners.size:
-        return largest
+        return most
     middle, worst = rounded(np.median(at_corners)), rounded(at_corners.max())
-    return f"At the observed corners it is {middle} px in the median, at most {worst} px. {largest}"
+    return f"At the observed corners it is {middle} px in the median, at most {worst} px. {most}"
 
 
 def _levels(low: float, high: float) -> list[float]:
