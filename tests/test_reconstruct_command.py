@@ -8,9 +8,10 @@ import torch
 from rig_scene import RigScene, disturbed, moved_models
 
 import camera_models
-from camera_models import Calibration
+from camera_models import Calibration, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
+from omnilines.adjustment.arcs import cameras_of_images
 from omnilines.cli import main
 from omnilines.files import read_lines, read_poses, write_poses, write_segments
 from omnilines.records import ImagePoses, Segments
@@ -79,6 +80,28 @@ def test_cameras_are_refined_and_written_with_their_uncertainty(tmp_path, capsys
         free = sigma > 0
         assert free.sum() >= 8 and np.abs(error[free] / sigma[free]).max() < 4.5
         assert data["cameras"][name] == pytest.approx(stored[name].named_parameters())
+
+
+@pytest.mark.parametrize(
+    ("own", "posed", "said"),
+    [
+        (
+            "x",
+            "a",
+            "Photo 0 needs one of the cameras a, b of the calibration, found camera 'x'; correct the camera column of segm",
+        ),
+        ("a", "x", "needs one of the cameras a, b of the calibration, found camera 'x'; correct the camera column of poses.csv"),
+        ("a", "b", "Photo 0 was expected to be of one camera, found 'a' in segments.csv and 'b' in poses.csv; correct the one"),
+        (None, None, "found no camera; fill the camera column of poses.csv"),
+    ],
+)
+def test_the_table_that_names_a_wrong_camera_is_named(own, posed, said):
+    cameras = dict(zip("ab", RigScene(frames=1, lines=1).models, strict=False))
+    segments = Segments(np.zeros(1, int), ("0",), np.zeros(1, int), ("t",), np.zeros((1, 2, 2)), cameras=own and (own,))
+    with pytest.raises(InputError, match=said):
+        cameras_of_images(segments, ImagePoses(("0",), Pose.identity(1), posed and (posed,)), cameras)
+    if own != "x":
+        assert cameras_of_images(segments, None, {"a": cameras["a"]}) == ["a"]
 
 
 def test_rig_is_refined_and_written(tmp_path, capsys):

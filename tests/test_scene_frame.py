@@ -1,5 +1,6 @@
 """Unit and frame of a scene whose poses leave them open: metres by a known distance, z up, and nothing else changed by either."""
 
+import itertools
 import json
 import math
 import re
@@ -26,7 +27,7 @@ from omnilines.pipelines.frame import (
     scene_frame,
 )
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.pose_tables import unit_of_table
+from omnilines.pipelines.pose_tables import unit_of_file
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
@@ -103,8 +104,8 @@ def test_nothing_is_called_metres_where_the_scale_is_open(room, open_scene, caps
 
 
 def test_a_scene_folder_stays_without_metres_when_it_is_adjusted(room, open_scene, tmp_path, capsys):
-    assert unit_of_table(open_scene / "poses.csv") is LengthUnit.OPEN
-    assert unit_of_table(room / "poses.csv") is LengthUnit.METRES
+    assert unit_of_file(open_scene / "poses.csv") is LengthUnit.OPEN
+    assert unit_of_file(room / "poses.csv") is LengthUnit.METRES
     arguments = ["adjust", "--calibration", open_scene / "calibration.yaml", "--poses", open_scene / "poses.csv"]
     arguments += ["--segments", open_scene / "segments.csv", "--refine", "lines", "--out", tmp_path]
     with pytest.raises(SystemExit) as stopped:
@@ -112,6 +113,22 @@ def test_a_scene_folder_stays_without_metres_when_it_is_adjusted(room, open_scen
     assert stopped.value.code == 0
     assert re.search(r"median of the largest sigma .* units\n", capsys.readouterr().out)
     assert camera_models.load(tmp_path / "calibration.yaml").provenance["length_unit"] == "units"
+
+
+def test_a_colmap_model_gives_poses_to_segments_as_its_table_does(open_scene, tmp_path, capsys):
+    for verb, source in itertools.product(("adjust", "reconstruct"), ("poses.csv", "colmap")):
+        arguments = [verb, "--calibration", open_scene / "calibration.yaml", "--poses", open_scene / source]
+        arguments += ["--segments", open_scene / "segments.csv", "--refine", "lines", "--out", tmp_path / f"{verb}-{source}"]
+        with pytest.raises(SystemExit) as stopped:
+            main([str(item) for item in arguments])
+        assert stopped.value.code == 0 and "scale the positions of the poses by it." in capsys.readouterr().out
+        assert camera_models.load(tmp_path / f"{verb}-{source}/calibration.yaml").provenance["length_unit"] == "units"
+    by_table, by_model = (read_lines(tmp_path / f"adjust-{source}/lines.csv") for source in ("poses.csv", "colmap"))
+    assert by_model.tracks == by_table.tracks
+    # Which end comes first is a matter of rounding.
+    turned = np.linalg.norm(by_model.ends_m[:, 0] - by_table.ends_m[:, 0], axis=-1) > 1e-6
+    ends = np.where(turned[:, None, None], by_model.ends_m[:, ::-1], by_model.ends_m)
+    np.testing.assert_allclose(ends, by_table.ends_m, atol=1e-6)
 
 
 def test_the_scene_stands_upright_with_x_along_its_walls(room, open_scene):

@@ -145,22 +145,25 @@ def _sentences(*counts: tuple[int, str]) -> tuple[str, ...]:
     return tuple(f"{count} {text}" for count, text in counts if count)
 
 
-def cameras_of_images(segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel]) -> list[str]:
+def cameras_of_images(segments: Segments, poses: ImagePoses | None, cameras: Mapping[str, CameraModel]) -> list[str]:
     """Camera of every photo of `segments`: from either table, or the only camera of the calibration. Raises InputError where that
-    does not decide it."""
-    by_pose = dict(zip(poses.images, poses.cameras or [""] * len(poses.images), strict=True))
+    does not decide it, or the tables contradict each other."""
+    by_pose = {} if poses is None else dict(zip(poses.images, poses.cameras or [""] * len(poses.images), strict=True))
     names = []
     for k, image in enumerate(segments.images):
-        name = (segments.cameras[k] if segments.cameras else "") or by_pose.get(image, "")
-        if not name and len(cameras) == 1:
-            name = next(iter(cameras))
-        if name not in cameras:
-            found = f"camera '{name}'" if name else "no camera"
-            raise InputError(
-                f"Photo {image} needs one of the cameras {listed(cameras)} of the calibration, found {found}; "
-                "fill the camera column of poses.csv."
-            )
-        names.append(name)
+        by_table = {"segments.csv": segments.cameras[k] if segments.cameras else "", "poses.csv": by_pose.get(image, "")}
+        named = {table: name for table, name in by_table.items() if name}
+        needs = f"Photo {image} needs one of the cameras {listed(cameras)} of the calibration"
+        for table, name in named.items():
+            if name not in cameras:
+                raise InputError(f"{needs}, found camera '{name}'; correct the camera column of {table}.")
+        if len(set(named.values())) > 1:
+            found = " and ".join(f"'{name}' in {table}" for table, name in named.items())
+            raise InputError(f"Photo {image} was expected to be of one camera, found {found}; correct the one that is wrong.")
+        if not named and len(cameras) > 1:
+            table = "segments.csv" if poses is None else "poses.csv"
+            raise InputError(f"{needs}, found no camera; fill the camera column of {table}.")
+        names.append(next(iter(named.values() if named else cameras)))
     return names
 
 

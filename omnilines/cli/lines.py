@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from omnilines.progress import ProgressCallback
 
 Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
-Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world)", show_default=False)]
+Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world) or a COLMAP model's folder", show_default=False)]
 PoseSource = Annotated[
     str,
     typer.Option(

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from camera_models import Calibration, InputError, load
+from omnilines.adjustment.arcs import cameras_of_images
 from omnilines.commands.extract import read_mask
 from omnilines.commands.result import CommandResult
 from omnilines.commands.resume import Stamp
@@ -31,10 +32,11 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.pose_tables import unit_of_poses, unit_of_table
+from omnilines.pipelines.pose_tables import unit_of_file, unit_of_poses
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
+from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
@@ -147,7 +149,7 @@ def reconstruct_segments(
     names, read = (*SCENE_FILES, PAGE), [calibration, poses, segments, *_pose_files(str(poses))]
     check_results(out, names, read)
     cameras, table = load(calibration), read_segments(segments)
-    posed = replace(_poses(poses, table, cameras), unit=unit_of_table(poses))
+    posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
     with claimed(out, names, read, by=SCENE):
@@ -173,15 +175,13 @@ def _pose_files(source: str) -> list[Path]:
 
 
 def _poses(path: Path, segments: Segments, cameras: Calibration) -> PhotoPoses:
-    """The poses of a table, or those that see its points of known place."""
-    if not is_corners_table(path):
+    """The poses of a table or a COLMAP model, or those that see a table's points of known place."""
+    if not path.is_dir() and not is_corners_table(path):
         return PhotoPoses(read_poses(path))
-    names = segments.cameras or (next(iter(cameras)),) * len(segments.images)
-    if segments.cameras is None and len(cameras.cameras) > 1:
-        raise InputError(
-            f"{path}: the camera of every photo was expected in the column camera of segments.csv, found none; add it."
-        )
-    found = poses_from_corners(read_corners(path), cameras, dict(zip(segments.images, names, strict=True)))
+    camera_of = dict(zip(segments.images, cameras_of_images(segments, None, cameras), strict=True))
+    if path.is_dir():
+        return poses_from_colmap(path, segments.images, camera_of)
+    found = poses_from_corners(read_corners(path), cameras, camera_of)
     if found.left_out:
         raise InputError(f"{path}: {next(iter(found.left_out.values()))}")
     return found

@@ -45,7 +45,10 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
         found.append(Advice(limit, do))
     if scene.lines.unit is LengthUnit.OPEN and len(scene.poses) > 1:
         a, b = _farthest_apart(scene)
-        do = f"Measure how far apart {a} and {b} were taken, and give it: `scale_from` {a},{b}:METRES."
+        scaled = (
+            "scale the positions of the poses by it" if scene.from_photos is None else f"give it: `scale_from` {a},{b}:METRES"
+        )
+        do = f"Measure how far apart {a} and {b} were taken, and {scaled}."
         found.append(Advice("Photos alone do not tell how large the scene is.", do))
     if not scene.camera_stood_still:
         found += [*_weak_lines(scene), *_least_sure_photo(scene)]

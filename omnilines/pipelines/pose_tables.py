@@ -64,21 +64,21 @@ def given_poses(
 def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
     """What the poses of a source are in, before they are known.
 
-    A rig whose cameras stand apart gives metres, a board and a table do; a COLMAP model does not say. A poses.csv beside the
-    calibration.yaml of a scene whose unit is open is of that scene.
+    A rig whose cameras stand apart gives metres, and a board does; of a table and a COLMAP model as `unit_of_file`.
     """
     if source == "sfm":
         names = set(camera_of.values())
         centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
         return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
     path = Path(source)
-    if path.is_dir():
+    return unit_of_file(path) if path.exists() else LengthUnit.METRES
+
+
+def unit_of_file(poses: Path) -> LengthUnit:
+    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open. The
+    folder of a COLMAP model does not say."""
+    if poses.is_dir():
         return LengthUnit.OPEN
-    return unit_of_table(path) if path.is_file() else LengthUnit.METRES
-
-
-def unit_of_table(poses: Path) -> LengthUnit:
-    """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open."""
     beside = poses.parent / "calibration.yaml"
     try:
         known = load(beside).provenance if beside.is_file() else {}
