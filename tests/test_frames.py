@@ -265,7 +265,21 @@ def test_a_video_that_is_cut_short_is_named(tmp_path: Path) -> None:
     frames = [match.start() for match in re.finditer(b"00dc", content)]
     file.write_bytes(content[: frames[5]])
     (note,) = ol.frames(file).notes
-    assert "film.avi states 3.0 s" in note and "cut short" in note
+    said = "film.avi states 30 frames in 3.0 s, of which 4 can be decoded, the last at 0.3 s: it is damaged or cut short"
+    assert said in note
+    with pytest.raises(InputError, match=re.escape(said)) as none_found:
+        ol.frames(file, BOARD)
+    assert "inner corners." not in str(none_found.value)
+
+
+@pytest.mark.parametrize(("suffix", "frames", "holes"), [("mp4", 30, 0), ("mp4", 26, 1), ("mkv", 26, 0)])
+def test_frames_missing_in_between_are_told_where_the_container_counts_them(suffix: str, frames: int, holes: int) -> None:
+    """Frames that do not decode are passed over; containers of streams may state a rate that they do not keep."""
+    times_s = np.linspace(0.0, 2.9, frames)
+    told = Video(Path(f"film.{suffix}"), 10.0, 30, (384, 288)).doubts(times_s)
+    assert len(told) == holes and all(
+        "states 30 frames in 3.0 s, of which 26 can be decoded, the last at 2.9 s" in one for one in told
+    )
 
 
 def test_videos_and_photos_together_are_refused(video: Path, tmp_path: Path) -> None:

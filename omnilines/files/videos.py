@@ -22,8 +22,10 @@ from omnilines.photo_file import quiet_codecs
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".insv", ".360")
 
+COUNTED_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".insv", ".360")
+"""Of containers that state how many frames they hold; of others the number is estimated from the length."""
 LEAST_DECODED = 0.9
-"""Of the length that a video states."""
+"""Of the length, or of the frames, that a video states."""
 LATEST_MS = 1e10
 """Of a frame, four months: containers may state any time."""
 
@@ -78,12 +80,14 @@ class Video(Footage):
                 index += 1
 
     def doubts(self, times_s: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-        """That it ends before the length it states."""
-        if times_s[-1] >= LEAST_DECODED * self.duration_s:
+        """That it ends before the length it states, or frames in between cannot be decoded."""
+        counted = self.path.suffix.lower() in COUNTED_SUFFIXES
+        whole = times_s[-1] >= LEAST_DECODED * self.duration_s and (not counted or len(times_s) >= LEAST_DECODED * self.count)
+        if whole:
             return ()
         return (
-            f"The video {self.title} states {self.duration_s:.1f} s, and cannot be decoded after {times_s[-1]:.1f} s: it is "
-            "damaged or cut short; copy it again.",
+            f"The video {self.title} states {self.count} frames in {self.duration_s:.1f} s, of which {len(times_s)} can be "
+            f"decoded, the last at {times_s[-1]:.1f} s: it is damaged or cut short; copy it again.",
         )
 
 

@@ -101,9 +101,10 @@ def frames_of_scene(lenses: Sequence[Lens], looked: Sequence[LookedInstant], opt
 
 
 def frames_of_targets(
-    lenses: tuple[Lens, ...], looked: Sequence[LookedInstant], targets: Sequence[Pattern], most: int
+    lenses: tuple[Lens, ...], looked: Sequence[LookedInstant], targets: Sequence[Pattern], most: int, doubts: Sequence[str]
 ) -> ChosenFrames:
-    """Those that tell most of the cameras."""
+    """Those that tell most of the cameras. Raises InputError where the only camera sees no target; `doubts` about its video are
+    said then."""
     instants: dict[str, int] = {}
     cameras: list[ViewInformation] = []
     notes: list[str] = []
@@ -120,7 +121,8 @@ def frames_of_targets(
             if len(lenses) == 1:
                 raise InputError(
                     f"The pattern {names} was expected in at least one of the {len(looked)} stillest frames "
-                    f"of {lens.video.location}, found in none (first reason: {why}); check its counts of inner corners."
+                    f"of {lens.video.location}, found in none (first reason: {why})"
+                    + (f". {' '.join(doubts)}" if doubts else "; check its counts of inner corners.")
                 )
             notes.append(f"{lens.name}: the pattern {names} was found in none of {len(looked)} frames.")
             continue

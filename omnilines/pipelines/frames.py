@@ -76,7 +76,7 @@ def frames(
     if not targets:
         return ChosenFrames(lenses, frames_of_scene(lenses, looked, options), notes + told)
     most = options.most_of_target if run == 1 else min(options.most_of_target, options.most_runs)
-    chosen = frames_of_targets(lenses, looked, targets, most)
+    chosen = frames_of_targets(lenses, looked, targets, most, told)
     rows = with_runs(chosen, instants, run) if run > 1 else chosen.rows
     rolling = rolling_note(
         [(image_name(lenses, 0, one), one.seen[0][0], one.time_s[0]) for one in followed], targets[0], lenses[0].image_size
