@@ -54,7 +54,6 @@ from omnilines.structure.families import line_families
 from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
 
-
 OF_GIVEN = (
     "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
     "are stated in that frame."
@@ -121,8 +120,9 @@ def reconstruct(
     cameras = calibration_of(camera)
     arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     check_options(options, cameras)
-    # No line is seen by more photos than there are.
-    options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
+    if options.min_views == SceneOptions.min_views:
+        # Nobody who brings three photos asks for lines of four.
+        options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
     if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
         posed = better_poses(
