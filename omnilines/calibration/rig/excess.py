@@ -29,17 +29,22 @@ ITERATIONS = 50
 
 
 @dataclass(frozen=True)
-class _Apart:
+class Apart:
     """Every camera with board poses, and perhaps parameters, of its own."""
 
     cost: float
-    rms_px: float
-    """Per point."""
+    residual_px: tuple[Float[Tensor, "_ 2"], ...]
+    """Of each camera."""
     moved_m: Float[Tensor, " v"]
     """How far the middle of the board is from where the rig has it, of the views that share a frame with another camera."""
     turned_deg: Float[Tensor, " v"]
     freed: int
     """Parameters of poses beyond one of every frame."""
+
+    @property
+    def rms_px(self) -> tuple[float, ...]:
+        """Of each camera, per point."""
+        return tuple(map(_rms_px, self.residual_px))
 
 
 def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresholds: RigThresholds) -> str | None:
@@ -49,7 +54,7 @@ def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresh
     if bent is not None:
         chain.append(bent.cost)
     state = solution.state if bent is None else bent.state
-    held, free = (_apart(data, points, state, hold=hold) for hold in (True, False))
+    held, free = (apart(data, points, state, hold=hold) for hold in (True, False))
     chain += [held.cost, free.cost]
     gains = [before - after for before, after in pairwise(chain)]
     bends = 0 if bent is None else state.shape.free.shape[1]
@@ -66,9 +71,9 @@ def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresh
     if not told:
         return None
     together_px = _rms_px(solution.state.residual_px(points))
-    bend = "" if bent is None else "with the board bent and "
+    bend, alone_px = "" if bent is None else "with the board bent and ", _rms_px(torch.cat(free.residual_px))
     return (
-        f"Together the cameras fit to {together_px:.3g} px per point; {bend}each alone they would to {free.rms_px:.3g}. Of the "
+        f"Together the cameras fit to {together_px:.3g} px per point; {bend}each alone they would to {alone_px:.3g}. Of the "
         f"difference (in squares) {'; '.join(told)}."
     )
 
@@ -88,10 +93,10 @@ def _of_board(bent: RigState, points: RigPoints) -> str:
     )
 
 
-def _of_poses(apart: _Apart) -> str:
+def _of_poses(held: Apart) -> str:
     return (
-        f"is the board's pose, which differs between cameras by {rounded(1e3 * float(apart.moved_m.median()))} mm and "
-        f"{rounded(float(apart.turned_deg.median()))} degrees in the median view: it moved between two shutters, or bent anew in "
+        f"is the board's pose, which differs between cameras by {rounded(1e3 * float(held.moved_m.median()))} mm and "
+        f"{rounded(float(held.turned_deg.median()))} degrees in the median view: it moved between two shutters, or bent anew in "
         "every view (hold it still, or fix it to something)"
     )
 
@@ -118,7 +123,7 @@ def _off_plane_m(shape: BoardShape, points: RigPoints) -> float:
     return float(left.abs().max())
 
 
-def _apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> _Apart:
+def apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> Apart:
     """Every camera fitted alone to its corners on the board as the state has it; with its parameters held only the poses."""
     cost, residuals, moved, turned = 0.0, [], [], []
     shared = _shared_views(points)
@@ -136,7 +141,7 @@ def _apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> 
         moved.append((change.transform(middle.expand(len(views), 1, 3))[:, 0] - middle).norm(dim=-1)[both])
         turned.append(torch.rad2deg(change.log()[:, :3].norm(dim=-1))[both])
     freed = 6 * (int(shared.sum()) - len(torch.unique(points.instant[shared])))
-    return _Apart(cost, _rms_px(torch.cat(residuals)), torch.cat(moved), torch.cat(turned), freed)
+    return Apart(cost, tuple(residuals), torch.cat(moved), torch.cat(turned), freed)
 
 
 def _shared_views(points: RigPoints) -> Bool[Tensor, " v"]:

@@ -213,7 +213,7 @@ def _members(
                 pose_covariance=poses[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].numpy(),
                 rms_px_per_axis=math.sqrt(squares / (2 * own.sum())),
                 rms_px_per_point=math.sqrt(squares / own.sum()),
-                alone_rms_px_per_point=outcome.alone[c].rms_px_per_point,
+                alone_rms_px_per_point=outcome.alone_rms_px[k],
                 min_angle_deg=low_deg,
                 max_angle_deg=high_deg,
                 sign_source=outcome.sign_sources.get(c),

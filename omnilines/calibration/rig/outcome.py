@@ -14,6 +14,7 @@ from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig.by_frames import groups_of_frames, spread_of_frames, spread_of_runs
+from omnilines.calibration.rig.excess import apart
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.shutters import Shutters
@@ -101,14 +102,20 @@ class RigOutcome:
         return self.factor if self.contradiction is None else self.contradiction.factor
 
     @cached_property
+    def alone_rms_px(self) -> tuple[float, ...]:
+        """How well each member alone fits its corners, per point. Alone the board was taken to be as drawn: where its shape is
+        estimated, it is fitted once more, on the board as the rig has it, to the corners that are kept."""
+        if self.data.shape.plain:
+            return tuple(self.alone[c].rms_px_per_point for c in self.data.cameras)
+        return apart(self.data, self.fit.points.chosen(self.fit.kept), self.solution.state, hold=False).rms_px
+
+    @cached_property
     def worse(self) -> tuple[int, ...]:
         """Members whose corners fit the rig worse than their camera alone."""
         points, limit = self.fit.points.chosen(self.fit.kept), self.thresholds.rig.worse_than_alone_factor
         squares, camera = self.solution.state.residual_px(points).square().sum(-1), points.camera[points.view]
         return tuple(
-            k
-            for k, c in enumerate(self.data.cameras)
-            if float(squares[camera == k].mean().sqrt()) > limit * self.alone[c].rms_px_per_point
+            k for k, alone_px in enumerate(self.alone_rms_px) if float(squares[camera == k].mean().sqrt()) > limit * alone_px
         )
 
     @cached_property

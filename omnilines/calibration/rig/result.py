@@ -33,7 +33,7 @@ class RigMember:
     rms_px_per_axis: float
     rms_px_per_point: float
     alone_rms_px_per_point: float
-    """Of the camera calibrated by itself."""
+    """Of the camera calibrated by itself, with the board as the rig has it."""
     min_angle_deg: float
     max_angle_deg: float
     sign_source: str | None
