@@ -25,10 +25,11 @@ def true_chains(
     spread: float = 9.0,
     world: np.ndarray | None = None,
     tilt_rad: float = 0.0,
+    stray_rad: float = 0.0,
 ) -> Chains:
     """Edges along three axes at right angles (or fewer, or with the angles between them off) and at random, seen from random
-    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), a point each 1.5 px
-    or so, with noise across the edge that all points have alone."""
+    turns (or from turns within `spread` radians; or along the columns of `world`, upright but for a tilt), each of which
+    strays from its axis; a point each 1.5 px or so, with noise across the edge that all points have alone."""
     rng = np.random.default_rng(seed)
     image, chain, pixels, normals = [], [], [], []
     for photo in range(photos):
@@ -42,7 +43,7 @@ def true_chains(
             turn = (rotation_from_vector(tilt.double()) @ rotation_from_vector(heading)).numpy() @ world
         for k in range(lines):
             way = turn[:, k % axes] if k % 4 else rng.normal(size=3)
-            way = way / np.linalg.norm(way)
+            way = way / np.linalg.norm(way) + (stray_rad * rng.normal(size=3) if stray_rad else 0.0)
             middle = rng.normal(size=3)
             middle *= rng.uniform(2.0, 5.0) / np.linalg.norm(middle)
             place = middle + np.linspace(-1.0, 1.0, 60)[:, None] * way

@@ -15,6 +15,7 @@ from omnilines.calibration.lines.readings import EdgeReadings, fitted_circles, o
 from omnilines.calibration.lines.right_angles import angle_sigmas
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.calibration.lines.select import SEEN_SHARE
+from omnilines.calibration.lines.turning import Turning
 from omnilines.calibration.lines.weighting import WeightedChains, longest, weighed, weighted_chains
 from omnilines.geometry.chains import Chains
 from omnilines.least_squares import Outcome, solve
@@ -77,14 +78,20 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
     prior = _prior(model, basis, chains.blocks, options)
-    problem = LineProblem(replace(chains, at=at), like.families, basis, like.problem.angles, prior)
-    begin = CameraAndCircles.right(model, normal, like.families)
+    here = replace(chains, at=at)
+    turning = Turning.of(model, here, like.families.direction, like.families.of_chain)
+    stray = like.families.stray_rad.clone()
+    # As many pixels as under the other camera.
+    stray[like.problem.members] *= turning.rad_per_px / like.problem.turning.rad_per_px
+    families = replace(like.families, stray_rad=stray)
+    problem = LineProblem(here, families, basis, like.problem.angles, turning, prior)
+    begin = CameraAndCircles.right(model, normal, families)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
     at = offsets(solution.state.model, chains.blocks, solution.state.normal)
     moved = replace(chains, normal=solution.state.normal, at=at)
     scores = LineScores.of(problem, solution.state)
     settled = solution.outcome is Outcome.CONVERGED
-    return LineAdjustment(moved, like.families, problem, solution.state, scores, prior, settled)
+    return LineAdjustment(moved, families, problem, solution.state, scores, prior, settled)
 
 
 def asked_camera(
@@ -120,7 +127,8 @@ def _solved(
 ) -> LineAdjustment:
     """Least squares from `model`, with weights and families as they are."""
     basis = prior.basis
-    problem = LineProblem(weighted, families, basis, angles or AngleSigmas.of_strays(families), prior)
+    turning = Turning.of(model, weighted, families.direction, families.of_chain)
+    problem = LineProblem(weighted, families, basis, angles or AngleSigmas.of_strays(families), turning, prior)
     begin = CameraAndCircles.right(model, weighted.normal, families)
     solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=tolerance)
     scores = LineScores.of(problem, solution.state)

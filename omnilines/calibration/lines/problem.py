@@ -19,6 +19,7 @@ from camera_models import CameraModel
 from camera_models.pose import rotation_from_vector
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.calibration.lines.readings import offsets, tangent_basis
+from omnilines.calibration.lines.turning import Turning
 from omnilines.calibration.lines.weighting import WeightedChains
 from omnilines.least_squares import KeptGroup, KeptPrior, Linearisation
 from omnilines.least_squares.structure import Structure
@@ -109,9 +110,11 @@ class LineProblem:
         families: Families,
         basis: Float[Tensor, "p q"],
         angles: AngleSigmas,
+        turning: Turning,
         prior: CameraPrior | None = None,
     ) -> None:
         self.chains, self.families, self.basis, self.angles, self.prior = chains, families, basis, angles, prior
+        self.turning = turning
         readings = chains.blocks
         self.members = torch.nonzero(families.of_chain >= 0).flatten()
         of_member = families.of_chain[self.members]
@@ -122,9 +125,7 @@ class LineProblem:
         lone = torch.where(in_frame, -1, of_member - 3 * families.frames)
         groups = []
         if basis.shape[1]:
-            groups.append(
-                KeptGroup(torch.cat([torch.zeros_like(readings.chain), torch.full_like(of_member, -1)]), 1, basis.shape[1])
-            )
+            groups.append(KeptGroup(torch.zeros_like(index), 1, basis.shape[1]))
         if families.frames:
             groups.append(KeptGroup(torch.cat([held, frame]), families.frames, 3))
         if families.lone:
@@ -156,20 +157,22 @@ class LineProblem:
         scale = weight[chain] / readings.sigma_px
         by_circle = (points.by_circle[:, None] @ basis[chain])[:, 0] * scale[:, None]
         # Strays are stated as they are, however noisy edges turn out to be.
-        per = (weight * self.chains.scale / self.families.stray_rad)[self.members]
+        growth, by_camera = self.turning.growth(state.model)
+        per = (weight * self.chains.scale / self.families.stray_rad)[self.members] / growth
         d, n = state.direction[self._of_member], state.normal[self.members]
         lost = self.chains.at.valid & ~points.valid
-        residual = torch.cat([torch.where(lost, LOST_SIGMAS * weight[chain], points.px * scale), (n * d).sum(-1) * per])
+        strays = (n * d).sum(-1) * per
+        residual = torch.cat([torch.where(lost, LOST_SIGMAS * weight[chain], points.px * scale), strays])
         by_member = (d[:, None] @ basis[self.members])[:, 0] * per[:, None]
         by_kept = []
         if self.basis.shape[1]:
-            by_kept.append(_padded(points.by_parameter @ self.basis * scale[:, None], after=len(d)))
+            by_kept.append(torch.cat([points.by_parameter * scale[:, None], -strays[:, None] * by_camera]) @ self.basis)
         if self.families.frames:
-            by_kept.append(_padded(torch.linalg.cross(d, n) * per[:, None], before=len(chain)))
+            by_kept.append(_padded(torch.linalg.cross(d, n) * per[:, None], len(chain)))
         if self.families.lone:
-            by_kept.append(_padded((n[:, None] @ tangent_basis(d))[:, 0] * per[:, None], before=len(chain)))
+            by_kept.append(_padded((n[:, None] @ tangent_basis(d))[:, 0] * per[:, None], len(chain)))
         if self.families.frames:
-            by_kept += 2 * [_padded(self._by_angle(state, n) * per[:, None], before=len(chain))]
+            by_kept += 2 * [_padded(self._by_angle(state, n) * per[:, None], len(chain))]
         return Linearisation(
             residual[:, None],
             torch.cat([by_circle, by_member])[:, None],
@@ -237,6 +240,6 @@ def _moved(unit: Float[Tensor, "n 3"], step: Float[Tensor, "n 2"]) -> Float[Tens
     return torch.nn.functional.normalize(unit + (tangent_basis(unit) @ step[..., None])[..., 0], dim=-1)
 
 
-def _padded(values: Float[Tensor, "n q"], before: int = 0, after: int = 0) -> Float[Tensor, "m q"]:
-    """Rows of zeros before and after."""
-    return torch.nn.functional.pad(values, (0, 0, before, after))
+def _padded(values: Float[Tensor, "n q"], before: int) -> Float[Tensor, "m q"]:
+    """Rows of zeros before."""
+    return torch.nn.functional.pad(values, (0, 0, before, 0))
