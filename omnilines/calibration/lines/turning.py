@@ -54,18 +54,19 @@ class Turning:
         return Turning(moved, of_chain[members], direction, _rates(bearing, of_chain[members], direction))
 
     def growth(self, model: CameraModel) -> tuple[Float[Tensor, " m"], Float[Tensor, "m p"]]:
-        """Of the rate of each line, from that camera to another, and the derivatives of its logarithm by the parameters."""
-        pixels = self.ends.reshape(-1, 2)
-        bearing, _, by_parameter, _ = bearing_jacobian(model, pixels)
-        shape = (*self.ends.shape[:-1], 3)
+        """Of the rate of each line, from that camera to another, and the derivatives of its logarithm by the parameters; none of
+        a line whose ends that camera does not see."""
+        bearing, valid, by_parameter, _ = bearing_jacobian(model, self.ends.reshape(-1, 2))
+        by_parameter = torch.where(valid[:, None, None], by_parameter, 0.0)
+        seen, shape = valid.reshape(-1, 4).all(-1), (*self.ends.shape[:-1], 3)
         by_logarithm = torch.zeros(len(self.ends), by_parameter.shape[-1], dtype=torch.float64)
         for k, moved in enumerate(by_parameter.unbind(-1)):
             size = float(moved.abs().max()) if len(moved) else 0.0
             if size > 0:
                 step = STEP_RAD / size
                 high, low = (self._rates((bearing + way * step * moved).reshape(shape)) for way in (1.0, -1.0))
-                by_logarithm[:, k] = torch.log(high / low) / (2.0 * step)
-        return self._rates(bearing.reshape(shape)) / self.rad_per_px, by_logarithm
+                by_logarithm[:, k] = torch.where(seen, torch.log(high / low) / (2.0 * step), 0.0)
+        return torch.where(seen, self._rates(bearing.reshape(shape)) / self.rad_per_px, 1.0), by_logarithm
 
     def _rates(self, bearing: Float[Tensor, "m 2 2 3"]) -> Float[Tensor, " m"]:
         return _rates(bearing, self.of_line, self.direction)
@@ -76,7 +77,7 @@ def _rates(bearing: Float[Tensor, "m 2 2 3"], of_line: Int[Tensor, " m"], before
     first, second = bearing.mean(2).unbind(1)
     by_first, by_second = ((bearing[:, :, 0] - bearing[:, :, 1]) / (2.0 * HALF_PX)).unbind(1)
     normal = torch.linalg.cross(first, second)
-    length = normal.norm(dim=-1, keepdim=True)
+    length = normal.norm(dim=-1, keepdim=True).clamp_min(1e-300)
     unit = normal / length
     held = HELD_SHARE * (torch.eye(3, dtype=unit.dtype) - before[:, :, None] * before[:, None])
     moments = held.index_add(0, of_line, unit[:, :, None] * unit[:, None])
