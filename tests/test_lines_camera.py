@@ -15,7 +15,7 @@ from camera_models import MODELS, CameraModel, ExtendedUnified, Pinhole, model_c
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, focal_length, in_mirror, line_camera
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
-from omnilines.calibration.lines.select import candidates_of, chosen_trial, trial_of
+from omnilines.calibration.lines.select import candidates_of, chosen_camera, chosen_trial, trial_of
 from omnilines.calibration.lines.start import ShapeStart
 from omnilines.calibration.lines.straight import RadialShape
 from omnilines.calibration.lines.weighting import WeightedChains
@@ -229,7 +229,13 @@ def test_a_model_is_not_taken_of_which_lines_leave_a_parameter_open() -> None:
     small = replace(small, error=replace(plain.error, parameters=small.parameters))
     taken = chosen_trial([plain, small], thresholds)
     assert taken.chosen is plain and "extended-unified predicts as well, but lines leave open its alpha" in taken.reason
-    assert chosen_trial([plain, replace(small, open_terms=())], thresholds).chosen.candidate == small.candidate
+    closed = replace(small, open_terms=())
+    assert chosen_trial([plain, closed], thresholds).chosen is closed
+    # Adjusted by itself it leaves more open than in the trial.
+    selection, camera = chosen_camera(
+        [plain, closed], thresholds, lambda trial: other if trial is closed else done, OPTIONS.open_share
+    )
+    assert selection.chosen is plain and camera is done and selection.reason == taken.reason
 
 
 @pytest.mark.full

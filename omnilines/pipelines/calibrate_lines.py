@@ -12,7 +12,7 @@ from jaxtyping import Float
 from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
-from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_trial, trial_of
+from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_camera, chosen_trial, trial_of
 from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
@@ -158,12 +158,17 @@ def calibrate_lines(
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
         start, done = with_scale_of_all(start, done, arcs, guide, lines, progress)
-    done, lines, doubts = without_doubtful_angles(done, arcs, lines, progress)
-    trials = [_trial(one, guide, start, done, lines, options, progress) for one in candidates]
-    selection = chosen_trial(trials, options.held_out)
-    if selection.chosen.candidate != guide:
-        assert selection.chosen.model is not None
-        done = adjusted_camera(selection.chosen.model, arcs, lines.adjustment, lines.directions, progress=progress)
+    guided, lines, doubts = without_doubtful_angles(done, arcs, lines, progress)
+    trials = [_trial(one, guide, start, guided, lines, options, progress) for one in candidates]
+
+    def adjusted(trial: LineTrial) -> LineAdjustment:
+        """The camera of a trial by itself."""
+        if trial.candidate == guide:
+            return guided
+        assert trial.model is not None
+        return adjusted_camera(trial.model, arcs, lines.adjustment, lines.directions, progress=progress)
+
+    selection, done = chosen_camera(trials, options.held_out, adjusted, lines.adjustment.open_share)
     fit = line_camera(done, images, lines.adjustment)
     fit = replace(fit, notes=(*doubts, *fit.notes))
     if options.mirror:

@@ -5,8 +5,8 @@ What remains of a photo by the camera of all others (`calibration.held_out`) has
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -24,7 +24,8 @@ SEEN_SHARE = 0.995
 
 @dataclass(frozen=True)
 class LineTrial:
-    """How a candidate did; errors are root mean squares of distances across edges, in px."""
+    """How a candidate did; errors are root mean squares of what the fit makes small, in px: distances across edges by their
+    weight, and strays of lines from their directions. `LineCamera.rms_px` takes all pieces of edges alike, and no strays."""
 
     candidate: Candidate
     failure: str | None
@@ -105,7 +106,7 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
     best, least = min(clear, key=lambda pair: pair[0].held_out_px)
     tied = [trial for trial, error in clear if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
-    figures = f"{chosen.held_out_px:.4f} px across edges (each photo held out in turn)"
+    figures = f"{chosen.held_out_px:.4f} px by the weights of the fit (each photo held out in turn)"
     if chosen is best:
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out photos, {figures}."
     else:
@@ -119,3 +120,20 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
         f" {one.candidate.label} predicts as well, but lines leave open its {'; '.join(one.open_terms)}." for one in left
     )
     return LineSelection(tuple(trials), chosen, reason + more)
+
+
+def chosen_camera(
+    trials: Sequence[LineTrial],
+    thresholds: HeldOutThresholds,
+    adjusted: Callable[[LineTrial], LineAdjustment],
+    open_share: float,
+) -> tuple[LineSelection, LineAdjustment]:
+    """`chosen_trial`, and its camera adjusted with weights and families of its own. Where lines then leave more of it open than
+    they did in the trial, that counts, and another may be taken."""
+    while True:
+        selection = chosen_trial(trials, thresholds)
+        done = adjusted(selection.chosen)
+        left_open = open_terms_of(done, open_share)
+        if len(left_open) <= len(selection.chosen.open_terms):
+            return selection, done
+        trials = [replace(one, open_terms=left_open) if one is selection.chosen else one for one in trials]
