@@ -64,6 +64,8 @@ def test_lines_say_what_tells_the_focal_length_and_how_far_they_reach() -> None:
     assert focal.do.endswith(f"10 more like these would bring it to about {2 * math.sqrt(2 / 12):.2g} percent.")
     assert reach.limit.startswith("No edge lies beyond 60 degrees off axis, where the image reaches to 11")
     assert line_advice(line_camera(4.0, 0, 120.0))[0].do.endswith("or of a board.")
+    (left_open,) = line_advice(replace(line_camera(40.0, 0, 120.0), open_terms=("fx fy",)))
+    assert left_open.limit == "Lines leave open fx fy."
 
 
 def checked(holds: bool, sigma_px: float, frames: int) -> CheckResult:
@@ -84,6 +86,11 @@ def test_a_check_says_where_it_drifted_or_what_photos_could_not_tell() -> None:
     assert (
         angles.limit.startswith("No photo shows lines at right angles") and more.do == "About 18 photos like these would tell it."
     )
+
+
+def test_a_check_asks_for_other_photos_where_no_number_of_the_same_would_do() -> None:
+    more = check_advice(checked(True, 6.3, 2))[0]
+    assert more.do.startswith("More photos like these hardly help: least is known at the region 0 of the image (0.05 px).")
 
 
 def arcs_of(counts: list[int], tmp_path: Path) -> PhotoArcs:

@@ -8,7 +8,8 @@ from drawn_chains import FISHEYE, OPTIONS, true_chains
 
 from camera_models import Pinhole
 from omnilines.pipelines.line_camera import adjusted_camera, readjusted_camera
-from omnilines.pipelines.line_scale import scaled
+from omnilines.pipelines.line_scale import doubt, scaled
+from omnilines.structure.told_scale import ToldScale
 
 PLAIN = Pinhole([420.0, 420.0, 319.5, 239.5, *([0.0] * 9)], (640, 480))
 STRAY_RAD = math.radians(0.3)
@@ -42,3 +43,10 @@ def test_another_model_has_the_same_strays_in_pixels() -> None:
     ratio = other.problem.turning.rad_per_px / done.problem.turning.rad_per_px
     torch.testing.assert_close(second, first * ratio)
     assert float((ratio - 1.0).abs().max()) > 0.01
+
+
+def test_walls_that_explain_the_same_focal_length_are_not_told_as_another() -> None:
+    told = ToldScale(1.003, 0.016, 0.08, 5.5, 1.0045, math.radians(88.4), False)
+    assert doubt(told).endswith("in other ways, as by walls at 88 degrees and about the same focal length.")
+    other = doubt(replace(told, rival_factor=1.2, rival_angle_rad=None))
+    assert other.endswith("as by a focal length 20 percent longer with right angles.")

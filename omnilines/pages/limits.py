@@ -126,7 +126,8 @@ def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
         found.append(Advice(f"Lines leave open {'; '.join(fit.open_terms)}.", f"Add photos that show {corner}."))
     focal, by_parameters = focal_length(fit.model)
     share = math.sqrt(float(by_parameters @ torch.as_tensor(fit.covariance) @ by_parameters)) / abs(focal)
-    if share > ROUGH_FOCAL:
+    left_open = bool(fit.open_terms) and not frames
+    if share > ROUGH_FOCAL and not left_open:
         seen = f"{frames} of {count} photos show lines at right angles, which tell it"
         known = f"The focal length is known to {rounded(100 * share)} percent only: {seen}."
         if frames:

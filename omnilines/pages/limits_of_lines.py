@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 
 from camera_models.wording import rounded
+from omnilines.calibration.lines.check import LineCheck
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import WORTH_SAYING
 from omnilines.pipelines.check import CheckResult
@@ -24,6 +25,8 @@ SAMPLE = 2000
 """Lines and photos that are looked at, at most."""
 FEW_SHARE = 0.25
 """Of the arcs of the median photo: one with fewer is named."""
+MANY_TIMES = 10
+"""The photos at hand, of the same kind: so many more are not asked for."""
 TO_REFINE = "`refine` lines,poses"
 CHECK_IT = "Check the calibration with the same photos: omnilines check."
 
@@ -221,10 +224,22 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
         need = math.ceil(len(result.images) * (found.sigma_px / result.options.tolerance_px) ** 2)
         asked = f"where {result.options.tolerance_px:g} px are asked for"
         said = f"{len(result.images)} photos tell the camera to {rounded(found.sigma_px)} px only, {asked}."
-        told.append(Advice(said, f"About {need} photos like these would tell it."))
+        few = need <= MANY_TIMES * len(result.images)
+        told.append(Advice(said, f"About {need} photos like these would tell it." if few else _other_photos(found)))
     unseen = [one.name for one in found.regions if not one.edges]
     if unseen:
         told.append(
             Advice(f"No edges lie at the {named(unseen)} of the image: nothing tells of it.", "Add photos with long edges there.")
         )
     return tuple(told)
+
+
+def _other_photos(found: LineCheck) -> str:
+    """Of which kind photos are that help where more of the same do not."""
+    seen = [one for one in found.regions if math.isfinite(one.sigma_px)]
+    least = max(seen, key=lambda one: one.sigma_px)
+    known = f"least is known at the {least.name} of the image ({rounded(least.sigma_px)} px)"
+    return (
+        f"More photos like these hardly help: {known}. Add photos with long edges there, and of corners of buildings or rooms "
+        "with the camera tilted, so that edges in three directions at right angles are seen."
+    )

@@ -119,9 +119,12 @@ def doubt(found: ToldScale) -> str:
     """Why right angles do not count."""
     walls = "right angles" if found.rival_angle_rad is None else f"walls at {math.degrees(found.rival_angle_rad):.0f} degrees"
     far, way = 100 * abs(found.rival_factor - 1), "longer" if found.rival_factor > 1 else "shorter"
+    other = f"by a focal length {far:.0f} percent {way} with {walls}"
+    if abs(math.log(found.rival_factor)) <= found.sigma:
+        other = f"by {walls} and about the same focal length"
     return (
         "Right angles are not used, as these photos do not decide that they are there: the directions of their lines are "
-        f"explained about as well in other ways, as by a focal length {far:.0f} percent {way} with {walls}."
+        f"explained about as well in other ways, as {other}."
     )
 
 
