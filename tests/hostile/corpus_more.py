@@ -191,7 +191,7 @@ def of_kept() -> Iterator[Case]:
                 kept.write_bytes(change(kept.read_bytes()))
 
         case = (*RECONSTRUCT, "IN/poses.csv")
-        yield Case(f"kept:{what}", case, prepare, "lines|No line", status=(0, 2), changes=("OUT/work/arcs/*",))
+        yield Case(f"kept:{what}", case, prepare, "lines|No line", status=(0, 1, 2), changes=("OUT/work/arcs/*",))
 
 
 def of_other_conventions() -> Iterator[Case]:
