@@ -16,11 +16,12 @@ STRAY_RAD = math.radians(0.3)
 
 
 def test_strays_in_pixels_do_not_draw_at_the_focal_length() -> None:
-    """Without right angles nothing tells it: it stays at the start's. By strays in radians it went to 465 px."""
+    """Without right angles nothing tells it: one round, before it is held, leaves it at the start's. By strays in radians it goes
+    to 430 px."""
     chains = true_chains(PLAIN, 0, photos=8, lines=200, stray_rad=STRAY_RAD)
-    done = adjusted_camera(PLAIN, chains, replace(OPTIONS, right_angles=False))
+    done = adjusted_camera(PLAIN, chains, replace(OPTIONS, right_angles=False, rounds=1))
     sigma = float((done.problem.basis @ done.scores.covariance @ done.problem.basis.mT)[0, 0].sqrt())
-    assert done.families.lone and sigma > 40.0
+    assert done.prior.held is None and done.families.lone and sigma > 40.0
     assert abs(float(done.model.parameters[0]) - 420.0) < 0.05 * sigma
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
-from omnilines.calibration.lines.camera import LineAdjustment, counted
+from omnilines.calibration.lines.camera import LineAdjustment, counted, focal_length
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.calibration.lines.prior import CameraPrior
 from omnilines.calibration.lines.problem import AngleSigmas, CameraAndCircles, Families, LineProblem
@@ -26,6 +26,8 @@ from omnilines.structure.options import DirectionsOptions
 MOST_ITERATIONS = 30
 TOLERANCE = 1e-9
 """Of the cost, in a round; families and weights change it by more."""
+HELD_SHARE = 1e-3
+"""Standard deviation that the focal length is left about that of the start where lines do not tell it, as a share of it."""
 CHECK_TOLERANCE = 1e-5
 """Of the cost, in a check: what is left of the way to the minimum is in the scores."""
 
@@ -51,14 +53,20 @@ def adjusted_camera(
     if prior is None:
         prior = _prior(model, basis, readings, options)
     angles: AngleSigmas | None = None
+    held = None if prior.held is None else prior
+    prior = replace(prior, held=None)
     for number in range(options.rounds):
         progress("adjusting the camera to lines", number, options.rounds)
         weighted = weighted_chains(model, readings, options)
         _require(int((weighted.weight > 0).sum()), options)
         families = families_of(model, weighted, options, directions, progress)
-        done = _solved(model, weighted, families, angles, prior, options)
+        scaled = held if held is not None and not families.frames else prior
+        done = _solved(model, weighted, families, angles, scaled, options)
         model, angles = done.model, _angles(done)
-        if met(done) or done.settled:
+        opens = scaled.held is None and done.leaves_scale_open(options.open_share)
+        if opens:
+            held = _with_scale_held(prior, done)
+        if met(done) or (done.settled and not opens):
             break
     return done
 
@@ -84,14 +92,19 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     # As many pixels as under the other camera.
     stray[like.problem.members] *= turning.rad_per_px / like.problem.turning.rad_per_px
     families = replace(like.families, stray_rad=stray)
-    problem = LineProblem(here, families, basis, like.problem.angles, turning, prior)
-    begin = CameraAndCircles.right(model, normal, families)
-    solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
-    at = offsets(solution.state.model, chains.blocks, solution.state.normal)
-    moved = replace(chains, normal=solution.state.normal, at=at)
-    scores = LineScores.of(problem, solution.state)
-    settled = solution.outcome is Outcome.CONVERGED
-    return LineAdjustment(moved, families, problem, solution.state, scores, prior, settled)
+
+    def solved(prior: CameraPrior) -> LineAdjustment:
+        problem = LineProblem(here, families, basis, like.problem.angles, turning, prior)
+        begin = CameraAndCircles.right(model, normal, families)
+        solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)
+        at = offsets(solution.state.model, chains.blocks, solution.state.normal)
+        moved = replace(chains, normal=solution.state.normal, at=at)
+        scores = LineScores.of(problem, solution.state)
+        settled = solution.outcome is Outcome.CONVERGED
+        return LineAdjustment(moved, families, problem, solution.state, scores, prior, settled)
+
+    done = solved(prior)
+    return solved(_with_scale_held(prior, done)) if done.leaves_scale_open(options.open_share) else done
 
 
 def asked_camera(
@@ -135,6 +148,12 @@ def _solved(
     step = basis.mT @ (solution.state.model.parameters - model.parameters)
     settled = solution.outcome is Outcome.CONVERGED and _sigmas(step, scores) < options.settled_sigmas
     return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
+
+
+def _with_scale_held(prior: CameraPrior, done: LineAdjustment) -> CameraPrior:
+    """The focal length stays what it is at the start: where lines say next to nothing of it, what a model cannot follow draws it
+    along a valley, to where it seems to be known well."""
+    return replace(prior, held=done.focal_row / (HELD_SHARE * focal_length(done.model)[0]))
 
 
 def _angles(done: LineAdjustment) -> AngleSigmas | None:

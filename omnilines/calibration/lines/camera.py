@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -60,6 +61,40 @@ class LineAdjustment:
         """The camera."""
         return self.state.model
 
+    @property
+    def scale_told(self) -> bool:
+        """By right angles, or by boards. Straight lines and parallel ones do not: any factor on z keeps them."""
+        return self.families.frames > 0 or self.prior.boards
+
+    @cached_property
+    def covariance(self) -> Float[Tensor, "q q"]:
+        """Of the camera along the basis. What a model cannot follow of a factor on z would pin the scale where nothing tells it,
+        by the form of the model alone: it is as uncertain as before."""
+        if self.scale_told:
+            return self.scores.covariance
+        along = self.by_focal_length
+        return self.scores.covariance + along[:, None] * along / (along @ self.prior.information @ along)
+
+    @cached_property
+    def by_focal_length(self) -> Float[Tensor, " q"]:
+        """How the camera moves with its focal length while lines stay as straight as they can, along the basis, per pixel."""
+        row, information = self.focal_row, self.scores.camera_information
+        if self.prior.held is not None:
+            information = information - self.prior.held[:, None] * self.prior.held
+        gain = pseudo_inverse(information) @ row
+        return gain / (row @ gain)
+
+    @property
+    def focal_row(self) -> Float[Tensor, " q"]:
+        """Derivative of the focal length along the basis."""
+        return focal_length(self.model)[1] @ self.problem.basis
+
+    def leaves_scale_open(self, share: float) -> bool:
+        """Whether lines say next to nothing of the scale, which remains as uncertain as before but for `share`."""
+        along, prior = self.by_focal_length, self.prior.information
+        known = self.scores.camera_information - self.scores.known_before + prior
+        return not self.scale_told and float(along @ known @ along) * share**2 < float(along @ prior @ along)
+
 
 @dataclass(frozen=True)
 class LineCamera:
@@ -101,7 +136,7 @@ class LineCamera:
 def line_camera(done: LineAdjustment, images: Sequence[str], options: LineOptions) -> LineCamera:
     """The result of an adjustment."""
     model, basis, chains = done.model, done.problem.basis, done.chains
-    covariance = basis @ done.scores.covariance @ basis.mT
+    covariance = basis @ done.covariance @ basis.mT
     own = counted(chains)
     pixels = chains.blocks.pixels[own]
     low, high = supported_angles_deg(model, pixels)
@@ -177,7 +212,7 @@ def _photos(done: LineAdjustment, images: Sequence[str]) -> tuple[LinePhoto, ...
 def open_terms_of(done: LineAdjustment, share: float) -> tuple[str, ...]:
     """Directions in which the camera remains about as uncertain as it was at the start, by the parameters that move most."""
     root = torch.linalg.pinv(done.prior.wide)
-    left = done.prior.wide @ done.scores.covariance @ done.prior.wide.mT
+    left = done.prior.wide @ done.covariance @ done.prior.wide.mT
     values, vectors = torch.linalg.eigh(left)
     names = done.model.PARAMETER_NAMES
     weight = done.prior.information.diagonal().sqrt()
@@ -193,10 +228,9 @@ def _on_right_angles(done: LineAdjustment) -> tuple[str, ...]:
     """Where right angles that are off make most of the variance of the focal length."""
     if not done.families.frames:
         return ()
-    _, derivative = focal_length(done.model)
-    row = derivative @ done.problem.basis
+    row = done.focal_row
     weight = pseudo_inverse(done.scores.camera_information) @ row
-    share = float(weight @ done.scores.angles_before @ weight) / float(row @ done.scores.covariance @ row)
+    share = float(weight @ done.scores.angles_before @ weight) / float(row @ done.covariance @ row)
     if share < 0.5:
         return ()
     off = math.degrees(math.hypot(done.problem.angles.own, max(done.problem.angles.shared)))
@@ -213,7 +247,8 @@ def _notes(done: LineAdjustment, open_terms: tuple[str, ...], right_angles: bool
     if right_angles and not done.families.frames and not done.prior.boards:
         notes += (
             "No photo shows lines in three directions at right angles, which tell the focal length and the ratio of its parts: "
-            "these are a guess, and only the straightness of lines is calibrated; add photos of buildings or rooms.",
+            "these are a guess, as their standard deviations say, and only the straightness of lines is calibrated; add photos "
+            "of buildings or rooms.",
         )
     elif open_terms:
         notes += (

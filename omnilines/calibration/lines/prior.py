@@ -34,6 +34,9 @@ class CameraPrior:
     basis: Float[Tensor, "p q"]
     boards: bool = False
     """Whether boards say it."""
+    held: Float[Tensor, " q"] | None = None
+    """Derivative of a quantity that is held at its start, over the standard deviation that it is left: the scale, where lines do
+    not tell it."""
 
     @staticmethod
     def of(
@@ -69,13 +72,14 @@ class CameraPrior:
 
     @property
     def root(self) -> Float[Tensor, "r q"]:
-        """Rows of all that is known."""
-        return torch.cat([self.wide, self.usual])
+        """Rows of all that is known, and of what is held."""
+        rows = torch.cat([self.wide, self.usual])
+        return rows if self.held is None else torch.cat([rows, self.held[None]])
 
     @property
     def information(self) -> Float[Tensor, "q q"]:
         """Of all that is known."""
-        return self.root.mT @ self.root
+        return self.wide.mT @ self.wide + self.usual.mT @ self.usual
 
     def residuals(self, model: CameraModel, kept: int) -> KeptPrior:
         """Of a camera, the first of `kept` columns being its own."""
