@@ -37,7 +37,7 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     f"{check.limit:.3g} is "
                     "the limit.", "Check that poses and calibration are of these photos: the notes say what was tried.")
              for check in scene.checks if not check.holds]  # fmt: skip
-    found += scene.advice
+    found += [*_contradicted(scene), *scene.advice]
     noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
     if noise.stated and not noise.holds and noise.measured > WORTH_SAYING:
         do = CHECK_IT if refined else f"Try {TO_REFINE}."
@@ -56,6 +56,19 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     if not scene.camera_stood_still:
         found += [*_weak_lines(scene), *_least_sure_photo(scene)]
     return tuple(found) or _of_number(scene)
+
+
+def _contradicted(scene: Scene) -> list[Advice]:
+    """Cameras that the lines contradict."""
+    cameras = scene.contradicted
+    moved = [f"{one.name} by {rounded(one.drift_px)} px (known to {rounded(one.sigma_px, 1)})" for one in cameras]
+    if not moved:
+        return []
+    limit = (
+        f"The lines contradict the calibration: adjusted beside them the image moves, of {named(moved)}, which chance does not "
+        "make. Lines and poses are off by that, and no standard deviation holds it."
+    )
+    return [Advice(limit, f"{CHECK_IT} Or refine it: `refine` lines,poses,intrinsics.")]
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:

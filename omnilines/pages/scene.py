@@ -49,7 +49,8 @@ def _verdict(scene: Scene) -> str:
     known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
     photos = len(scene.poses) if scene.from_photos is None else len(scene.segments.images)
-    return f"{int(lines.known.sum())} lines from {photos} photos{known}{faint}."
+    doubted = "; but they contradict the calibration" if scene.contradicted else ""
+    return f"{int(lines.known.sum())} lines from {photos} photos{known}{faint}{doubted}."
 
 
 def _known_to(scene: Scene, sigma: float) -> str:

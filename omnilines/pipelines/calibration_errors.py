@@ -66,18 +66,18 @@ def errors_by_calibration(
     if not states_errors(cameras) or "intrinsics" in options.refine or options.partition or not lines.known.any():
         return None
     held = "poses" not in options.refine
-    calibration, frames = _known(poses, cameras, options)
+    calibration, frames = known_calibration(poses, cameras, options)
     rows = np.flatnonzero(lines.known)
     _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
     line_of_row = np.full(len(lines), -1)
     line_of_row[rows] = line
     of_arc = torch.as_tensor(line_of_row)[arcs.track]
     inner = replace(arcs, track=of_arc, tracks=len(first)).rows(of_arc >= 0)
-    own = _charts(lines, rows)
+    own = charts_of(lines, rows)
     start = own[torch.as_tensor(first)]
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
     places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
-    prior = None if given is None else pose_prior(_known(given, cameras, options)[1], pose_sigma)
+    prior = None if given is None else pose_prior(known_calibration(given, cameras, options)[1], pose_sigma)
     followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior)
     found = calibration_errors(followed, calibration, own, torch.as_tensor(line))
     of_lines = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)
@@ -98,7 +98,7 @@ def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None
     if errors is None or lines.covariance is None:
         return lines
     rows = np.flatnonzero(lines.known)
-    chart, ends, whole = _charts(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors.lines.numpy()
+    chart, ends, whole = charts_of(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors.lines.numpy()
     sigma, own = lines.sigma_m.copy(), np.full(len(lines), np.nan)
     sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), ends).numpy()
     own[rows] = end_sigma_m(chart, errors.lines[torch.as_tensor(rows)], ends).numpy()
@@ -108,14 +108,14 @@ def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None
     return replace(wider, status=status)
 
 
-def _charts(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:
+def charts_of(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:
     """Of rows that have a line."""
     assert lines.chart_centre_m is not None and lines.chart_scale_m is not None
     ends, centre, scale = (torch.as_tensor(a[rows]) for a in (lines.ends_m, lines.chart_centre_m, lines.chart_scale_m))
     return LineChart.from_lines(PlueckerLines.from_points(ends[:, 0], ends[:, 1]), centre, scale)
 
 
-def _known(poses: ImagePoses, cameras: Calibration, options: SceneOptions) -> tuple[KnownCalibration, Pose]:
+def known_calibration(poses: ImagePoses, cameras: Calibration, options: SceneOptions) -> tuple[KnownCalibration, Pose]:
     """The calibration with its errors, and the poses that lines are adjusted with."""
     names, rigid = list(cameras), cameras.rig and "rig" not in options.refine
     mounted, frames = rig_of_photos(poses, names, cameras.rig, False, options.adjustment.most_turned_deg)

@@ -90,6 +90,10 @@ class AdviceOptions(NamedTuple):
     """Error of poses and calibration from which on they are what loses arcs."""
     many_by_chance: float = 0.05
     """Share of the lines that are there by chance above which it is spoken of."""
+    significance: float = 0.001
+    """Lines contradict the calibration where chance makes less than this of what they ask of a camera,"""
+    calibration_noise: float = 2.0
+    """were the noise of that so many times what is stated: arcs of real edges err alike."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
     still: float = 0.3

@@ -10,7 +10,7 @@ import numpy as np
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
-from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
 from omnilines.adjustment.by_calibration import CalibrationErrors
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost, cost_named
@@ -21,6 +21,7 @@ from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
@@ -173,6 +174,7 @@ def _scene(
 ) -> Scene:
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
     errors = _errors_by_calibration(found, posed, cameras, options, progress)
+    asked = _asked_cameras(found, cameras, options, progress)
     lines, poses = found.scene.lines, poses_with_calibration_errors(found.scene.poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
@@ -221,6 +223,7 @@ def _scene(
         options,
         _checks(found),
         advice(found, still, options, progress),
+        asked,
     )
 
 
@@ -231,9 +234,23 @@ def _errors_by_calibration(
     if not states_errors(cameras):
         return None
     progress("following the errors of the calibration", 0, 0)
-    lines, poses = found.scene.lines, found.scene.poses
-    arcs = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
-    return errors_by_calibration(lines, arcs, found.track, poses, cameras, options, posed.points)
+    return errors_by_calibration(
+        found.scene.lines, _arcs_of(found, cameras, options), found.track, found.scene.poses, cameras, options, posed.points
+    )
+
+
+def _asked_cameras(
+    found: KeptLines, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
+) -> tuple[AskedCamera, ...]:
+    """What the lines ask of the cameras that they were found with."""
+    progress("asking lines for the calibration", 0, 0)
+    arcs, poses = _arcs_of(found, cameras, options), found.scene.poses
+    return asked_cameras(found.scene.lines, arcs, found.track, poses, cameras, options)
+
+
+def _arcs_of(found: KeptLines, cameras: Calibration, options: SceneOptions) -> MatchedArcs:
+    integrates = cost_named(options.cost).integrates
+    return arcs_from_segments(found.segments, found.scene.poses, cameras, with_nodes=integrates).arcs
 
 
 def _checks(found: KeptLines) -> tuple[Check, ...]:

@@ -14,6 +14,7 @@ from omnilines.files import write_covariance, write_lines, write_ply, write_pose
 from omnilines.files.obj import write_obj
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.files.sets import claimed
+from omnilines.pipelines.asked_cameras import AskedCamera
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.pages import claimed_report
 from omnilines.provenance import provenance
@@ -71,6 +72,13 @@ class Scene:
     """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
     advice: tuple[Advice, ...] = ()
     """What photos and stages of matching lose, and what to do."""
+    asked: tuple[AskedCamera, ...] = ()
+    """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
+
+    @property
+    def contradicted(self) -> tuple[AskedCamera, ...]:
+        """Cameras that the lines contradict."""
+        return tuple(one for one in self.asked if one.contradicted(self.options.advice))
 
     @property
     def lines(self) -> Lines:

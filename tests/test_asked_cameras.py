@@ -1,0 +1,81 @@
+"""What lines ask of the cameras that they were found with: nothing of the right one, and what is wrong of another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from test_calibration_errors import CAMERA, CAMERAS, LINES, calibration, covariance, world
+
+import omnilines as ol
+from camera_models import Calibration, CameraModel, Equirectangular
+from camera_models.formats.calibration_data import CameraEstimate
+from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.pages.limits_of_lines import scene_advice
+from omnilines.pages.scene import scene_summary
+from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
+from omnilines.pipelines.options import OF_TABLES, AdviceOptions, SceneOptions
+
+OPTIONS = AdviceOptions()
+NOISE_PX = 0.03
+
+
+def asked(cameras: Calibration, seed: int, options: SceneOptions = OF_TABLES) -> tuple[AskedCamera, ...]:
+    """Of segments with noise that the right camera took, given to another, with the lines and poses that it makes of them."""
+    segments, poses, _ = world()
+    noise = np.random.default_rng(seed).normal(0.0, NOISE_PX, segments.endpoints_px.shape)
+    known = np.broadcast_to(NOISE_PX**2 * np.eye(2), (len(noise), 2, 2, 2)).copy()
+    segments = replace(segments, endpoints_px=segments.endpoints_px + noise, covariance_px2=known)
+    scene = ol.adjust(segments, poses, cameras, options)
+    arcs = arcs_from_segments(segments, scene.poses, cameras.cameras).arcs
+    return asked_cameras(scene.lines, arcs, np.arange(len(scene.lines)), scene.poses, cameras, options)
+
+
+def test_nothing_is_asked_of_the_right_camera_but_what_noise_makes() -> None:
+    found = [asked(Calibration({"cam0": CAMERA}), seed)[0] for seed in range(12)]
+    assert not any(one.contradicted(OPTIONS) for one in found)
+    chance = stats.chi2.sf([one.statistic for one in found], found[0].freedom)
+    assert found[0].freedom == 8 and stats.kstest(chance, "uniform").pvalue > 1e-3
+    drift, sigma = (np.sqrt(np.mean([getattr(one, name) ** 2 for one in found])) for name in ("drift_px", "sigma_px"))
+    assert 0.6 < drift / sigma < 1.6
+
+
+@pytest.mark.parametrize("refine", [("lines",), ("lines", "poses")])
+def test_a_camera_that_is_off_is_contradicted(refine: tuple[str, ...]) -> None:
+    off = CAMERA.parameters.clone()
+    off[:2] *= 1.02
+    found = asked(Calibration({"cam0": CAMERA.with_parameters(off)}), 0, replace(OF_TABLES, refine=refine))[0]
+    assert found.contradicted(OPTIONS) and found.drift_px > 5.0 * found.sigma_px
+
+
+def test_what_a_calibration_states_of_itself_is_no_contradiction() -> None:
+    """Moved by two standard deviations of its covariance, which is far more than the lines leave open."""
+    own = 6.0**2 * covariance()
+    values, axes = np.linalg.eigh(own)
+    moved = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(2.0 * np.sqrt(values[-1]) * axes[:, -1]))
+    exact, known = Calibration({"cam0": moved}), Calibration({"cam0": moved}, {"cam0": CameraEstimate(covariance=own)})
+    assert asked(exact, 0)[0].contradicted(OPTIONS)
+    within = asked(known, 0)[0]
+    assert not within.contradicted(OPTIONS) and within.sigma_px > 4.0 * asked(exact, 0)[0].sigma_px
+
+
+def test_nothing_is_asked_of_what_has_no_parameters_or_was_refined() -> None:
+    segments, poses, _ = world()
+    scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)
+    arcs = arcs_from_segments(segments, scene.poses, {"cam0": CAMERA}).arcs
+    panorama: CameraModel = Equirectangular([], (2048, 1024))
+    every, refined = np.arange(LINES), replace(OF_TABLES, refine=("lines", "poses", "intrinsics"))
+    assert asked_cameras(scene.lines, arcs, every, scene.poses, Calibration({"cam0": panorama}), OF_TABLES) == ()
+    assert asked_cameras(scene.lines, arcs, every, scene.poses, calibration(), refined) == ()
+    assert CAMERAS == len(scene.poses)
+
+
+def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
+    segments, poses, _ = world()
+    scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)
+    assert not scene.contradicted and "contradict" not in str(scene_summary(scene).verdict)
+    wrong = replace(scene, asked=(AskedCamera("cam0", 4.4, 0.3, 500.0, 8), AskedCamera("cam1", 0.1, 0.1, 9.0, 8)))
+    told = scene_advice(wrong)[0]
+    assert "cam0 by 4.4 px (known to 0.3)" in told.limit and "cam1" not in told.limit and "omnilines check" in told.do
+    assert str(scene_summary(wrong).verdict).endswith("but they contradict the calibration.")
