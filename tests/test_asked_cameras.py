@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy import stats
 from test_calibration_errors import CAMERA, CAMERAS, LINES, calibration, covariance, world
 
 import omnilines as ol
@@ -15,9 +14,8 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.pages.limits_of_lines import scene_advice
 from omnilines.pages.scene import scene_summary
 from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
-from omnilines.pipelines.options import OF_TABLES, AdviceOptions, SceneOptions
+from omnilines.pipelines.options import OF_TABLES, SceneOptions
 
-OPTIONS = AdviceOptions()
 NOISE_PX = 0.03
 
 
@@ -33,10 +31,9 @@ def asked(cameras: Calibration, seed: int, options: SceneOptions = OF_TABLES) ->
 
 
 def test_nothing_is_asked_of_the_right_camera_but_what_noise_makes() -> None:
+    """By Monte Carlo: the motion is as large as is stated, and the right camera is among those that are possible."""
     found = [asked(Calibration({"cam0": CAMERA}), seed)[0] for seed in range(12)]
-    assert not any(one.contradicted(OPTIONS) for one in found)
-    chance = stats.chi2.sf([one.statistic for one in found], found[0].freedom)
-    assert found[0].freedom == 8 and stats.kstest(chance, "uniform").pvalue > 1e-3
+    assert all(one.least_px == 0.0 for one in found)
     drift, sigma = (np.sqrt(np.mean([getattr(one, name) ** 2 for one in found])) for name in ("drift_px", "sigma_px"))
     assert 0.6 < drift / sigma < 1.6
 
@@ -46,7 +43,7 @@ def test_a_camera_that_is_off_is_contradicted(refine: tuple[str, ...]) -> None:
     off = CAMERA.parameters.clone()
     off[:2] *= 1.02
     found = asked(Calibration({"cam0": CAMERA.with_parameters(off)}), 0, replace(OF_TABLES, refine=refine))[0]
-    assert found.contradicted(OPTIONS) and found.drift_px > 5.0 * found.sigma_px
+    assert found.least_px > 0.3 and found.drift_px > 5.0 * found.sigma_px
 
 
 def test_what_a_calibration_states_of_itself_is_no_contradiction() -> None:
@@ -55,9 +52,10 @@ def test_what_a_calibration_states_of_itself_is_no_contradiction() -> None:
     values, axes = np.linalg.eigh(own)
     moved = CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(2.0 * np.sqrt(values[-1]) * axes[:, -1]))
     exact, known = Calibration({"cam0": moved}), Calibration({"cam0": moved}, {"cam0": CameraEstimate(covariance=own)})
-    assert asked(exact, 0)[0].contradicted(OPTIONS)
+    alone = asked(exact, 0)[0]
+    assert alone.least_px > 0.5
     within = asked(known, 0)[0]
-    assert not within.contradicted(OPTIONS) and within.sigma_px > 4.0 * asked(exact, 0)[0].sigma_px
+    assert within.least_px == 0.0 and within.sigma_px > 4.0 * alone.sigma_px
 
 
 def test_nothing_is_asked_of_what_has_no_parameters_or_was_refined() -> None:
@@ -75,7 +73,7 @@ def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     segments, poses, _ = world()
     scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)
     assert not scene.contradicted and "contradict" not in str(scene_summary(scene).verdict)
-    wrong = replace(scene, asked=(AskedCamera("cam0", 4.4, 0.3, 500.0, 8), AskedCamera("cam1", 0.1, 0.1, 9.0, 8)))
+    wrong = replace(scene, asked=(AskedCamera("cam0", 4.4, 0.3, 3.1), AskedCamera("cam1", 0.1, 0.1, 0.0)))
     told = scene_advice(wrong)[0]
-    assert "cam0 by 4.4 px (known to 0.3)" in told.limit and "cam1" not in told.limit and "omnilines check" in told.do
+    assert "by cam0 4.4 px (3.1 at least)." in told.limit and "cam1" not in told.limit and "omnilines check" in told.do
     assert str(scene_summary(wrong).verdict).endswith("but they contradict the calibration.")

@@ -60,13 +60,12 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
 
 def _contradicted(scene: Scene) -> list[Advice]:
     """Cameras that the lines contradict."""
-    cameras = scene.contradicted
-    moved = [f"{one.name} by {rounded(one.drift_px)} px (known to {rounded(one.sigma_px, 1)})" for one in cameras]
+    moved = [f"{one.name} {rounded(one.drift_px)} px ({rounded(one.least_px)} at least)" for one in scene.contradicted]
     if not moved:
         return []
     limit = (
-        f"The lines contradict the calibration: adjusted beside them the image moves, of {named(moved)}, which chance does not "
-        "make. Lines and poses are off by that, and no standard deviation holds it."
+        f"The lines contradict the calibration: adjusted beside them, the cameras move the image by {named(moved)}. Lines and "
+        "poses are off by that, which no standard deviation holds."
     )
     return [Advice(limit, f"{CHECK_IT} Or refine it: `refine` lines,poses,intrinsics.")]
 

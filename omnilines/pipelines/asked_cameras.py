@@ -10,8 +10,9 @@ is chi-square, with as many degrees of freedom as it has parameters, if the came
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -19,20 +20,24 @@ from jaxtyping import Float, Int
 from scipy import stats
 from torch import Tensor
 
-from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError
+from camera_models import Calibration, CameraModel, GeometryError
+from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.lines import adjust_lines
+from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_lines
 from omnilines.adjustment.start import scaled_loss
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.lines.least_drift import least_drift
 from omnilines.calibration.lines.scores import pseudo_inverse
 from omnilines.calibration.uncertainty import projection_jacobian, supported_grid
+from omnilines.geometry.line import PlueckerLines
+from omnilines.least_squares import Outcome
 from omnilines.pipelines.calibration_errors import charts_of, known_calibration
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.records import ImagePoses, Lines
 
 MOST_ARCS = 2500
-"""Of the lines that are adjusted, those with the most arcs first: they tell a camera well enough."""
+"""Of the lines that are adjusted: so many tell a camera well enough."""
 ITERATIONS = 30
 """Of lines and poses at most, before cameras are free."""
 STEPS = 5
@@ -48,14 +53,8 @@ class AskedCamera:
     """Root mean square motion of the image, after a common rotation."""
     sigma_px: float
     """Of which so much is noise, of lines and of the calibration."""
-    statistic: float
-    """d' V^-1 d."""
-    freedom: int
-
-    def contradicted(self, options: AdviceOptions) -> bool:
-        """Whether chance does not make it, were the noise `calibration_noise` times what is stated."""
-        limit = float(stats.chi2.isf(options.significance, self.freedom))
-        return self.statistic > options.calibration_noise**2 * limit
+    least_px: float
+    """The least such motion that lines leave possible; 0 where they bear the camera out."""
 
 
 def asked_cameras(
@@ -72,21 +71,19 @@ def asked_cameras(
     """
     if "intrinsics" in options.refine or not any(model.calibration_basis().shape[1] for model in cameras.values()):
         return ()
-    inner, rows = _most_seen(lines, arcs, track)
+    inner, rows = _some_lines(lines, arcs, track)
     if not len(rows):
         return ()
     known, frames = known_calibration(poses, cameras, options)
     chart = charts_of(lines, rows)
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, chart), options.adjustment)
+    adjust = partial(adjust_lines, cost=options.cost, loss=loss, cautious=True, options=options.adjustment)
     try:
-        first = adjust_lines(
-            inner, chart.lines(), frames, cost=options.cost, rig=known.mounted, loss=loss, cautious=True,
-            options=options.adjustment, max_iterations=ITERATIONS,
-        ).state  # fmt: skip
-        found = adjust_lines(
-            inner, first.chart.lines(), first.rig_from_world, cost=options.cost, rig=first.rig, models=known.models, loss=loss,
-            cautious=True, options=options.adjustment, max_iterations=STEPS,
-        )  # fmt: skip
+        held = partial(adjust, cam_from_world=frames, rig=known.mounted, max_iterations=ITERATIONS)
+        inner, found = _determined(held, inner, chart.lines())
+        state = found.state
+        free = partial(adjust, cam_from_world=state.rig_from_world, rig=state.rig, models=known.models, max_iterations=STEPS)
+        inner, found = _determined(free, inner, state.chart.lines())
     except GeometryError:
         # So few or such lines leave poses open: they do not tell a camera.
         return ()
@@ -95,21 +92,36 @@ def asked_cameras(
     asked = []
     for k, ((name, model), other, covariance) in enumerate(moved):
         pixels = inner.observed.pixels[inner.observed.camera == k].flatten(0, 1)
-        if len(pixels) and model.calibration_basis().shape[1]:
-            asked.append(_asked(name, model, other, covariance, pixels, cameras.estimates))
+        if len(pixels) and model.calibration_basis().shape[1] and bool(covariance.isfinite().all()):
+            estimate = cameras.estimates.get(name)
+            if estimate is not None and estimate.covariance is not None:
+                covariance = covariance + torch.as_tensor(estimate.covariance)
+            asked.append(_asked(name, model, other, covariance, pixels, options.advice))
     return tuple(asked)
 
 
-def _most_seen(lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]) -> tuple[MatchedArcs, Int[np.ndarray, " k"]]:
-    """Arcs of the lines with the most of them, all stretches of a line in one, and a row of each line."""
+def _determined(adjust: Callable[..., Adjusted], arcs: MatchedArcs, lines: PlueckerLines) -> tuple[MatchedArcs, Adjusted]:
+    """The adjustment without the lines that do not stay determined, and their arcs: one leaves the rest without covariances.
+    Raises GeometryError where no line is left."""
+    while True:
+        found = adjust(arcs, lines)
+        lost = list(lost_lines(arcs, found.state).values()) if found.outcome is Outcome.DEGENERATE else []
+        if not any(bool(some.any()) for some in lost):
+            return arcs, found
+        arcs, tracks = drop_unknown(arcs, ~torch.stack(lost).any(0))
+        lines = lines[tracks]
+
+
+def _some_lines(lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]) -> tuple[MatchedArcs, Int[np.ndarray, " k"]]:
+    """Arcs of some of the lines, all stretches of a line in one, and a row of each line."""
     rows = np.flatnonzero(lines.known)
     _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
     line_of_row = np.full(len(lines), -1)
     line_of_row[rows] = line
     own = line_of_row[arcs.track.numpy()]
+    # Every so manieth of the lines, by how many arcs they have: those with the most show some of the photos only.
     counts = np.bincount(own[own >= 0], minlength=len(first))
-    order = np.argsort(-counts, kind="stable")
-    kept = np.sort(order[np.cumsum(counts[order]) <= max(MOST_ARCS, counts.max(initial=0))])
+    kept = np.sort(np.argsort(-counts, kind="stable")[:: 1 + counts.sum() // MOST_ARCS])
     place = np.full(len(first) + 1, -1)
     place[kept] = np.arange(len(kept))
     of_arc = torch.as_tensor(place[own])
@@ -122,20 +134,23 @@ def _asked(
     other: CameraModel,
     covariance: Float[Tensor, "p p"],
     pixels: Float[Tensor, "n 2"],
-    estimates: Mapping[str, CameraEstimate],
+    options: AdviceOptions,
 ) -> AskedCamera:
-    estimate = estimates.get(name)
-    if estimate is not None and estimate.covariance is not None:
-        covariance = covariance + torch.as_tensor(estimate.covariance)
-    change, inverse = (other.parameters - model.parameters).detach(), torch.linalg.pinv(model.calibration_basis())
-    own = inverse @ change
+    basis = model.calibration_basis()
+    inverse = torch.linalg.pinv(basis)
+    own = inverse @ covariance @ inverse.mT
+    # In standard deviations: parameters are of all sizes.
+    unit = own.diagonal().clamp_min(1e-300).sqrt()
+    change = inverse @ (other.parameters - model.parameters).detach() / unit
     grid = supported_grid(model, float(angles_off_axis(model, pixels).max()))
     jacobian, valid = projection_jacobian(model, grid, grid)
-    motion, spread = jacobian @ change, torch.einsum("nip,pq,niq->n", jacobian, covariance, jacobian)
+    moving = jacobian[valid] @ basis * unit
+    motion = torch.einsum("nik,nil->kl", moving, moving) / len(moving)
+    correlation, eye = own / (unit[:, None] * unit), torch.eye(len(own), dtype=own.dtype)
+    limit = options.calibration_noise**2 * float(stats.chi2.isf(options.significance, len(own)))
     return AskedCamera(
         name,
-        drift_px=math.sqrt(float(motion[valid].square().sum(-1).mean())),
-        sigma_px=math.sqrt(max(float(spread[valid].mean()), 0.0)),
-        statistic=float(own @ pseudo_inverse(inverse @ covariance @ inverse.mT) @ own),
-        freedom=len(own),
+        drift_px=math.sqrt(max(float(change @ motion @ change), 0.0)),
+        sigma_px=math.sqrt(max(float((motion * correlation).sum()), 0.0)),
+        least_px=least_drift(-change, pseudo_inverse(correlation), eye, motion, limit),
     )

@@ -91,9 +91,12 @@ class AdviceOptions(NamedTuple):
     many_by_chance: float = 0.05
     """Share of the lines that are there by chance above which it is spoken of."""
     significance: float = 0.001
-    """Lines contradict the calibration where chance makes less than this of what they ask of a camera,"""
+    """Lines leave a camera possible that chance makes more often than this,"""
     calibration_noise: float = 2.0
-    """were the noise of that so many times what is stated: arcs of real edges err alike."""
+    """were the noise of what they ask of it so many times what is stated: arcs of real edges err alike."""
+    calibration_slack: float = 3.0
+    """Lines contradict the calibration where every possible camera moves the image by more than so many times the slack that was
+    taken for errors of poses and calibration."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
     still: float = 0.3

@@ -78,7 +78,8 @@ class Scene:
     @property
     def contradicted(self) -> tuple[AskedCamera, ...]:
         """Cameras that the lines contradict."""
-        return tuple(one for one in self.asked if one.contradicted(self.options.advice))
+        slack_px = 0.0 if self.from_photos is None else self.from_photos.tolerance_px
+        return tuple(one for one in self.asked if one.least_px > self.options.advice.calibration_slack * slack_px)
 
     @property
     def lines(self) -> Lines:
