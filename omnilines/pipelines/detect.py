@@ -168,7 +168,8 @@ def _of_size(
     kept, skipped = list[tuple[Photo, Detection]](), list[ViewResult]()
     for photo, (detection, reason, its_size) in zip(photos, found, strict=True):
         if its_size is not None and len(detection) and its_size != size:
-            reason = f"its size is {its_size[0]}x{its_size[1]} px where most photos have {size[0]}x{size[1]} px"
+            own, most = (f"{width}x{height} px" for width, height in (its_size, size))
+            reason = f"its size is {own} where most photos have {most}; give it as the camera took it"
         if reason is None and len(detection):
             kept.append((photo, detection))
         else:
