@@ -20,7 +20,7 @@ from calib_patterns._pattern import Pattern, format_length_mm, format_start, par
 from calib_patterns.corner_kind import CornerKind
 from calib_patterns.inverted import Inverted
 from calib_patterns.options import FitOptions
-from calib_patterns.tag_board import TagBoard
+from calib_patterns.tag_board import TagBoard, require_tags
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
 
@@ -49,10 +49,8 @@ class AprilGrid(TagBoard):
                 f"An AprilGrid needs at least one tag of positive size and gaps of 0.05 to 1 of it, found "
                 f"{self.nx}x{self.ny} tags of {self.tag_m} m with gaps of {self.gap}; measure both on the print."
             )
-        tags = self.first_tag + self.nx * self.ny
-        if tags > FAMILIES.get(self.tag_family, (0, 0))[1]:
-            known = ", ".join(name for name, (_, count) in FAMILIES.items() if count >= tags)
-            raise InputError(f"A family with at least {tags} tags was expected, found '{self.tag_family}'; use one of {known}.")
+        counts = {name: count for name, (_, count) in FAMILIES.items()}
+        require_tags("family", self.tag_family, counts, self.first_tag + self.nx * self.ny)
 
     @classmethod
     def _from_arguments(cls, arguments: str) -> "AprilGrid":

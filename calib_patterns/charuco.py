@@ -22,7 +22,7 @@ from calib_patterns.inverted import Inverted
 from calib_patterns.options import DetectionOptions, FitOptions
 from calib_patterns.partial import grown, own
 from calib_patterns.saddle_points import Lattice
-from calib_patterns.tag_board import TagBoard
+from calib_patterns.tag_board import TagBoard, require_tags
 from calib_patterns.tags import TagFamily
 from camera_models.errors import InputError
 
@@ -60,11 +60,7 @@ class ChArUco(TagBoard):
                 f"squares of {self.square_m} m and tags of {self.marker_m} m; measure both on the print."
             )
         tags = self.first_tag + len(self._squares(white=True))
-        if tags > TAGS_OF_DICTIONARY.get(self.dictionary, 0):
-            known = ", ".join(name for name, count in TAGS_OF_DICTIONARY.items() if count >= tags)
-            raise InputError(
-                f"A dictionary of OpenCV with at least {tags} tags was expected, found '{self.dictionary}'; use one of {known}."
-            )
+        require_tags("dictionary of OpenCV", self.dictionary, TAGS_OF_DICTIONARY, tags)
 
     @classmethod
     def _from_arguments(cls, arguments: str) -> "ChArUco":

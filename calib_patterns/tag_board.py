@@ -1,6 +1,7 @@
 """Boards with tags: their corners are grown from the tags (corner_growth.py), so that a corner needs no tag of its own."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 
 import cv2
@@ -18,11 +19,22 @@ from calib_patterns.options import DetectionOptions
 from calib_patterns.saddle_points import Lattice, lattices, saddle_points
 from calib_patterns.tag_decoding import likeness
 from calib_patterns.tags import TagFamily, codes_of, find_tags, tag_corners
+from camera_models.errors import InputError
 
 LEAST_SEEDS = 4
 """Corners of a piece that may lead to the others: a square."""
 _SAMPLES, _INSIDE = 9, 0.56
 """Samples along the side of a tag, and the share of it within all borders."""
+
+
+def require_tags(kind: str, name: str, counts: Mapping[str, int], tags: int) -> None:
+    """Raises InputError where a set of tags, one of those with `counts` tags, has fewer than `tags`, or there is no such set."""
+    if tags <= counts.get(name, 0):
+        return
+    known = [other for other, count in counts.items() if count >= tags]
+    most = max(counts, key=counts.__getitem__)
+    do = f"use one of {', '.join(known)}" if known else f"the largest, {most}, has {counts[most]}: make a smaller board"
+    raise InputError(f"A {kind} with at least {tags} tags was expected, found '{name}'; {do}.")
 
 
 class TagBoard(Pattern):

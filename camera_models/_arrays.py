@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from camera_models.errors import InputError
+from camera_models.typed import found
 
 Array = torch.Tensor | np.ndarray
 
@@ -25,8 +26,8 @@ def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | 
         if values.is_complex() if isinstance(values, torch.Tensor) else np.iscomplexobj(values):
             raise TypeError("complex numbers")
         return torch.as_tensor(values, dtype=torch.float64, device=device)
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise InputError(f"An array of real numbers was expected, found {type(values).__name__} ({error}); correct it.") from None
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        raise InputError(f"An array of real numbers was expected, found {found(values)}; correct it.") from None
 
 
 def _to_numpy(value: Any) -> Any:

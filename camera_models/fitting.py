@@ -68,6 +68,8 @@ class Conversion:
     """Twice the largest angle off axis that was compared."""
     rings: tuple[RingError, ...] = ()
     """The same errors ring by ring, from the centre outwards; rings without a pixel are left out."""
+    holds_deg: int | None = None
+    """The field of view that the target was fitted within, where it holds less than was to be fitted; else None."""
 
 
 @typed
@@ -81,40 +83,51 @@ def convert(
 ) -> Conversion:
     """The camera of another model that is nearest to `model`, within `fov_deg` across and inside the image.
 
-    Without `fov_deg` it is all that the image of the source sees. Parameters of the target named in `held` keep the values given
-    there, those in `tied` have one value. `options` go to the target (`degree`, `coefficients`).
+    Without `fov_deg` it is all that the image of the source sees, or as much of it as the target holds. Parameters of the target
+    named in `held` keep the values given there, those in `tied` have one value. `options` go to the target (`degree`,
+    `coefficients`).
 
     Raises InputError for an unknown model, a field of view out of range or one that the target cannot hold: beyond its largest
     angle, a mirror where the target has none, a model without parameters to fit.
     """
+    fit = widest(model, target_name, fov_deg, held, tied, **options)
+    if fov_deg is not None and fit.holds_deg is not None:
+        why = f"the best fit holds {fit.holds_deg} degrees at most"
+        raise InputError(_cannot_hold(target_name, 0.5 * math.radians(fov_deg), why))
+    return fit
+
+
+def widest(
+    model: CameraModel,
+    target_name: str,
+    fov_deg: float | int | None = None,
+    held: Mapping[str, float] | None = None,
+    tied: Sequence[str] = (),
+    **options: Any,
+) -> Conversion:
+    """As `convert`, within as much of `fov_deg` as the target holds.
+
+    A fit that leaves pixels out is fitted anew within the field of view up to the first of them, until it leaves out none.
+    """
     target = model_class(target_name)
     _require_known(target_name, options, target.variant_options())
     axis = model.unproject(model.centre_px)[0].detach()
-    pixels, bearings, half = _seen(model, axis, FITTED, fov_deg)
-    if half >= target.LARGEST_ANGLE:
-        raise InputError(_cannot_hold(target_name, half, f"it ends below {2 * math.degrees(target.LARGEST_ANGLE):.0f}"))
-    # A model is its own start, with all its coefficients, unless options ask for others.
-    own = type(model) is target and target.CALIBRATED and not options
-    start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
-    _require_known(target_name, (*(held or ()), *tied), start.PARAMETER_NAMES)
-    fitted = refine(start, bearings, pixels, held, tied)
-    for rival in fitted.rivals(half):
-        other = refine(rival, bearings, pixels, held, tied)
-        # Where both are exact, rounding must not decide.
-        if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
-            fitted = other
-    pixels, bearings, half = _seen(model, axis, MEASURED, fov_deg)
-    projected, imaged = fitted.project(bearings)
-    again, seen = fitted.unproject(pixels)
-    lost = int((~(imaged & seen)).sum())
-    if lost:
-        raise InputError(
-            _cannot_hold(target_name, half, f"{lost} of {len(pixels)} pixels are outside the domain of the best fit")
-        )
+    holds_deg = None
+    while True:
+        within = fov_deg if holds_deg is None else holds_deg
+        fitted = _fitted(model, target, axis, within, held, tied, options)
+        pixels, bearings, half = _seen(model, axis, MEASURED, within)
+        angle_deg = torch.rad2deg(_angle(bearings, axis.expand_as(bearings)))
+        projected, imaged = fitted.project(bearings)
+        again, seen = fitted.unproject(pixels)
+        lost = ~(imaged & seen)
+        if not bool(lost.any()):
+            break
+        # Whole degrees, which a user can give; always fewer, so that the search ends.
+        holds_deg = min(math.floor(2 * float(angle_deg[lost].min())), math.ceil(2 * math.degrees(half)) - 1)
     off_px = (projected - pixels).norm(dim=-1)
     off_deg = torch.rad2deg(_angle(again, bearings))
     whole = _error(0.0, math.degrees(half), off_px, off_deg)
-    rings = _rings(torch.rad2deg(_angle(bearings, axis.expand_as(bearings))), off_px, off_deg)
     return Conversion(
         model=fitted,
         rms_px=whole.rms_px,
@@ -122,8 +135,35 @@ def convert(
         rms_deg=whole.rms_deg,
         max_deg=whole.max_deg,
         fov_deg=2 * whole.to_deg,
-        rings=rings,
+        rings=_rings(angle_deg, off_px, off_deg),
+        holds_deg=holds_deg,
     )
+
+
+def _fitted(
+    model: CameraModel,
+    target: type[CameraModel],
+    axis: Float[Tensor, "3"],
+    fov_deg: float | int | None,
+    held: Mapping[str, float] | None,
+    tied: Sequence[str],
+    options: dict[str, Any],
+) -> CameraModel:
+    """The target nearest to the pixels within the field of view; whether it holds them all is not looked at."""
+    pixels, bearings, half = _seen(model, axis, FITTED, fov_deg)
+    if half >= target.LARGEST_ANGLE:
+        raise InputError(_cannot_hold(target.NAME, half, f"it ends below {2 * math.degrees(target.LARGEST_ANGLE):.0f}"))
+    # A model is its own start, with all its coefficients, unless options ask for others.
+    own = type(model) is target and target.CALIBRATED and not options
+    start = model if own else _start(model, target, float(axis[2]) < 0, half, options)
+    _require_known(target.NAME, (*(held or ()), *tied), start.PARAMETER_NAMES)
+    fitted = refine(start, bearings, pixels, held, tied)
+    for rival in fitted.rivals(half):
+        other = refine(rival, bearings, pixels, held, tied)
+        # Where both are exact, rounding must not decide.
+        if _rms_px(other, bearings, pixels) < _rms_px(fitted, bearings, pixels) - TIED_PX:
+            fitted = other
+    return fitted
 
 
 def _require_known(model: str, given: Iterable[str], known: Collection[str]) -> None:

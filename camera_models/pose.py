@@ -87,7 +87,11 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
 
 @dataclass(frozen=True)
 class Pose:
-    """One rigid motion or a batch of them: X_a = rotation X_b + translation, translation in metres."""
+    """One rigid motion or a batch of them: X_a = rotation X_b + translation, translation in metres.
+
+    Tensors are taken as they are, unchecked, since inner loops make poses. `Pose.of` takes arrays of any kind and refuses what is
+    no rotation, as tables and files of poses do.
+    """
 
     rotation: Float[Tensor, "*batch 3 3"]
     translation: Float[Tensor, "*batch 3"]

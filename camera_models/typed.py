@@ -133,7 +133,9 @@ def _is_array(kind: Any) -> bool:
 
 
 def _number(array: Any) -> str:
-    return str(array.dtype).removeprefix("torch.")
+    # NumPy writes text as <U1.
+    name = array.dtype.type.__name__.rstrip("_") if hasattr(array.dtype, "type") else str(array.dtype)
+    return name.removeprefix("torch.")
 
 
 def said(kind: Any) -> str:

@@ -225,6 +225,27 @@ def test_where_a_tool_ends_is_said(tmp_path: Path, capsys) -> None:
     assert "itself ends" not in run(capsys, narrow, tmp_path / "camchain.yaml")[2]
 
 
+def test_a_model_that_ends_before_the_image_does(tmp_path: Path, capsys) -> None:
+    """Without --fov all is fitted that the target holds, which is said; a wider --fov is refused with the widest that holds."""
+    lens = camera_models.DoubleSphere([350.0, 352.0, 640.3, 470.2, -0.2, 0.6], (1280, 960))
+    source = save(tmp_path / "calibration.yaml", lens)
+    out = tmp_path / "camera_info.yaml"
+    status, text, err = run(capsys, source, out, "--json")
+    assert status == 0
+    camera = json.loads(text)["cameras"]["cam0"]
+    assert 244 < camera["fov_deg"] <= 245 and camera["rms_px"] < 0.01
+    assert "opencv-fisheye fits cam0 within 245 of the 246 degrees that it sees" in " ".join(err.split())
+    sentence = refused(capsys, source, out, "--fov", 246)
+    assert "opencv-fisheye: the best fit holds 245 degrees at most" in sentence and "give a smaller --fov" in sentence
+    assert run(capsys, source, out, "--fov", 245)[0] == 0
+    # Of models that hold different parts the widest is taken; one that holds all goes before.
+    assert transfer(rig(lens), format_named("opencv"), tmp_path / "a.yml").conversions["cam0"].model.NAME == "unified"
+    assert transfer(rig(lens), format_named("colmap"), tmp_path / "cameras.txt").conversions["cam0"].holds_deg is None
+    # Data that end within what the target holds leave nothing to say.
+    save(source, lens, max_angle_deg=100.0)
+    assert "that it sees" not in run(capsys, source, out)[2]
+
+
 def test_mistakes_are_one_sentence(tmp_path: Path, capsys) -> None:
     source = save(tmp_path / "calibration.yaml", LENS)
     assert "found 'a.dat'; name the format with --to" in refused(capsys, source, tmp_path / "a.dat")

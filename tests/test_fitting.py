@@ -131,7 +131,7 @@ def test_a_panorama_is_fitted_over_a_narrow_field_only():
     ("source", "target", "fov", "message"),
     [
         (FISHEYE, "pinhole", 190, r"pinhole was expected to hold a field of view of 190 degrees.*below 180"),
-        (FISHEYE, "pinhole", 178, r"pinhole was expected to hold.*outside the domain"),
+        (FISHEYE, "pinhole", 178, r"pinhole was expected to hold a field of view of 178 .*best fit holds 12\d degrees at most"),
         (Scaramuzza.examples()[2], "unified", 190, "unified was expected to hold.*a mirror that looks along -z"),
         (Scaramuzza.examples()[2], "opencv-fisheye", 120, "a mirror that looks along -z"),
         (FISHEYE, "equirectangular", 100, "is not calibrated"),
@@ -145,6 +145,23 @@ def test_a_panorama_is_fitted_over_a_narrow_field_only():
 def test_what_cannot_be_converted(source, target, fov, message):
     with pytest.raises(InputError, match=message):
         convert(source, target, fov)
+
+
+@pytest.mark.parametrize(("source", "target"), [(DoubleSphere.examples()[1], "unified"), (FISHEYE, "extended-unified")])
+def test_all_is_converted_that_the_target_holds(source, target):
+    """Beyond what it names every fit leaves out pixels; within, each pixel is imaged, and asking for it gives the same fit."""
+    found = convert(source, target)
+    assert found.holds_deg is not None and found.holds_deg - 2 < found.fov_deg <= found.holds_deg
+    with pytest.raises(InputError, match=f"holds {found.holds_deg} degrees at most; give a smaller one"):
+        convert(source, target, found.holds_deg + 1)
+    again = convert(source, target, found.holds_deg)
+    assert torch.equal(again.model.parameters, found.model.parameters) and again.holds_deg is None
+    w, h = source.image_size
+    pixels = np.stack(np.meshgrid(np.arange(0.0, w, 5), np.arange(0.0, h, 5)), -1).reshape(-1, 2)
+    bearings, valid = source.unproject(pixels)
+    axis = source.unproject(source.centre_px.numpy())[0]
+    use = valid & (np.degrees(np.arccos(np.clip(bearings @ axis, -1, 1))) <= found.fov_deg / 2 - 1)
+    assert found.model.project(bearings[use])[1].all() and found.model.unproject(pixels[use])[1].all()
 
 
 def test_parameters_that_are_held():

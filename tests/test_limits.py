@@ -4,9 +4,11 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+import omnilines as ol
 from camera_models import Calibration, OpenCVFisheye
 from camera_models.wording import rounded
 from omnilines.calibration.lines.camera import LineCamera, LinePhoto
@@ -46,7 +48,28 @@ def test_photos_without_use_are_named_where_they_are_many() -> None:
     assert unused_advice(lost, 16) == ()
     (one,) = unused_advice(lost, 12)
     assert one.limit == "4 of 12 photos are not used; of 4 it is said: no board was found."
-    assert one.do == "Shoot 0.png, 1.png, 2.png and 1 more again."
+    assert one.do == "Shoot again: 0.png, 1.png, 2.png and 1 more."
+
+
+def test_what_to_do_about_photos_without_use_follows_from_their_reasons(tmp_path: Path) -> None:
+    """Damaged files are copied again, not shot again; and the count is that of the views that are not used."""
+    photos = ol.render("checkerboard:5x4:60mm", LENS, ol.RenderOptions(views=5, seed=3)).photos
+    for name, pixels in photos.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), pixels)
+    first, second, *_ = sorted(tmp_path.iterdir())
+    (tmp_path / "a_page.png").write_text("<html>Not found</html>")
+    (tmp_path / "cut.png").write_bytes(first.read_bytes()[:2000])
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "second.png").write_bytes(second.read_bytes())
+    cv2.imwrite(str(tmp_path / "half.png"), cv2.imread(str(first))[::2, ::2])
+    cv2.imwrite(str(tmp_path / "white.png"), np.full(LENS.image_size[::-1], 255, np.uint8))
+    result = ol.calibrate(tmp_path, "checkerboard:5x4:60mm", model="opencv-fisheye")
+    (one,) = unused_advice([view for view in result.views if not view.used], len(result.views))
+    assert sum(view.used for view in result.views) == 5
+    assert one.limit.startswith("6 of 11 photos are not used, 1 of them as a copy; of 3 it is said, the first: The image ")
+    assert "a_page.png cannot be decoded" in one.limit and "again" not in one.limit
+    assert one.do.startswith("Copy it again: a_page.png, cut.png, empty.png. ")
+    assert "Give it as the camera took it: half.png." in one.do and "Shoot again: white.png." in one.do
 
 
 def line_camera(sigma_px: float, frames: int, reach_deg: float) -> LineCamera:

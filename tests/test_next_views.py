@@ -194,10 +194,27 @@ def test_part_of_the_result_its_table_and_its_data(tmp_path):
     assert page.index('class="verdict"') < page.index("Boards to shoot next over the image") < page.index('class="facts"')
     assert advice.poses[0].words in page and "Boards to shoot next over the image" in page
     worst, median = px_words(advice.worst_px), px_words(advice.median_px)
-    known = f"The projection is known to {median} px in the median of the image and to {worst} px at worst, a single corner to"
+    known = (
+        f"The projection is known to {median} px in the median of {advice.image} and to {worst} px at worst, a single corner to"
+    )
     assert advice.conclusion.startswith(known)
     u, v = advice.worst_at_px
-    assert f"Over the image it is at most {rounded(advice.worst_px)} px, at ({u:.0f}, {v:.0f}) px." in page
+    assert f"Over {advice.image} it is at most {rounded(advice.worst_px)} px, at ({u:.0f}, {v:.0f}) px." in page
+
+
+def test_without_photos_the_words_say_of_which_part_of_the_image_they_speak(tmp_path):
+    """Corners alone do not tell how far the lens shows the world: nothing is promised of what lies beyond the nearest border."""
+    truth = LENSES["opencv-fisheye"]
+    corners = board_corners(truth, board_views(truth, 60.0, 6, 3), NOISE_PX, 0)
+    result = ol.calibrate(corners, SIZE, model="opencv-fisheye")
+    rim = result.next_views.known.field.rim_px
+    part = f"the image within {rim:.0f} px of its centre (no photo shows where it ends)"
+    assert 470 < rim < 640 and f"px in the median of {part} and to" in result.next_views.conclusion
+    summary = next(s for s in calibration_summaries(result) if s.title == "What to shoot next")
+    assert dict(summary.rows)["largest uncertainty"].endswith(f"in the median of {part}")
+    assert f"Over {part} it is at most" in result.report(tmp_path / "report.html").read_text()
+    seen = next_views(result.fit, corners, rim_px=rim, board_m=BOARD)
+    assert seen.worst_px == pytest.approx(result.next_views.worst_px) and "in the median of the image and to" in seen.conclusion
 
 
 def test_the_map_ends_where_the_lens_does():

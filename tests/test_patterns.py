@@ -192,6 +192,27 @@ def test_rejects_what_is_no_photo(image: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "charuco:20x20:30mm:22mm:DICT_5X5_100",
+            "at least 200 tags was expected, found 'DICT_5X5_100'; use one of DICT_4X4_250,",
+        ),
+        (
+            "charuco:90x70:30mm:22mm:DICT_5X5_100",
+            "at least 3150 tags .* the largest, DICT_APRILTAG_36h10, has 2320: make a smaller",
+        ),
+        ("aprilgrid:7x6:35mm:0.3:16h5", "at least 42 tags .* use one of 36h11, 36h10."),
+        ("aprilgrid:60x60:35mm:0.3:36h11", "at least 3600 tags .* the largest, 36h10, has 2320: make a smaller board"),
+        ("aprilgrid:6x6:35mm:0.3:37h11", "found '37h11'; use one of 36h11, 36h10"),
+    ],
+)
+def test_a_set_of_too_few_tags(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        calib_patterns.pattern(text)
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "",

@@ -11,7 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
+import calib_patterns
+import omnilines as ol
+from camera_models import OpenCVFisheye
 from camera_models.errors import InputError
 from omnilines.files import PHOTO_SUFFIXES, find_photos, of_one_range, photos_of, read_photo
 from omnilines.files.orientation import turned_otherwise
@@ -117,6 +121,21 @@ def test_pixels_come_as_they_were_written(shape: tuple[int, ...], dtype: type, e
     read = read_photo(path)
     assert read.dtype == dtype and read.shape == expected
     assert np.array_equal(read, pixels if len(shape) == 2 else pixels[..., :3])
+
+
+def test_arrays_need_no_names() -> None:
+    """In their order; a list of arrays and paths is neither."""
+    camera = OpenCVFisheye([200.0, 200.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0], (640, 480))
+    named = dict(ol.render("checkerboard:5x4:60mm", camera, ol.RenderOptions(views=2, seed=3)).photos)
+    pixels = list(named.values())
+    board = calib_patterns.pattern("checkerboard:5x4:60mm")
+    by_name, listed = (ol.detect(given, board).corners for given in (named, [pixels[0], torch.as_tensor(pixels[1])]))
+    assert listed.images == ("photo0", "photo1")
+    np.testing.assert_array_equal(listed.pixels, by_name.pixels)
+    with pytest.raises(InputError, match="The photo photo1 was expected as an array"):
+        photos_of([pixels[0], pixels[1].astype(float)])
+    with pytest.raises(InputError, match=r"`photos` of detect was expected as .*Sequence of Tensor or ndarray or Mapping"):
+        ol.detect([pixels[0], "a.png"], board)  # type: ignore[list-item]
 
 
 def test_photos_of_12_bits_in_16_fill_them_and_stay_as_bright_as_each_other(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from calib_patterns import Pattern
 from calib_patterns.printing import Page, print_pattern
 from camera_models.errors import InputError
 from omnilines.cli import app
+from omnilines.cli.spelling import with_flags
 
 MM_PER_POINT = 25.4 / 72
 ALL = [
@@ -154,6 +155,24 @@ def test_what_cannot_be_printed(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="check the unit"):
             Page.of(calib_patterns.pattern(text))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["board.png", "board.html", "board.dxf"])
+def test_an_ending_that_no_target_has_is_refused(name: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["pattern", "checkerboard:8x6:30mm", "--out", str(tmp_path / name)])
+    assert isinstance(
+        done.exception, InputError
+    ) and f"ending in .pdf or .svg, or a folder, was expected, found '{tmp_path}" in str(done.exception)
+    assert ("goes with --screen" in with_flags(str(done.exception))) is (name == "board.html")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["board.v2", "board_32.5mm", "boards.png"])
+def test_a_folder_may_have_a_dot_in_its_name(name: str, tmp_path: Path) -> None:
+    if name == "boards.png":
+        (tmp_path / name).mkdir()
+    done = CliRunner().invoke(app, ["pattern", "checkerboard:8x6:30mm", "--out", str(tmp_path / name)])
+    assert done.exit_code == 0 and {path.suffix for path in (tmp_path / name).iterdir()} >= {".pdf", ".svg"}
 
 
 def test_matplotlib_is_imported_for_printing_only() -> None:

@@ -186,8 +186,9 @@ grey = np.zeros((480, 640), np.uint8)
 for call in (
     lambda: lens.unproject(3.0), lambda: lens.unproject(np.zeros((2, 3))), lambda: lens.project(None),
     lambda: lens.unproject(np.zeros(2, complex)), lambda: lens.with_parameters("fx"),
+    lambda: lens.project(np.array([["a", "b", "c"]])), lambda: lens.project([[1.0, 2.0], [3.0]]),
     lambda: cm.convert(lens, "scaramuzza", 90, degreee=3), lambda: cm.convert(lens, "pinhole", 90, {"zz": 0.0}),
-    lambda: ol.extract([grey], lens), lambda: ol.extract({3: grey}, lens), lambda: ol.extract({"../a": grey}, lens),
+    lambda: ol.extract([grey, "a.png"], lens), lambda: ol.extract({3: grey}, lens), lambda: ol.extract({"../a": grey}, lens),
     lambda: ol.extract({"a": grey}, lens, mask=grey), lambda: ol.extract({"a": grey}, lens, mask=grey > 0),
     lambda: ol.reconstruct(None, None, lens), lambda: ol.calibrate({"a": grey}, "lines", image_size="640x480"),
     lambda: ol.write_poses("x.csv", np.eye(4)), lambda: ol.export(np.zeros(3), "a.dxf"),
@@ -205,8 +206,10 @@ SAID = (
     "Pixels were expected as an array (..., 2), found float",
     "Pixels were expected as an array (..., 2), found an array (2, 3)",
     "Points were expected as an array (..., 3), found NoneType",
-    "An array of real numbers was expected, found ndarray",
-    "An array of real numbers was expected, found str",
+    "An array of real numbers was expected, found ndarray (2,) of complex128; correct it.",
+    "An array of real numbers was expected, found 'fx'; correct it.",
+    "An array of real numbers was expected, found ndarray (1, 3) of str; correct it.",
+    "An array of real numbers was expected, found [[1.0, 2.0], [3.0]]; correct it.",
     "Camera model scaramuzza has degree, found 'degreee'",
     "Camera model pinhole has cx cy fx fy",
     "`photos` of extract was expected as str, Path",
@@ -226,7 +229,7 @@ SAID = (
     "`image` was expected as whole numbers in a row, found [0.5, 1.5]",
     "An array of real numbers was expected, found NoneType",
     "`min_views` of SceneOptions was expected as int, found nan",
-    "An array of real numbers was expected, found str",
+    "An array of real numbers was expected, found 'a'; correct it.",
 )
 
 

@@ -18,7 +18,7 @@ import torch
 from camera_models import model_class
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.fitting import Conversion, convert
+from camera_models.fitting import Conversion, convert, widest
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera
 from camera_models.formats.contract import CalibrationFormat, is_folder
 from camera_models.formats.forms import Form
@@ -55,8 +55,8 @@ def transfer(
     """The calibration as a format can hold it at a path, each camera of the camera model `model` where one is named.
 
     Cameras are fitted within `fov_deg` across; where it is None, as far as the data of the calibration reach, or, where that is
-    not known, all that the image sees. Raises InputError where the format has no such model, or no model that it has holds the
-    field of view of a camera.
+    not known, all that the image sees, of which a note says what the fitted model does not hold. Raises InputError where the
+    format has no such model, or no model that it has holds `fov_deg`.
     """
     if fov_deg is not None and not 0 < fov_deg <= 360:
         raise InputError(
@@ -75,7 +75,8 @@ def transfer(
     forms = {name: exact[name] or target.exact_form(camera) for name, camera in cameras.items()}
     dropped = _dropped(calibration, fitted, target, path)
     notes += [f"Not kept: {'; '.join(dropped)}."] if dropped else []
-    return Transfer(fitted, forms, conversions, tuple(dropped), (*notes, *_limits(fitted, forms, target)))
+    notes += [*_ends(original, conversions), *_limits(fitted, forms, target)]
+    return Transfer(fitted, forms, conversions, tuple(dropped), tuple(notes))
 
 
 def _forms(target: CalibrationFormat, allowed: Sequence[Form], model: str | None) -> list[Form]:
@@ -133,9 +134,7 @@ def _nearest(
     """The best fit of each camera. Cameras of one model get one model in the file where one holds them all."""
     fits = {}
     for name in names:
-        reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
-        across = fov_deg if fov_deg is not None or reach_deg is None else 2 * reach_deg
-        fits[name] = _fits(name, calibration[name], allowed, target, across)
+        fits[name] = _fits(name, calibration, allowed, target, fov_deg)
     chosen = {}
     for kind in dict.fromkeys(calibration[name].NAME for name in names):
         alike = [name for name in names if calibration[name].NAME == kind]
@@ -148,21 +147,26 @@ def _nearest(
 
 
 def _fits(
-    name: str, camera: CameraModel, allowed: Sequence[Form], target: CalibrationFormat, fov_deg: float | int | None
+    name: str, calibration: Calibration, allowed: Sequence[Form], target: CalibrationFormat, fov_deg: float | int | None
 ) -> dict[str, Conversion]:
     """Fits of the forms with the most parameters of each model, by model; of those that end within the image only if there is
-    no other."""
+    no other, and of models that hold less than the whole only the widest, if none holds it."""
+    camera = calibration[name]
     # A later form of the same model has more parameters.
-    widest = {form.model: form for form in allowed if model_class(form.model).CALIBRATED}
-    half_deg = seen_deg(camera) if fov_deg is None else min(seen_deg(camera), fov_deg / 2)
+    longest = {form.model: form for form in allowed if model_class(form.model).CALIBRATED}
+    reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
+    half_deg = _reach_deg(calibration, name) if fov_deg is None else min(seen_deg(camera), fov_deg / 2)
+    across = fov_deg if fov_deg is not None or reach_deg is None else 2 * reach_deg
+    # What the user asks for is fitted or refused; what we chose may be less.
+    fit = widest if fov_deg is None else convert
     reasons: list[str] = []
     for reaches in (True, False):
         found: dict[str, Conversion] = {}
-        for form in widest.values():
+        for form in longest.values():
             if (form.ends_deg >= half_deg) is not reaches:
                 continue
             try:
-                fitted = convert(camera, form.model, fov_deg, form.held, form.tied, **form.options)
+                fitted = fit(camera, form.model, across, form.held, form.tied, **form.options)
             except InputError as error:
                 # What was found, of "expected ..., found that ...; do ...".
                 said = str(error)
@@ -171,7 +175,8 @@ def _fits(
             if form.why_not(fitted.model) is None:
                 found[form.model] = fitted
         if found:
-            return found
+            held = {model: math.inf if fitted.holds_deg is None else fitted.holds_deg for model, fitted in found.items()}
+            return {model: fitted for model, fitted in found.items() if held[model] == max(held.values())}
     raise InputError(
         f"{target.TITLE} was expected to hold camera {name} ({camera.NAME}) or a camera model near it, found that "
         f"{target.why_not(camera) or 'it does not'} ({', '.join(reasons) or 'and nothing can be fitted'}); give a smaller "
@@ -233,12 +238,28 @@ def seen_deg(model: CameraModel) -> float:
     return math.degrees(float(angle.max()) if bool(valid.all()) else model.max_angle)
 
 
+def _reach_deg(calibration: Calibration, name: str) -> float:
+    """Largest angle (degrees) off axis that the image sees and the data of the calibration reach."""
+    reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
+    seen = seen_deg(calibration[name])
+    return seen if reach_deg is None else min(seen, reach_deg)
+
+
+def _ends(original: Calibration, conversions: dict[str, Conversion]) -> list[str]:
+    """What fitted models do not hold of what their cameras saw, one sentence for each."""
+    return [
+        f"{fit.model.NAME} fits {name} within {fit.holds_deg} of the {2 * _reach_deg(original, name):.0f} degrees that it sees; "
+        "what lies beyond is missing or wrong there."
+        for name, fit in conversions.items()
+        if fit.holds_deg is not None
+    ]
+
+
 def _limits(calibration: Calibration, forms: dict[str, Form], target: CalibrationFormat) -> list[str]:
     """Where the tool itself sees less than its files say, one sentence for each form."""
     beyond: dict[str, list[str]] = {}
-    for name, camera in calibration.items():
-        reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
-        seen = seen_deg(camera) if reach_deg is None else min(seen_deg(camera), reach_deg)
+    for name in calibration:
+        seen = _reach_deg(calibration, name)
         if seen > forms[name].ends_deg:
             sentence = f"{target.TITLE} itself ends {forms[name].ends_deg:g} degrees off axis with {forms[name].name}"
             beyond.setdefault(sentence, []).append(f"{name} (up to {seen:.0f} degrees)")

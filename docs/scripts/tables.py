@@ -42,10 +42,13 @@ def command_options() -> str:
     for name, command in leaf_commands(typer.main.get_command(app)):
         rows = []
         for parameter in command.params:
-            shown = parameter.opts[0] if parameter.param_type_name == "option" else parameter.name
+            off = parameter.secondary_opts
+            shown = "/".join([parameter.opts[0], *off]) if parameter.param_type_name == "option" else parameter.name
             if shown not in ("--json", "--set"):
                 default = parameter.default
                 told = str(default) if isinstance(default, str | int | float) and not isinstance(default, bool) else ""
+                if off:
+                    told = parameter.opts[0] if default else off[0]
                 rows.append((f"`{shown}`", first_paragraph(parameter.help), told))
         parts.append(f"### {name}\n\n{table(('argument or option', '', 'default'), rows)}")
     return "\n".join(parts)

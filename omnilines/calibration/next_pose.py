@@ -55,6 +55,8 @@ class NextViews:
     median_px: float
     worst_at_px: tuple[float, float]
     worst_where: str
+    image: str
+    """What these are of, in words: the image, or the part of it that is taken for it where no photo shows where it ends."""
     corner_sigma_px: float
     view_sigma_px: float
     """With which corners of one more view count: more than that of a corner where photos contradict each other."""
@@ -87,13 +89,15 @@ def next_views(
     corners: Corners,
     *,
     rim_px: float | None = None,
+    rim_seen: bool = True,
     board_m: Float[np.ndarray, "n 3"] | None = None,
     thresholds: ShootingThresholds = ShootingThresholds(),
 ) -> NextViews | None:
     """Of a calibration and the corners that it was fitted to; None where nothing of the camera was estimated.
 
     `rim_px` is the distance from the centre pixel to the rim of the lens or mirror as photos show it, None where they show the
-    world up to the image's border; `board_m` are the corners of the whole board, by default those that the table has.
+    world up to the image's border; without `rim_seen` it is assumed, and the words say so. `board_m` are the
+    corners of the whole board, by default those that the table has.
     """
     if not fit.covariance.any():
         return None
@@ -111,17 +115,20 @@ def next_views(
     proposed = _best_in_turn(known, seen, view_sigma_px, thresholds)
     sigma = known.sigma_px
     worst = known.pixels[int(sigma.argmax())]
+    assumed = not rim_seen and rim_px is not None and rim_px < fit.model.image_radius_px
+    image = f"the image within {rim_px:.0f} px of its centre (no photo shows where it ends)" if assumed else "the image"
     return NextViews(
         worst_px=float(sigma.max()),
         median_px=float(sigma.median()),
         worst_at_px=(float(worst[0]), float(worst[1])),
         worst_where=place_words(field, worst),
+        image=image,
         corner_sigma_px=fit.corner_sigma_px,
         view_sigma_px=view_sigma_px,
         limits=limits_of(field, pixels, poses, seen, fit.corner_sigma_px, thresholds),
         noisy=fit.corner_sigma_px > thresholds.noisy_px,
         poses=proposed,
-        conclusion=_conclusion(sigma, fit.corner_sigma_px, len(used), bool(proposed), thresholds),
+        conclusion=_conclusion(sigma, image, fit.corner_sigma_px, len(used), bool(proposed), thresholds),
         board_m=board,
         known=known,
     )
@@ -179,15 +186,15 @@ def _described(field: ImageField, seen: SeenBoards, tried: Candidates, best: int
 
 
 def _conclusion(
-    sigma_px: Float[Tensor, " n"], corner_sigma_px: float, views: int, helps: bool, thresholds: ShootingThresholds
+    sigma_px: Float[Tensor, " n"], image: str, corner_sigma_px: float, views: int, helps: bool, thresholds: ShootingThresholds
 ) -> str:
     more = f"{100 * (1 - math.sqrt(views / (views + TEN))):.0f} percent"
     worst_px, median_px = float(sigma_px.max()), float(sigma_px.median())
     worst, median, corner = (px_words(value) for value in (worst_px, median_px, corner_sigma_px))
     known = (
-        f"It is good enough for most uses: the projection is known to {worst} px or better all over the image"
+        f"It is good enough for most uses: the projection is known to {worst} px or better all over {image}"
         if worst_px <= corner_sigma_px
-        else f"The projection is known to {median} px in the median of the image and to {worst} px at worst"
+        else f"The projection is known to {median} px in the median of {image} and to {worst} px at worst"
     ) + f", a single corner to {corner} px"
     if helps:
         return f"{known}; {TEN} more photos like these would lower the uncertainty by about {more}."

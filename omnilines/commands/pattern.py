@@ -17,10 +17,7 @@ def pattern(specification: str, out: Path) -> CommandResult:
     Raises InputError when the specification is malformed, the ending is another or the target does not fit on a page.
     """
     target = parse_pattern(specification)
-    paths: tuple[Path, ...] = (out,)
-    if out.suffix.lower().lstrip(".") not in FORMATS:
-        name = target.specification.replace(":", "_")
-        paths = tuple(out / f"{name}.{kind}" for kind in FORMATS)
+    paths = _files(out, target.specification, FORMATS)
     names = [path.name for path in paths]
     with claimed(paths[0].parent, names, by=f"pattern {' '.join(names)}"):
         page = print_pattern(target, paths)
@@ -51,9 +48,7 @@ def pattern_on_screen(specification: str, out: Path) -> CommandResult:
     from omnilines.pages.screen import screen_page
 
     target = parse_pattern(specification)
-    if out.suffix and out.suffix.lower() != ".html" and not out.is_dir():
-        raise InputError(f"A file ending in .html, or a folder, was expected for a screen, found '{out}'; give one of these.")
-    path = out if out.suffix.lower() == ".html" else out / f"{target.specification.replace(':', '_')}.html"
+    (path,) = _files(out, target.specification, ("html",))
     with claimed(path.parent, [path.name], by=f"pattern {path.name}"):
         write_atomically(path, screen_page(target))
     across, down = (1000.0 * length for length in target.size_m)
@@ -65,3 +60,16 @@ def pattern_on_screen(specification: str, out: Path) -> CommandResult:
     )
     data = {"pattern": target.specification, "size_mm": [across, down], "corners": len(target.points_m)}
     return CommandResult((Summary(target.specification, rows),), data, files=(path,))
+
+
+def _files(out: Path, specification: str, endings: tuple[str, ...]) -> tuple[Path, ...]:
+    """The file `out` where it has one of the endings, else a file of each in the folder `out`."""
+    ending = out.suffix.lower().lstrip(".")
+    if ending in endings:
+        return (out,)
+    # A folder may be called board.v2 or board_32.5mm.
+    if ending.isalpha() and not out.is_dir():
+        known = " or ".join(f".{name}" for name in endings)
+        instead = "; .html goes with `screen`" if ending == "html" else ""
+        raise InputError(f"A file ending in {known}, or a folder, was expected, found '{out}'; give one of these{instead}.")
+    return tuple(out / f"{specification.replace(':', '_')}.{name}" for name in endings)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt, UInt8
 
+from camera_models._arrays import Array
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
 from camera_models.formats.values import is_text, stray
@@ -64,14 +65,14 @@ def _of_levels(pixels: UInt[np.ndarray, "h w *channels"], levels: tuple[int, int
 
 
 Photo: TypeAlias = PhotoRef | PhotoArray
-Photos: TypeAlias = str | Path | Sequence[str | Path] | Sequence[Photo] | Mapping[str, Any]
-"""What a user may give as photos: a folder, files and folders, what `photos_of` made of them, or names with their pixels (NumPy
-or torch)."""
+Photos: TypeAlias = str | Path | Sequence[str | Path] | Sequence[Photo] | Sequence[Array] | Mapping[str, Any]
+"""What a user may give as photos: a folder, files and folders, what `photos_of` made of them, or pixels, with names of their own
+or without (photo0, photo1, ...)."""
 
 
 def photos_of(photos: Photos) -> list[Photo]:
-    """The photos of a folder, of files and folders, or of a mapping of names to arrays: (h, w) grey or (h, w, 3) BGR, of 8 or 16
-    bits.
+    """The photos of a folder, of files and folders, of arrays, or of a mapping of names to arrays: (h, w) grey or (h, w, 3) BGR,
+    of 8 or 16 bits.
 
     Raises InputError as `find_photos` does, and where an array is no photo.
     """
@@ -81,6 +82,8 @@ def photos_of(photos: Photos) -> list[Photo]:
         return [_photo_array(name, pixels) for name, pixels in photos.items()]
     if isinstance(photos, str | Path):
         return list(find_photos([photos]))
+    if any(isinstance(photo, Array) for photo in photos):
+        return [_photo_array(f"photo{number}", pixels) for number, pixels in enumerate(photos)]
     given = [photo for photo in photos if isinstance(photo, PhotoRef | PhotoArray)]
     return given if given else list(find_photos([photo for photo in photos if isinstance(photo, str | Path)]))
 

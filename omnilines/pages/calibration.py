@@ -186,7 +186,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
             circle,
             corners_px=pixels,
             supported_angle_deg=result.max_angle_deg,
-            largest=None if advice is None else (advice.worst_px, advice.worst_at_px),
+            largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),
         ),
         report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
         report.parameters_section(

@@ -1,7 +1,6 @@
 """What limits the calibration of a camera or a rig, as it was measured, and what to do about it."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -107,14 +106,30 @@ def _far_off(views: Sequence[ViewResult]) -> tuple[list[float], float, list[str]
     return px, median, [f"{image} ({rounded(value)} px)" for value, image in found if value > STANDS_OUT * median]
 
 
-def unused_advice(lost: Sequence[ViewResult], total: int) -> tuple[Advice, ...]:
-    """Photos that are not used, where they are many of all, with the most frequent reason; copies are not missed."""
-    lost = [view for view in lost if not is_copy(view.reason)]
+def unused_advice(unused: Sequence[ViewResult], total: int) -> tuple[Advice, ...]:
+    """Photos that are not used, where they are many of all: the most frequent reason, and what to do about each. Copies are
+    counted, but not missed."""
+    lost = [view for view in unused if not is_copy(view.reason)]
     if len(lost) <= MANY_UNUSED * total:
         return ()
-    reason, count = Counter((view.reason or "").rstrip(".") for view in lost).most_common(1)[0]
-    why = f"; of {count} it is said: {reason}" if reason else ""
-    return (Advice(f"{len(lost)} of {total} photos are not used{why}.", f"Shoot {named([v.image for v in lost])} again."),)
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for view in lost:
+        found, remedy = _found_and_remedy(view.reason or "")
+        alike.setdefault(remedy, []).append((view.image, found))
+    remedies = sorted(alike.items(), key=lambda one: -len(one[1]))
+    reasons = [found for _, found in remedies[0][1]]
+    first = "" if len(set(reasons)) == 1 else ", the first"
+    why = f"; of {len(reasons)} it is said{first}: {reasons[0]}" if reasons[0] else ""
+    copied = len(unused) - len(lost)
+    copy = f", {copied} of them as {'a copy' if copied == 1 else 'copies'}" if copied else ""
+    do = " ".join(f"{remedy.capitalize()}: {named([image for image, _ in photos])}." for remedy, photos in remedies)
+    return (Advice(f"{len(unused)} of {total} photos are not used{copy}{why}.", do),)
+
+
+def _found_and_remedy(reason: str) -> tuple[str, str]:
+    """What a reason says of a photo, and what to do about it, which stands behind its semicolon; else it is to be shot again."""
+    found, _, remedy = reason.rstrip(".").rpartition("; ")
+    return (found, remedy) if found else (remedy, "shoot again")
 
 
 def line_advice(fit: LineCamera) -> tuple[Advice, ...]:

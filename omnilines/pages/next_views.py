@@ -24,7 +24,7 @@ def next_views_summary(views: NextViews, title: str = SHOOT_NEXT) -> Summary:
     rows.append(
         (
             "largest uncertainty",
-            f"{px_words(views.worst_px)} px {views.worst_where}; {px_words(views.median_px)} px in the median of the image",
+            f"{px_words(views.worst_px)} px {views.worst_where}; {px_words(views.median_px)} px in the median of {views.image}",
         )
     )
     rows += [(photo_words(k), f"{text[0].upper()}{text[1:]}.") for k, text in enumerate(views.sentences)]

@@ -98,7 +98,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
                 corners_px=pixels,
                 supported_angle_deg=angle,
                 title=f"{name}: projection uncertainty",
-                largest=None if advice is None else (advice.worst_px, advice.worst_at_px),
+                largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),
             ),
         )
         if advice is not None:

@@ -50,7 +50,7 @@ def extract(
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoArcs:
-    """The arcs of straight lines in photos (a folder, files, or names with arrays), on all cores, one photo per core in memory,
+    """The arcs of straight lines in photos (a folder, files, or arrays), on all cores, one photo per core in memory,
     or by the workers of an `executor`.
 
     Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is

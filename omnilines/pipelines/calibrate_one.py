@@ -110,7 +110,7 @@ def calibrate(
 ) -> CalibrationResult | LineResult:
     """Calibrate one camera without any guess of focal length or centre: from photos of a target, from straight lines, or both.
 
-    Photos (a folder, files, or arrays by name) stand before a `pattern`, which says what they show: a target
+    Photos (a folder, files, or arrays) stand before a `pattern`, which says what they show: a target
     ("checkerboard:8x6:30mm"), straight lines of buildings or rooms ("lines"), or both ("checkerboard:8x6:30mm,lines"), in one
     adjustment. Corners need none: what `detect` found, a table as `read_corners` returns it, or by view two arrays, points of
     the board (n, 3) in metres and pixels (n, 2); behind the latter two stands `image_size` (width, height).

@@ -36,7 +36,7 @@ def chains_of(
     options: SmoothChainOptions = SmoothChainOptions(),
     progress: ProgressCallback = silent,
 ) -> PhotoChains:
-    """The smooth curves of edge points in photos of one camera (a folder, files, or names with arrays), on all cores, one photo
+    """The smooth curves of edge points in photos of one camera (a folder, files, or arrays), on all cores, one photo
     per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size than most,
     and copies, are left out.
 

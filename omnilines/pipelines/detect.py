@@ -95,11 +95,12 @@ def detect(
 ) -> PhotoCorners:
     """Find a target in photos of one camera, on all cores, one photo per core in memory, or by the workers of an `executor`.
 
-    `photos` are a folder, files and folders, or a mapping of names to arrays (NumPy or torch, grey or BGR); `pattern` may be its
-    specification. A `camera` that is known leads to corners, and photos, that are hard to find. `mirrored`: the camera looks into
-    a mirror. `recognise`: a board with tags that a few photos show in another print than the one given (white on black, in the
-    layout of OpenCV before 4.6, with other tags of its dictionary) is taken for what it is. A photo that cannot be read, is of
-    another size or EXIF orientation than most, or shows no target is skipped with its reason.
+    `photos` are a folder, files and folders, arrays (NumPy or torch, grey or BGR), which are called photo0, photo1, ..., or a
+    mapping of names to arrays; `pattern` may be its specification. A `camera` that is known leads to corners, and photos, that
+    are hard to find. `mirrored`: the camera looks into a mirror. `recognise`: a board with tags that a few photos show in
+    another print than the one given (white on black, in the layout of OpenCV before 4.6, with other tags of its dictionary) is
+    taken for what it is. A photo that cannot be read, is of another size or EXIF orientation than most, or shows no target is
+    skipped with its reason.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
     another image size.
@@ -168,7 +169,8 @@ def _of_size(
     kept, skipped = list[tuple[Photo, Detection]](), list[ViewResult]()
     for photo, (detection, reason, its_size) in zip(photos, found, strict=True):
         if its_size is not None and len(detection) and its_size != size:
-            reason = f"its size is {its_size[0]}x{its_size[1]} px where most photos have {size[0]}x{size[1]} px"
+            own, most = (f"{width}x{height} px" for width, height in (its_size, size))
+            reason = f"its size is {own} where most photos have {most}; give it as the camera took it"
         if reason is None and len(detection):
             kept.append((photo, detection))
         else:

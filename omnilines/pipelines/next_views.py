@@ -45,7 +45,7 @@ def next_views_of(
     else:
         rim = lens_rim_px(*rings, reach, thresholds.rim_share)
     board = None if pattern is None else pattern.points_m
-    return next_views(fit, corners, rim_px=rim, board_m=board, thresholds=thresholds)
+    return next_views(fit, corners, rim_px=rim, rim_seen=rings is not None, board_m=board, thresholds=thresholds)
 
 
 def lens_rim_px(

@@ -39,14 +39,15 @@ def uncertainty_section(
     corners_px: Float[np.ndarray, "n 2"],
     supported_angle_deg: float,
     title: str = "Projection uncertainty",
-    largest: tuple[float, tuple[float, float]] | None = None,
+    largest: tuple[str, float, tuple[float, float]] | None = None,
 ) -> Section:
     """A heat map with labelled contour lines of `sigma_px` at the pixels (u_px, v_px), both increasing.
 
     `sigma_px` is the standard deviation, in the worst direction of the image, of where the calibrated camera projects a known
     direction, after the best common rotation. Where it is not finite or not positive it is not known, and nothing is
     drawn. `circle_px` is the image of the cone at `supported_angle_deg`, up to which the data reach, cut (NaN) where it has no
-    image; `corners_px` are the observed points. `largest` is the largest value (px) and its pixel, by default those of the map.
+    image; `corners_px` are the observed points. `largest` is the part of the image in words, its largest value
+    (px) and the pixel of that, by default those of the map.
     """
     sigma = np.where(np.isfinite(sigma_px) & (sigma_px > 0), sigma_px, np.nan)
     if not np.isfinite(sigma).any():
@@ -91,14 +92,14 @@ def _figures(
     u_px: Float[np.ndarray, " w"],
     v_px: Float[np.ndarray, " h"],
     corners: Float[np.ndarray, "n 2"],
-    largest: tuple[float, tuple[float, float]] | None,
+    largest: tuple[str, float, tuple[float, float]] | None,
 ) -> str:
     """Sentences on the uncertainty at the nearest node of the map to every corner, and on its largest value."""
     if largest is None:
         row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
-        largest = float(sigma[row, column]), (float(u_px[column]), float(v_px[row]))
-    value, (u, v) = largest
-    most = f"Over the image it is at most {rounded(value)} px, at ({u:.0f}, {v:.0f}) px."
+        largest = "the image", float(sigma[row, column]), (float(u_px[column]), float(v_px[row]))
+    image, value, (u, v) = largest
+    most = f"Over {image} it is at most {rounded(value)} px, at ({u:.0f}, {v:.0f}) px."
     # Nearest node: the number of midpoints between nodes that lie before the corner.
     columns, rows = (np.searchsorted((x[1:] + x[:-1]) / 2, corners[:, k]) for k, x in enumerate((u_px, v_px)))
     at_corners = sigma[rows, columns]
