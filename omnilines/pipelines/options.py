@@ -104,6 +104,17 @@ class AdviceOptions(NamedTuple):
     stood still (0.4 in two real sets where it did, up to 0.2 in others)."""
 
 
+class SamePlaceOptions(NamedTuple):
+    """When a photo is left out, as another one shows the same from the same place."""
+
+    shown: float = 0.5
+    """Share of its arcs that the other has to show where they are, as seen in the world: of a photo saved twice it is 0.8, of
+    places apart that of what is far away, or lies along the way from one to the other (up to 0.3 in a flat)."""
+    near_px: float = 10.0
+    """By how much the distance of both may move, in the image, what is as far away as photos are from their middle: edges of
+    things far away stay where they are between places apart, too."""
+
+
 class JudgeOptions(NamedTuple):
     """When poses, cameras and tracks are refused because they do not belong together."""
 
@@ -175,6 +186,8 @@ class SceneOptions(Typed):
     """When given poses are replaced by better ones."""
     rounds: RoundOptions = RoundOptions()
     """How often arcs are matched."""
+    same_place: SamePlaceOptions = SamePlaceOptions()
+    """Photos that are left out as they say nothing of distances."""
     kept_lines: KeptLineOptions = KeptLineOptions()
     """Which lines are kept, and how."""
     frame: FrameOptions = FrameOptions()
@@ -189,6 +202,6 @@ OF_TABLES = SceneOptions(refine=("lines", "poses"), loss="none")
 """Of matched segments that a user brings: they are taken as they are."""
 OF_PHOTOS = (
     "min_views", "tolerance_px", "bow_share", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines",
-    "frame", "advice",
+    "same_place", "frame", "advice",
 )  # fmt: skip
 """Options that decide nothing of such segments: what is looked for in photos, and in the arcs of photos."""

@@ -43,6 +43,7 @@ from omnilines.pipelines.part_workers import check_partition, matching_workers, 
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
+from omnilines.pipelines.same_place import without_same_place
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.still_camera import still_share
@@ -119,23 +120,11 @@ def reconstruct(
             raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
         return adjust(arcs, poses, camera, options, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
-    arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     check_options(options, cameras)
+    arcs, posed = _with_poses(arcs, poses, cameras, options, distance, work, progress)
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.
         options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
-    posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
-    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
-        posed = better_poses(
-            arcs.photos,
-            posed,
-            cameras,
-            from_photos=lambda: estimate_poses(
-                arcs, cameras, SFM, options=options.posing, seed=options.seed, work=work, progress=progress
-            ),
-            options=options,
-            progress=progress,
-        )
     table = None if work is None else work_folder(work) / "poses.csv"
     if table is not None:
         write_poses(table, posed.poses)
@@ -155,6 +144,33 @@ def reconstruct(
         refuse_reading(arcs.photos, posed, cameras, options, progress)
     made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs
     return _scene(arcs, posed, found, cameras, options, distance, made_from, progress)
+
+
+def _with_poses(
+    arcs: PhotoArcs,
+    poses: PhotoPoses | ImagePoses,
+    cameras: Calibration,
+    options: SceneOptions,
+    distance: KnownDistance | None,
+    work: str | Path | None,
+    progress: ProgressCallback,
+) -> tuple[PhotoArcs, PhotoPoses]:
+    """The photos that tell something beside others, and the poses that they are matched with."""
+    arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
+    posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
+    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
+        posed = better_poses(
+            arcs.photos,
+            posed,
+            cameras,
+            from_photos=lambda: estimate_poses(
+                arcs, cameras, SFM, options=options.posing, seed=options.seed, work=work, progress=progress
+            ),
+            options=options,
+            progress=progress,
+        )
+    asked = () if distance is None else (distance.first, distance.second)
+    return without_same_place(arcs, posed, cameras, options.same_place, asked)
 
 
 def _of_table(arcs: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> PhotoPoses:

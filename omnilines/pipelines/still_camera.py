@@ -40,8 +40,8 @@ def _share(scene: KeptLines, arcs: ViewedArcs, in_line: Bool[np.ndarray, " n"], 
         return float("nan")
     own, other = arcs.bearings[rest], arcs.bearings[others]
     turns = rotation_from_vector(TURN_RAD * torch.cat([torch.eye(3), -torch.eye(3)]).double()).numpy()
-    chance = float(np.mean([_near(own @ turn.T, other, near_rad).mean() for turn in turns]))
-    return float(_near(own, other, near_rad).mean()) - chance
+    chance = float(np.mean([lies_near(own @ turn.T, other, near_rad).mean() for turn in turns]))
+    return float(lies_near(own, other, near_rad).mean()) - chance
 
 
 def _lines_move(scene: KeptLines, arcs: ViewedArcs, in_line: Bool[np.ndarray, " n"], pair: tuple[int, int]) -> float:
@@ -54,7 +54,7 @@ def _lines_move(scene: KeptLines, arcs: ViewedArcs, in_line: Bool[np.ndarray, " 
     return float(torch.linalg.cross(a, b).norm(dim=-1).clamp(max=1.0).asin().median())
 
 
-def _near(own: Float[np.ndarray, "n 2 3"], other: Float[np.ndarray, "m 2 3"], near_rad: float) -> Bool[np.ndarray, " n"]:
+def lies_near(own: Float[np.ndarray, "n 2 3"], other: Float[np.ndarray, "m 2 3"], near_rad: float) -> Bool[np.ndarray, " n"]:
     """Arcs of which both ends are near the great circle of one of the others, and the middle beside it."""
     normal = np.cross(other[:, 0], other[:, 1])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True).clip(1e-12)
