@@ -91,9 +91,9 @@ class AdviceOptions(NamedTuple):
     many_by_chance: float = 0.05
     """Share of the lines that are there by chance above which it is spoken of."""
     significance: float = 0.001
-    """Lines leave a camera possible that chance makes more often than this,"""
+    """Lines leave a camera possible that chance makes more often than this, were their noise `calibration_noise` times as large."""
     calibration_noise: float = 2.0
-    """were the noise of what they ask of it so many times what is stated: arcs of real edges err alike."""
+    """Times that what lines ask of a camera is taken to be noisier than is stated: arcs of real edges err alike."""
     calibration_slack: float = 3.0
     """Lines contradict the calibration where every possible camera moves the image by more than so many times the slack that was
     taken for errors of poses and calibration."""
