@@ -15,7 +15,7 @@ import torch
 import omnilines as ol
 from camera_models import Calibration, InputError, load
 from omnilines.commands.reconstruct import reconstruct_photos
-from omnilines.commands.resume import Stamp
+from omnilines.commands.resume import NOTE, Stamp
 from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.files.fingerprint import content_hash, revision
 from omnilines.files.fingerprint import fingerprint as made_from
@@ -289,6 +289,8 @@ def test_a_result_is_the_last_one_only_with_the_contents_it_had(room: Path, pose
     stamp = Stamp(tmp_path / "scene" / "done.json", json.loads((tmp_path / "scene" / "done.json").read_text())["inputs"])
     known = stamp.result()
     assert known is not None and known.data == json.loads(json.dumps(first.data)) and known.files == first.files
+    assert known.summaries == first.summaries and first.summaries[0].verdict and first.summaries[0].advice
+    assert known.warnings == (NOTE, *first.warnings) and known.details == first.details and known.photos == first.photos
     assert Stamp(stamp.path, "other").result() is None
     lines = tmp_path / "scene" / "lines.csv"
     content = lines.read_bytes()
