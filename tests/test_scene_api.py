@@ -120,6 +120,12 @@ def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: S
     _, first, last = max(apart)
     (scale,) = [one for one in scene_summary(open_scale).advice if "how large" in one.limit]
     assert all(scene.poses.images[k] in scale.do for k in (first, last)) and "`scale_from`" in scale.do
+    assert open_scale.from_photos is not None
+    weak = [replace(one, in_lines=0) if one.image == scene.poses.images[last] else one for one in scene.photos]
+    unexplained = replace(open_scale, from_photos=replace(open_scale.from_photos, photos=tuple(weak)))
+    rest = max(one for one in apart if last not in one[1:])
+    (scale,) = [one for one in scene_summary(unexplained).advice if "how large" in one.limit]
+    assert all(scene.poses.images[k] in scale.do for k in rest[1:]) and scene.poses.images[last] not in scale.do
     doubtful = replace(scene, checks=(Check("agreement", 2.0, 1.0, "px", False),))
     assert scene_summary(doubtful).advice[0].limit == "Agreement: 2 px, where 1 is the limit."
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."

@@ -70,7 +70,7 @@ class Scene:
     checks: tuple[Check, ...] = ()
     """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
     advice: tuple[Advice, ...] = ()
-    """What photos and stages of matching lose, and what to do."""
+    """What photos and stages of matching lose, or which photos segments do not fit, and what to do."""
 
     @property
     def lines(self) -> Lines:
