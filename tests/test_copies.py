@@ -45,6 +45,14 @@ def test_a_copy_confirms_no_line(room: tuple[dict[str, np.ndarray], ol.ImagePose
         assert np.allclose(scene.lines.ends_m, alone.lines.ends_m, atol=1e-9)
 
 
+def test_copies_are_named_where_too_few_other_photos_are_left(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
+    photo = room[0]["view00.png"]
+    arcs = ol.extract({f"{k}.png": photo for k in range(5)}, LENS)
+    said = "found 1; give more. 4 of 5 photos are copies of others and left out; of 1.png it is said: It is a copy of 0.png"
+    with pytest.raises(ol.GeometryError, match=said):
+        ol.estimate_poses(arcs, LENS, "sfm")
+
+
 def test_photos_of_other_cameras_are_no_copies(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     """Of a rig whose cameras see the same, as a rendered one may."""
     photos, poses = room

@@ -9,8 +9,10 @@ import torch
 from camera_models import InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_quaternion
 from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.pages.limits_of_lines import scene_advice
+from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.judged_tracks import judge_tracks
-from omnilines.pipelines.options import JudgeOptions
+from omnilines.pipelines.options import OF_TABLES, JudgeOptions
 from omnilines.posing.readings import other_readings
 from omnilines.records import ImagePoses, Segments
 
@@ -19,12 +21,16 @@ ALWAYS = JudgeOptions(fitting_px=0.0)
 """Also tracks that fit within a pixel are asked."""
 
 
-def scene(lines: int, photos: int, *, seed: int, noise_px: float = 0.3, far: float = 1.0) -> tuple[Segments, ImagePoses]:
-    """Lines in front of cameras, all of which see all of them."""
+def scene(
+    lines: int, photos: int, *, seed: int, noise_px: float = 0.3, far: float = 1.0, around: Pose | None = None
+) -> tuple[Segments, ImagePoses]:
+    """Lines in front of cameras, all of which see all of them; or lines that cameras look at from around them."""
     rng = np.random.default_rng(seed)
     ends = far * rng.uniform([-1, -1, 1.5], [1, 1, 3], (2 * lines, 3))
     twists = torch.from_numpy(rng.uniform(-1, 1, (photos, 6)) * np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
     poses = Pose.exp(twists)
+    if around is not None:
+        poses, ends = around, ends - [0.0, 0.0, 2.25]
     pixels = torch.cat([LENS.project(pose.transform(torch.from_numpy(ends)))[0] for pose in (poses[k] for k in range(photos))])
     noisy = pixels.numpy() + noise_px * rng.standard_normal((photos * 2 * lines, 2))
     images, tracks = tuple(f"{k}.png" for k in range(photos)), tuple(f"line{k}" for k in range(lines))
@@ -130,3 +136,31 @@ def test_segments_that_are_written_otherwise_are_named() -> None:
     for says, table in written.items():
         with pytest.raises(InputError, match=f"The segments look .*{says}.* read so 1[12]"):
             judged(replace(segments, endpoints_px=table), poses)
+
+
+@pytest.mark.parametrize("refine", [("lines", "poses"), ("lines",)])
+def test_photos_whose_names_were_exchanged_are_named_and_not_the_calibration(refine: tuple[str, ...]) -> None:
+    """Least squares spread their errors over all photos, which look at lines from around them; rough poses are no such thing."""
+    twists = torch.zeros(8, 6, dtype=torch.float64)
+    twists[:, 1], twists[:, 0] = torch.linspace(0, 5.5, 8, dtype=torch.float64), 0.4 * (torch.arange(8) % 3)
+    around = Pose(Pose.exp(twists).rotation, torch.tensor([0.0, 0.0, 3.0], dtype=torch.float64).expand(8, 3))
+    segments, poses = scene(40, 8, seed=0, around=around)
+    stated, options = replace(segments, sigma_px=np.full(len(segments), 0.3)), replace(OF_TABLES, refine=refine)
+    assert adjust(stated, poses, LENS, options).advice == ()
+    order = np.array([0, 1, 5, 3, 4, 2, 6, 7])
+    told = scene_advice(adjust(replace(stated, image=order[stated.image]), poses, LENS, options))
+    assert any(one.limit.startswith("Few segments of 2.png (") and ", 5.png (" in one.limit for one in told)
+    assert not any("calibration is off" in one.limit or "omnilines check" in one.do for one in told)
+    off = Pose.exp(0.02 * torch.from_numpy(np.random.default_rng(0).standard_normal((8, 6)))) @ around
+    rough = adjust(stated, replace(poses, cam_from_world=off), LENS, options)
+    assert not any("of another photo" in one.limit for one in rough.advice)
+
+
+def test_a_photo_whose_pose_is_rough_is_named_with_how_far_its_segments_lie() -> None:
+    segments, poses = scene(40, 8, seed=0)
+    twists = torch.zeros(8, 6, dtype=torch.float64)
+    twists[3, 1] = 0.05
+    off = replace(poses, cam_from_world=Pose.exp(twists) @ poses.cam_from_world)
+    (held,) = adjust(segments, off, LENS, replace(OF_TABLES, refine=("lines",), loss="cauchy")).advice
+    assert "3.png (" in held.limit and held.do == "Check the poses of these photos, and their names, or refine poses."
+    assert adjust(segments, off, LENS).advice == ()

@@ -16,6 +16,7 @@ from omnilines.posing import sfm
 from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
 from omnilines.posing.kernels.match import best_near
+from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import MatchOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import doubt, sfm_poses
@@ -168,6 +169,31 @@ def test_photos_of_elsewhere_are_left_out_with_a_reason_and_nothing_in_common_is
     strangers = [described(camera, truth[k], *world(300, 50 + k), np.random.default_rng(k)) for k in range(3)]
     with pytest.raises(GeometryError, match="COLMAP could not join"):
         run_on(strangers, monkeypatch, tmp_path, {"c": camera}, names[:3], dict.fromkeys(names, "c"))
+
+
+@pytest.mark.parametrize("model", ["opencv-fisheye", "equirectangular"])
+def test_photos_from_one_place_are_told_from_those_with_nothing_in_common(monkeypatch, tmp_path, model):
+    """Also where the camera moved by a centimetre, or one photo is from elsewhere; steps in a row are no one place."""
+    camera, _ = scene_camera(model, (800, 400), 0, 190.0 if model == "opencv-fisheye" else None)
+    points, words = world(500, 1)
+    still = places(6, 2)
+    away = 0.006 * np.random.default_rng(3).normal(size=(6, 3))
+    row = np.stack([0.2 * np.arange(6), np.zeros(6), np.zeros(6)], -1)
+    names = [f"{k}.png" for k in range(6)]
+
+    def seen(centres: np.ndarray) -> list[Features]:
+        poses = Pose(still.rotation, -(still.rotation @ torch.as_tensor(centres)[..., None])[..., 0])
+        return [described(camera, poses[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+
+    for centres, here in ((np.zeros((6, 3)), 6), (away, 6), (np.concatenate([away[:5], [[1.0, 0.5, 0.0]]]), 5)):
+        features = seen(centres)
+        clear = {pair: matched(features[pair[0]], features[pair[1]])[0] for pair in pairs_to_compare(features, 0)}
+        assert at_one_place(features, clear) == list(range(here))
+    features = seen(row)
+    clear = {pair: matched(features[pair[0]], features[pair[1]])[0] for pair in pairs_to_compare(features, 0)}
+    assert len(at_one_place(features, clear)) <= 3
+    with pytest.raises(GeometryError, match=r"found 6 of 6 at one place, .*; move the camera between photos"):
+        run_on(seen(np.zeros((6, 3))), monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
 
 
 def test_matches_near_the_epipolar_circle_are_the_true_ones():

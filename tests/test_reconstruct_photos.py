@@ -139,7 +139,12 @@ def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, reb
     said = capsys.readouterr()
     assert "nothing was done" in said.err
     assert (rebuilt / "report.html").stat().st_mtime_ns == report
-    assert json.loads(said.out)["lines"] == len(read_lines(rebuilt / "lines.csv"))
+    again = json.loads(said.out)
+    assert again["lines"] == len(read_lines(rebuilt / "lines.csv"))
+    assert f"{again['lines']} lines from {VIEWS} photos" in again["verdict"] and again["advice"] and len(again["notes"]) > 1
+    assert call(room / "photos", room, rebuilt, "--colmap", "--recording") == 0
+    shown = capsys.readouterr().out
+    assert again["verdict"] in shown and f"Next: omnilines export {rebuilt} lines.dxf" in shown
     kept = {path.name: path.stat().st_mtime_ns for path in (rebuilt / "work" / "arcs").iterdir()}
     assert len(kept) == VIEWS
     (rebuilt / "lines.csv").write_bytes(b"")

@@ -15,7 +15,7 @@ import torch
 import omnilines as ol
 from camera_models import Calibration, InputError, load
 from omnilines.commands.reconstruct import reconstruct_photos
-from omnilines.commands.resume import Stamp
+from omnilines.commands.resume import NOTE, Stamp
 from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.files.fingerprint import content_hash, revision
 from omnilines.files.fingerprint import fingerprint as made_from
@@ -120,6 +120,12 @@ def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: S
     _, first, last = max(apart)
     (scale,) = [one for one in scene_summary(open_scale).advice if "how large" in one.limit]
     assert all(scene.poses.images[k] in scale.do for k in (first, last)) and "`scale_from`" in scale.do
+    assert open_scale.from_photos is not None
+    weak = [replace(one, in_lines=0) if one.image == scene.poses.images[last] else one for one in scene.photos]
+    unexplained = replace(open_scale, from_photos=replace(open_scale.from_photos, photos=tuple(weak)))
+    rest = max(one for one in apart if last not in one[1:])
+    (scale,) = [one for one in scene_summary(unexplained).advice if "how large" in one.limit]
+    assert all(scene.poses.images[k] in scale.do for k in rest[1:]) and scene.poses.images[last] not in scale.do
     doubtful = replace(scene, checks=(Check("agreement", 2.0, 1.0, "px", False),))
     assert scene_summary(doubtful).advice[0].limit == "Agreement: 2 px, where 1 is the limit."
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
@@ -289,6 +295,8 @@ def test_a_result_is_the_last_one_only_with_the_contents_it_had(room: Path, pose
     stamp = Stamp(tmp_path / "scene" / "done.json", json.loads((tmp_path / "scene" / "done.json").read_text())["inputs"])
     known = stamp.result()
     assert known is not None and known.data == json.loads(json.dumps(first.data)) and known.files == first.files
+    assert known.summaries == first.summaries and first.summaries[0].verdict and first.summaries[0].advice
+    assert known.warnings == (NOTE, *first.warnings) and known.details == first.details and known.photos == first.photos
     assert Stamp(stamp.path, "other").result() is None
     lines = tmp_path / "scene" / "lines.csv"
     content = lines.read_bytes()

@@ -102,7 +102,7 @@ def reconstruct_photos(
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
     if done is not None:
-        return done
+        return replace(done, then=_next(folder, done.data.get("lines")))
     if distance is not None and not from_photos(poses):
         require_poses(distance, estimate_poses(refs, cameras, poses))
     if given is None:
@@ -224,5 +224,10 @@ def _written(folder: Path, scene: Scene, colmap: bool, recording: bool, progress
         warnings=notes,
         details=scene.details,
         photos=given,
-        then=("export", str(folder), "lines.dxf") if len(scene.lines) else (),
+        then=_next(folder, len(scene.lines)),
     )
+
+
+def _next(folder: Path, lines: int | None) -> tuple[str, ...]:
+    """The command that comes next where there are lines."""
+    return ("export", str(folder), "lines.dxf") if lines else ()

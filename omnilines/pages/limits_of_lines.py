@@ -10,6 +10,7 @@ from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import WORTH_SAYING
+from omnilines.pipelines.advice import weak_photos
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.directions import PhotoDirections
 from omnilines.pipelines.photo_arcs import PhotoArcs
@@ -39,7 +40,9 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
              for check in scene.checks if not check.holds]  # fmt: skip
     found += [*_contradicted(scene), *scene.advice]
     noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
-    if noise.stated and not noise.holds and noise.measured > WORTH_SAYING:
+    # Of matched segments, advice names photos at fault: until they are put right, residuals say nothing of the calibration.
+    single = scene.from_photos is None and bool(scene.advice)
+    if noise.stated and not noise.holds and noise.measured > WORTH_SAYING and not single:
         do = CHECK_IT if refined else f"Try {TO_REFINE}."
         limit = (
             f"Arcs lie {rounded(noise.measured)} times as far from their lines as their noise lets expect: poses "
@@ -71,10 +74,15 @@ def _contradicted(scene: Scene) -> list[Advice]:
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:
-    step = 1 + len(scene.poses) // SAMPLE
-    centres, images = scene.poses.cam_from_world.centre[::step], scene.poses.images[::step]
-    row, column = divmod(int(torch.cdist(centres, centres).argmax()), len(centres))
-    return images[row], images[column]
+    """Two photos whose poses are not in doubt, as those of photos are that lines hardly explain, where there are two."""
+    images = np.array(scene.poses.images)
+    weak = [one.image for one in weak_photos(scene.photos, scene.options.advice.hardly_explained)] if scene.photos else []
+    sure = np.flatnonzero(~np.isin(images, weak))
+    rows = sure if len(sure) > 1 else np.arange(len(images))
+    rows = rows[:: 1 + len(rows) // SAMPLE]
+    centres = scene.poses.cam_from_world.centre[rows]
+    a, b = divmod(int(torch.cdist(centres, centres).argmax()), len(rows))
+    return str(images[rows[a]]), str(images[rows[b]])
 
 
 def _weak_lines(scene: Scene) -> tuple[Advice, ...]:

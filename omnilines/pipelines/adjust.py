@@ -24,8 +24,9 @@ from omnilines.pipelines.calibration_errors import (
     poses_with_calibration_errors,
     unfollowed_errors,
 )
+from omnilines.pipelines.far_photos import far_photos
 from omnilines.pipelines.inside import require_inside
-from omnilines.pipelines.judged_tracks import Misfit, far_photos, judge_tracks, limits_px
+from omnilines.pipelines.judged_tracks import Misfit, judge_tracks, limits_px
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.scene import Scene, refined_calibration
@@ -83,8 +84,7 @@ def adjust(
     _require_lines(scene.lines)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
-    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *far_photos(scene, options.judge))
-    told += unfollowed_errors(cameras, options)
+    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += size_notes(scene.lines, scene.poses, options.judge)
@@ -97,6 +97,7 @@ def adjust(
         told,
         options=options,
         checks=_checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1]),
+        advice=far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed),
     )
 
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -14,7 +13,6 @@ from camera_models.pose import Pose
 from camera_models.wording import rounded
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.pixel_readings import other_pixels
-from omnilines.adjustment.scene import AdjustedScene
 from omnilines.geometry.sphere import arc_normal
 from omnilines.pipelines.options import JudgeOptions
 from omnilines.posing.readings import Reading, other_readings, rarer_readings
@@ -29,7 +27,6 @@ LEAST_TO_REFUSE = 5
 """Tracks that stand out by chance as often as not where poses are rough: fewer do not tell that nothing fits."""
 MOST_SEGMENTS = 8
 """Of a track, that are looked at."""
-MOST_NAMED = 3
 OTHERS = 10_000
 """Segments of other tracks, that random tracks are made of beside these."""
 ANGLES = tuple(1.1**k for k in range(-20, 21) if k)
@@ -148,27 +145,6 @@ def limits_px(arcs: MatchedArcs, cameras: Sequence[CameraModel], options: JudgeO
     stated = float(arcs.covariance_px2.diagonal(dim1=-2, dim2=-1).median().sqrt()) if arcs.sigma_known else 1.0
     rough = options.rough_px * max(stated, 1.0)
     return rough, max(rough, options.rough_share * max(max(camera.image_size) for camera in cameras))
-
-
-def far_photos(scene: AdjustedScene, options: JudgeOptions) -> tuple[str, ...]:
-    """A sentence where the segments of few photos lie far from their lines, and those of the others do not."""
-    far_px, images = np.abs(scene.residual_px).max(-1), scene.table.arcs.image.numpy()
-    known = np.isfinite(far_px)
-    photos = np.unique(images[known])
-    middle = np.array([np.median(far_px[known & (images == photo)]) for photo in photos])
-    usual = float(np.median(middle)) if len(middle) else 0.0
-    far = np.flatnonzero(middle > np.maximum(options.rough_px, options.far_photo * usual))
-    if not len(far):
-        return ()
-    named = ", ".join(
-        f"{scene.poses.images[photos[k]]} ({rounded(middle[k])} px)" for k in far[np.argsort(-middle[far])][:MOST_NAMED]
-    )
-    more = f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else ""
-    return (
-        f"Half of the segments of {named}{more} lie so far from their lines, of other photos {rounded(usual)} px: check the "
-        "poses of "
-        "these photos, or refine poses.",
-    )
 
 
 def _sample(arcs: MatchedArcs, options: JudgeOptions, seed: int) -> Callable[[MatchedArcs], _Sampled]:

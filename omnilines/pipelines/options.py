@@ -131,7 +131,7 @@ class JudgeOptions(NamedTuple):
     sure: float = 1e-4
     """Probability up to which another reading of the poses is no chance."""
     gain: float = 2.0
-    """Times as much that another reading of the poses has to explain."""
+    """Times as much that another reading of the poses has to explain, and that other photos explain of a photo that is named."""
     stands_out: float = 2.5
     """Times as many standard deviations, beyond chance, that a reading of the poses of photos has to have as any other."""
     beyond_share: float = 0.02

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from calib_patterns import pattern as parse_pattern
-from camera_models import Calibration, CameraModel, InputError
+from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.typed import typed
 from omnilines.files import Photo, PhotoRef, Photos, photos_of
@@ -20,7 +20,7 @@ from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
-from omnilines.pipelines.copies import without_copies
+from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.pipelines.pose_tables import from_table, instants, unit_of_poses
 from omnilines.posing.find_rectangle import BearingArcs
@@ -31,15 +31,13 @@ from omnilines.posing.from_rig import poses_from_rig
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
-from omnilines.posing.sfm import sfm_poses
+from omnilines.posing.sfm import LEAST_PHOTOS, sfm_poses
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import ImagePoses
 
 SOURCES = ("sfm", "rig", "boards")
 SHEET = f"{PREFIX}WIDTHxHEIGHT"
 """In the provenance of a scene's calibration.yaml, and in `--json`."""
-LEAST_PHOTOS = 3
-"""For structure from motion."""
 KEPT = "poses.npz"
 MADE_BY = (
     "camera_models",
@@ -116,8 +114,21 @@ def estimate_poses(
     require_pattern(source, pattern)
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)
-    found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
+    try:
+        found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
+    except GeometryError as error:
+        raise GeometryError(f"{error}{'' if arcs is None else _of_copies(arcs)}") from None
     return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of))
+
+
+def _of_copies(arcs: PhotoArcs) -> str:
+    """What is to be said of them where poses are not found: they are left out, and may be why."""
+    lost = [name for name, reason in arcs.skipped.items() if is_copy(reason)]
+    if not lost:
+        return ""
+    are = "is a copy" if len(lost) == 1 else "are copies"
+    why = f"of {lost[0]} it is said: {arcs.skipped[lost[0]]}"
+    return f" {len(lost)} of {len(arcs.photos)} photos {are} of others and left out; {why}"
 
 
 def kind_of(source: str) -> str:

@@ -71,7 +71,7 @@ class Scene:
     checks: tuple[Check, ...] = ()
     """Figures beside their limits: where one does not hold, the lines are not those of the photos."""
     advice: tuple[Advice, ...] = ()
-    """What photos and stages of matching lose, and what to do."""
+    """What photos and stages of matching lose, or which photos segments do not fit, and what to do."""
     asked: tuple[AskedCamera, ...] = ()
     """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
 

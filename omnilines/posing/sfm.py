@@ -23,6 +23,7 @@ from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.growth import Grown, Matches, grow, start_from
+from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
@@ -31,6 +32,7 @@ from omnilines.records import ImagePoses
 
 OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
 """The note of poses whose unit nothing tells."""
+LEAST_PHOTOS = 3
 MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
 
@@ -73,10 +75,7 @@ def sfm_poses(
     with _own_folder(Path(work_folder)) as folder:
         parts = map_photos(given, folder, seed, progress, options)
     if not parts:
-        raise GeometryError(
-            f"Photos with enough in common to find their poses were expected, found {len(photos)} that COLMAP could not join; "
-            "take more photos with smaller steps between them, or give poses."
-        )
+        raise GeometryError(_not_joined(features, matches, seed, options))
     with one_torch_thread():
         start = start_from(Frames(torch.tensor(frame), rig), parts[0])
         grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
@@ -124,6 +123,23 @@ def _matches(features: Sequence[Features], seed: int, progress: ProgressCallback
     found = on_all_cores(compare, pairs, "comparing photos", progress, MAX_TABLES)
     of_pair = list(zip(pairs, found, strict=True))
     return Matches({pair: clear for pair, (clear, _) in of_pair}, {pair: faint for pair, (_, faint) in of_pair})
+
+
+def _not_joined(features: Sequence[Features], matches: Matches, seed: int, options: PosingOptions) -> str:
+    """Why no photos could be joined, and what to do: nothing has a depth from one place, however much photos overlap."""
+    count = len(features)
+    if count < LEAST_PHOTOS:
+        return f"{LEAST_PHOTOS} photos of one scene or more were expected to find their poses, found {count}; give more."
+    here = len(at_one_place(features, matches.clear, seed, options))
+    if 2 * here > count:
+        return (
+            f"Photos from different places were expected to find their poses, found {here} of {count} at one place, from where "
+            "nothing has a depth: a turn of the camera alone explains what they have in common; move the camera between photos."
+        )
+    return (
+        f"Photos with enough in common to find their poses were expected, found {count} that COLMAP could not join; "
+        "take more photos with smaller steps between them, or give poses."
+    )
 
 
 def _result(

@@ -28,6 +28,8 @@ LEAST_SQUARE, LARGEST_SQUARE = 1e-8, 1e8
 """Beyond these a distance is nothing but rounding, or any."""
 LEAST_CHOICES = 5
 """With fewer that differ nothing can be said of a track."""
+OF_PHOTO, OTHERS, OTHER_CHOICES = 20, 7, 9
+"""Segments of a photo that are looked at; of each, segments of its track in other photos, and choices in its place."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,34 @@ def standing_out(observations: PlaneObservations, image: Int[Tensor, " n"], rows
         return StandOut(0, 0, 1.0, 0.5)
     by_chance = total(1.0 / (1.0 + choices[tells])) / tracks_told
     return StandOut(tracks_told, int((worse[tells] == 0).sum()), by_chance, total(worse[tells] / choices[tells]) / tracks_told)
+
+
+def photo_standing_out(observations: PlaneObservations, image: Int[Tensor, " n"], photo: int, seed: int = 0) -> StandOut:
+    """Of the tracks that a photo shows, those that its own segment fits better than other segments of it do in its place.
+
+    Where its pose, or its name, is of another photo, it is one of them; rough poses, and other photos that are wrong, leave most
+    tracks standing out."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def some(of: Int[Tensor, " k"], most: int) -> Int[Tensor, " m"]:
+        return of[torch.randperm(len(of), generator=generator)[:most]]
+
+    own = torch.nonzero(image == photo).flatten()
+    tried = list[Int[Tensor, "c k"]]()
+    for row in some(own, OF_PHOTO):
+        same = observations.track == observations.track[row]
+        others, choices = some(torch.nonzero(same & (image != photo)).flatten(), OTHERS), some(own[~same[own]], OTHER_CHOICES)
+        if len(others) >= 2 and len(choices) >= LEAST_CHOICES:
+            in_place = torch.cat([row[None], choices])
+            tried.append(torch.cat([in_place[:, None], others.expand(len(in_place), -1)], 1))
+    if not tried:
+        return StandOut(0, 0, 1.0, 0.5)
+    number = torch.cat([torch.full((len(one),), one.shape[1]) for one in tried])
+    track = torch.arange(len(number)).repeat_interleave(number)
+    square = misfit(observations.take(torch.cat([one.flatten() for one in tried]), track, len(number)), seed)
+    better = [float(((one[1:] < one[0]) + 0.5 * (one[1:] == one[0])).mean()) for one in square.split([len(one) for one in tried])]
+    by_chance = sum(1.0 / len(one) for one in tried) / len(tried)
+    return StandOut(len(tried), better.count(0.0), by_chance, sum(better) / len(tried))
 
 
 def _mixed(track: Int[Tensor, "c m"], number: Int[Tensor, "c m"], views: Int[Tensor, " t"]) -> Bool[Tensor, "c t"]:
