@@ -16,8 +16,10 @@ from omnilines.calibration.options import AUTO
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.agreeing_views import fit_agreeing_views, rig_data
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup, alone_camera
+from omnilines.calibration.rig.clock_search import ClockSearch
 from omnilines.calibration.rig.clocks import with_clocks
 from omnilines.calibration.rig.consensus import PosedViews, reflected
+from omnilines.calibration.rig.fewer import state_of
 from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.graph import RigGraph, largest_rig
 from omnilines.calibration.rig.joint import least_squares_rig
@@ -94,14 +96,13 @@ def calibrate_rig(
         thresholds=thresholds,
     )
     seen = _seen_alone(outcome, start, begun.posed, begun.numbers)
-    outcome = with_clocks(outcome, state, seen, asked=time_offsets)
+    outcome = with_clocks(outcome, state, seen, begun.ahead_s, asked=time_offsets)
     if len(outcome.data.cameras) < len(start.cameras):
         # Cameras whose clocks are not told are of the rig no more.
         failures |= outcome.failures
         singles = _single_results(views, cameras, failures, alone, loss, thresholds=thresholds)
         outcome = replace(outcome, failures=failures, singles=singles)
-        members = zip(start.cameras, start.models, strict=True)
-        state = replace(state, models=tuple(model for c, model in members if c in outcome.data.cameras))
+        state = state_of(state, [k for k, c in enumerate(start.cameras) if c in outcome.data.cameras])
     outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
     outcome = loosened(outcome, state, seen)
     return rig_result(without_unsupported_terms(outcome))
@@ -120,6 +121,9 @@ class _Begun:
     """The view of each row of `posed`."""
     start: RigStart
     sign_sources: dict[int, str]
+    ahead_s: dict[int, float] | None
+    """By how much cameras' clocks seem to be ahead of that of the first, beyond what frames are put together by; None where there
+    are no runs of frames that tell."""
 
 
 def _begun(
@@ -147,13 +151,20 @@ def _begun(
     sizes = (len(views.cameras), views.blocks, views.parts)
     order = sorted(alone, key=lambda c: (c in sides, -int((posed.camera == c).sum())))
     graph = largest_rig(posed, sizes, sides, views.tied, trusted, order=order, thresholds=thresholds.rig)
+    clocks, of_start, numbers_of_start = ClockSearch.of(views, posed, numbers, thresholds), posed, numbers
+    ahead_s = None if clocks is None else clocks.offsets_s()
+    if clocks is not None and ahead_s is not None:
+        moved, moved_numbers = clocks.moved(ahead_s)
+        other = largest_rig(moved, sizes, sides, views.tied, trusted, order=order, thresholds=thresholds.rig)
+        if other.size > graph.size:
+            graph, of_start, numbers_of_start = other, moved, moved_numbers
     for c in alone:
         if not bool(graph.cameras[c]):
             failures[c] = _why_left_out(views, graph, c)
-    start = rig_start(graph, posed, numbers, {c: own.model for c, own in alone.items()}, sides, tied=views.tied is not None)
+    start = rig_start(graph, of_start, numbers_of_start, {c: own.model for c, own in alone.items()}, sides, tied=views.tied is not None)
     _require_rig(views, start, failures)
     signs = _sign_sources(alone, sides, by_tags, graph, cameras)
-    return _Begun(alone, failures, options, posed, numbers, start, signs)
+    return _Begun(alone, failures, options, posed, numbers, start, signs, ahead_s)
 
 
 def _seen_alone(outcome: RigOutcome, start: RigStart, posed: PosedViews, numbers: Int[np.ndarray, " p"]) -> SeenAlone:
