@@ -1,9 +1,9 @@
 """Where the search for the offsets of clocks begins: those by which the poses that each camera alone finds agree best.
 
-Seen by cameras of one clock, cam_from_rig = cam_from_board (rig_from_board)^-1 is the same in every instant. Of a camera whose clock
-is ahead by d that holds for its poses at t + d, to which its views are moved along the path of the board in their run. Tried are
-offsets up to half the length of a run, beyond which few instants are common. That one is taken with which the median view is nearest
-to where another camera says (least median of squares, P. Rousseeuw 1984): almost half of the views may be wrong.
+Seen by cameras of one clock, cam_from_rig = cam_from_board (rig_from_board)^-1 is the same in every instant. Of a camera whose
+clock is ahead by d that holds for its poses at t + d, to which its views are moved along the path of the board in their run. Tried
+are offsets up to half the length of a run, beyond which few instants are common. That one is taken with which the median view is
+nearest to where another camera says (least median of squares, P. Rousseeuw 1984): almost half of the views may be wrong.
 """
 
 import math
@@ -51,7 +51,8 @@ class ClockSearch:
         runs = find_runs(views, members, has, middle_m, thresholds.clocks) if len(members) > 1 else None
         return None if runs is None else ClockSearch(posed, numbers, runs, members, thresholds.rig.proposers)
 
-    def offsets_s(self) -> dict[int, float]:
+    @cached_property
+    def ahead_s(self) -> dict[int, float]:
         """By how much each member's clock is ahead of the first one's, beyond what frames are put together by."""
         half = self.runs.degree * STEPS_OF_GAP // 2
         # Small offsets come first and stay where others are no better.
@@ -78,6 +79,13 @@ class ClockSearch:
         middle = torch.as_tensor(self.runs.middle_m)
         pose = pose_along(paths.base[inside], paths.rates[inside], at[inside], middle) @ paths.numbered[inside]
         return replace(paths.views.chosen(inside), cam_from_board=pose), self.numbers[paths.rows[inside].numpy()]
+
+    def clocks_s(self, cameras: tuple[int, ...]) -> Float[Tensor, " m"] | None:
+        """By how much the clock of each of some cameras is ahead of that of the first of them; None where one was not compared."""
+        if not set(cameras) <= set(self.members):
+            return None
+        clock_s = {c: beside_s + self.ahead_s[c] for c, beside_s in zip(self.members, self.runs.beside_s.tolist(), strict=True)}
+        return torch.tensor([clock_s[c] - clock_s[cameras[0]] for c in cameras], dtype=torch.float64)
 
     @cached_property
     def _paths(self) -> "_Paths":
@@ -141,17 +149,17 @@ def _numbered_alike(views: PosedViews, path: Int[Tensor, " v"], tau: Float[Tenso
 
 
 def _common(known: PosedViews, views: PosedViews) -> tuple[Int[Tensor, " n"], Int[Tensor, " n"]]:
-    """Rows of views, the second ones of one camera, that show one board in one instant; of the first ones, that with most corners."""
+    """Rows of views, the second of one camera, that show one board in one instant; of the first ones, that with most corners."""
     order = torch.argsort(known.corners, descending=True, stable=True)
     boards = 1 + max(int(part.board.max()) if len(part) else 0 for part in (known, views))
-    keys = [(part.frame * boards + part.board).numpy() for part in (known.chosen(order), views)]
-    _, first, second = np.intersect1d(*keys, return_indices=True)
+    there, here = ((part.frame * boards + part.board).numpy() for part in (known.chosen(order), views))
+    _, first, second = np.intersect1d(there, here, return_indices=True)
     return order[torch.as_tensor(first)], torch.as_tensor(second)
 
 
 def _apart_squares(known: PosedViews, views: PosedViews, proposers: int) -> float:
-    """How far the median view is from where the known ones say, for the best pose of its camera; with the correction for few views
-    (P. Rousseeuw and A. Leroy 1987)."""
+    """How far the median view is from where the known ones say, for the best pose of its camera; corrected for few views (P.
+    Rousseeuw and A. Leroy 1987)."""
     first, second = _common(known, views)
     if len(second) < 2:
         return math.inf

@@ -5,7 +5,6 @@ stands still in all of them, its corners say nothing of the clocks.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,12 +26,10 @@ DRAWS = 4
 """Of the motion of boards at rest: of many frames each tells nearly the same."""
 
 
-def with_clocks(
-    outcome: RigOutcome, start: RigState, seen: SeenAlone, ahead_s: Mapping[int, float] | None, *, asked: bool
-) -> RigOutcome:
+def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
     """The outcome with an offset of each camera's clock, where that is asked for, or where cameras contradict each other and
     their clocks do by more than chance; else as it is, with a note where clocks were compared. `start` has the models of the
-    cameras alone, and where they stand if their clocks are ahead by `ahead_s`, where that was looked for."""
+    cameras alone, and where they stand with the clocks that it has."""
     if len(outcome.data.cameras) < 2 or not (asked or outcome.worse or outcome.reasons):
         return outcome
     data, limits = outcome.data, outcome.thresholds.clocks
@@ -42,7 +39,7 @@ def with_clocks(
         return _said(outcome, _no_runs(outcome)) if asked else outcome
     apart = _out_of_runs(outcome, runs, posed)
     if not apart:
-        return _compared(outcome, runs, start, seen, ahead_s, asked=asked)
+        return _compared(outcome, runs, start, seen, asked=asked)
     left = [k for k in range(len(data.cameras)) if k not in apart]
     why = [OUT_OF_RUNS.format(count) for count in apart.values()]
     named = tuple(f"Camera {_name(outcome, k)}: {reason}." for k, reason in zip(apart, why, strict=True))
@@ -50,7 +47,7 @@ def with_clocks(
         return replace(outcome, clock_notes=(*outcome.clock_notes, *named))
     fewer = without_members(outcome, apart)
     found = find_runs(fewer.data.views, fewer.data.cameras, posed, runs.middle_m, limits)
-    told = fewer if found is None else _compared(fewer, found, state_of(start, left), seen, ahead_s, asked=asked)
+    told = fewer if found is None else _compared(fewer, found, state_of(start, left), seen, asked=asked)
     if told.data.runs is None:
         return replace(outcome, clock_notes=(*told.clock_notes, *named))
     failures = {data.cameras[k]: reason for k, reason in zip(apart, why, strict=True)}
@@ -70,13 +67,11 @@ def _out_of_runs(outcome: RigOutcome, runs: Runs, posed: Bool[np.ndarray, " a"])
     return {k: count for k, count in enumerate(counts) if count < outcome.thresholds.views.least_views}
 
 
-def _compared(
-    outcome: RigOutcome, runs: Runs, start: RigState, seen: SeenAlone, ahead_s: Mapping[int, float] | None, *, asked: bool
-) -> RigOutcome:
+def _compared(outcome: RigOutcome, runs: Runs, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
     """The outcome with the offsets that the runs tell; `with_clocks` of members that all are in runs."""
     data, limits = outcome.data, outcome.thresholds.clocks
     while True:
-        found = followed_fit(replace(data, runs=runs), outcome, start, seen, ahead_s)
+        found = followed_fit(replace(data, runs=runs), outcome, start, seen)
         if found is None or found.solution.outcome is Outcome.DEGENERATE:
             return _said(outcome, STANDS_STILL)
         timed = replace(found.outcome(outcome, seen), clock_notes=())

@@ -40,4 +40,7 @@ def state_of(state: RigState, left: list[int]) -> RigState:
     first = state.cam_from_rig[left[0]]
     in_first = Pose.stack([state.cam_from_rig[k] @ first.inverse() for k in left])
     models = tuple(state.models[k] for k in left)
-    return replace(state, models=models, cam_from_rig=in_first, rig_from_target=first @ state.rig_from_target)
+    path = state.path
+    if path is not None:
+        path = replace(path, offset_s=path.offset_s[left] - path.offset_s[left[0]], line_delay_s=path.line_delay_s[left])
+    return replace(state, models=models, cam_from_rig=in_first, rig_from_target=first @ state.rig_from_target, path=path)

@@ -1,6 +1,5 @@
 """The fit of a rig whose board is followed through runs of frames: from where it begins, and which views fit it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,24 +40,20 @@ class Followed:
         return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=lost)
 
 
-def followed_fit(
-    data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone, ahead_s: Mapping[int, float] | None = None
-) -> Followed | None:
+def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> Followed | None:
     """The rig of the views in runs; None where too few are left.
 
-    It begins where the outcome is, with its clocks or, where it has none, with those by which frames are put together; and at
-    `start` with the clocks of the table's cameras ahead by `ahead_s` of that. The more likely fit is taken.
+    It begins where the outcome is, with its clocks. Where that has none, it begins there with those by which frames are put
+    together, and at `start` with the clocks that this has; the more likely fit is taken.
     """
     assert data.runs is not None
     chosen = _followable(data, seen, np.union1d(np.fromiter(seen.cam_from_board, dtype=int), outcome.fit.views))
     if not len(chosen):
         return None
-    beside_s = _clocks_s(data, outcome)
-    states = [_begun(data, outcome.fit.state, start, beside_s, seen, chosen)]
-    if ahead_s is not None:
-        later_s = torch.tensor([ahead_s.get(c, 0.0) - ahead_s.get(data.cameras[0], 0.0) for c in data.cameras], dtype=torch.float64)
-        free = torch.as_tensor(data.runs.free)
-        states.append(_begun(data, start, start, beside_s + later_s * free, seen, chosen))
+    rigs = [outcome.fit.state]
+    if outcome.fit.state.path is None and start.path is not None:
+        rigs.append(start)
+    states = [_begun(data, rig, start, seen, chosen) for rig in rigs]
     loss = "cauchy" if outcome.rejects else "none"
     fits = [robust_rig_fit(data, chosen, state, loss, outcome.thresholds) for state in states]
     fit = min(fits, key=lambda one: _unlikelihood(one.problem.linearise(one.state).residual))
@@ -107,21 +102,7 @@ def _followable(data: RigData, seen: SeenAlone, views: Int[np.ndarray, " w"]) ->
     return usable[enough[runs.run[usable]]]
 
 
-def _clocks_s(data: RigData, outcome: RigOutcome) -> Float[Tensor, " m"]:
-    """Those of the outcome, or by which frames are put together."""
-    runs, known = data.runs, outcome.solution.state.path
-    assert runs is not None
-    return torch.as_tensor(runs.beside_s) if known is None else known.offset_s
-
-
-def _begun(
-    data: RigData,
-    rig: RigState,
-    start: RigState,
-    offset_s: Float[Tensor, " m"],
-    seen: SeenAlone,
-    chosen: Int[np.ndarray, " v"],
-) -> RigState:
+def _begun(data: RigData, rig: RigState, start: RigState, seen: SeenAlone, chosen: Int[np.ndarray, " v"]) -> RigState:
     """A rig with the cameras' own models, those of `start`, its board followed through where each camera alone sees it."""
     runs = data.runs
     assert runs is not None
@@ -131,6 +112,9 @@ def _begun(
     poses = Pose.stack([seen.cam_from_board[int(v)] for v in posed])
     target = rig.cam_from_rig[member].inverse() @ poses @ rig.target_from_board[board].inverse()
     times, run = runs.times(posed, None), torch.as_tensor(runs.run[posed])
+    offset_s = torch.as_tensor(runs.beside_s)
+    if rig.path is not None:
+        offset_s = torch.where(torch.as_tensor(runs.free), rig.path.offset_s, offset_s)
     delay_s = torch.zeros_like(offset_s) if data.readout is None else torch.as_tensor(data.readout.start_s)
     clocks = Path(torch.zeros(runs.count, runs.degree, 6, dtype=torch.float64), offset_s, delay_s)
     base, rates = followed(target, run, times.tau(clocks, member), runs.count, runs.degree, times.middle_m)
