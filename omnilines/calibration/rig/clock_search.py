@@ -1,9 +1,9 @@
 """Where the search for the offsets of clocks begins: those by which the poses that each camera alone finds agree best.
 
 Seen by cameras of one clock, cam_from_rig = cam_from_board (rig_from_board)^-1 is the same in every instant. Of a camera whose
-clock is ahead by d that holds for its poses at t + d, to which its views are moved along the path of the board in their run. Tried
-are offsets up to half the length of a run, beyond which few instants are common. That one is taken with which the median view is
-nearest to where another camera says (least median of squares, P. Rousseeuw 1984): almost half of the views may be wrong.
+clock is ahead by d that holds for its poses at t + d, to which its views are moved along the path of the board in their run.
+Tried are offsets up to half the length of a run, beyond which few instants are common. That one is taken with which the median
+view is nearest to where another camera says (least median of squares, P. Rousseeuw 1984): almost half of the views may be wrong.
 """
 
 import math
@@ -81,7 +81,7 @@ class ClockSearch:
         return replace(paths.views.chosen(inside), cam_from_board=pose), self.numbers[paths.rows[inside].numpy()]
 
     def clocks_s(self, cameras: tuple[int, ...]) -> Float[Tensor, " m"] | None:
-        """By how much the clock of each of some cameras is ahead of that of the first of them; None where one was not compared."""
+        """By how much the clock of each of some cameras is ahead of that of the first; None where one was not compared."""
         if not set(cameras) <= set(self.members):
             return None
         clock_s = {c: beside_s + self.ahead_s[c] for c, beside_s in zip(self.members, self.runs.beside_s.tolist(), strict=True)}

@@ -8,11 +8,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path, followed
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.seen_alone import SeenAlone
+from omnilines.calibration.robust import LEAST_SCALE_PX
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
 
@@ -30,14 +32,14 @@ class Followed:
     fit: RigFit
     solution: Solution[RigState]
     notes: tuple[str, ...]
-    lost: tuple[int, ...]
-    """Views that do not fit."""
 
     def outcome(self, before: RigOutcome, seen: SeenAlone) -> RigOutcome:
         """The outcome `before` with this in its place."""
-        out = np.setdiff1d(np.fromiter(seen.cam_from_board, dtype=int), self.fit.views).tolist()
-        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(self.lost, MISFIT)
-        return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=lost)
+        posed = np.concatenate([before.alone[c].views for c in self.data.cameras])
+        out = np.setdiff1d(posed, self.fit.views)
+        lost = np.isin(out, _followable(self.data, seen, posed))
+        reasons = {int(v): MISFIT if one else NOT_FOLLOWED for v, one in zip(out, lost, strict=True)}
+        return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=reasons)
 
 
 def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> Followed | None:
@@ -57,35 +59,33 @@ def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: Seen
     loss = "cauchy" if outcome.rejects else "none"
     fits = [robust_rig_fit(data, chosen, state, loss, outcome.thresholds) for state in states]
     fit = min(fits, key=lambda one: _unlikelihood(one.problem.linearise(one.state).residual))
-    lost = np.zeros(0, dtype=int)
-    if outcome.rejects:
-        found = _of_fitting_views(data, seen, fit, outcome.thresholds)
-        if found is None:
-            return None
-        fit, lost = found, np.setdiff1d(chosen, found.views)
-    data, fit, solution, notes = least_squares_rig(data, fit, loss)
-    return Followed(data, fit, solution, notes, tuple(lost.tolist()))
+    fitting = _of_fitting_views(data, seen, fit, outcome.thresholds) if outcome.rejects else fit
+    return None if fitting is None else Followed(*least_squares_rig(data, fitting, loss))
 
 
 def _of_fitting_views(data: RigData, seen: SeenAlone, fit: RigFit, thresholds: CalibrationThresholds) -> RigFit | None:
     """The robust fit of the views of the runs that it predicts, until these are the ones that it is of; None where too few are.
 
-    A view that was lost comes back where the fit of the others predicts it; after the second time it stays out.
+    What is near is told by the views that are chosen at first, whichever stay: were it told by those that stay, less and less
+    would be near where shutters jitter. A view that was lost comes back where the fit of the others predicts it; after the
+    second time it stays out.
     """
-    runs = data.runs
+    runs, limits = data.runs, thresholds.robust
     assert runs is not None
-    every = np.flatnonzero((runs.run >= 0) & np.isin(data.views.part, data.boards))
-    points, every, _ = data.points(every)
+    points, every, rows = data.points(np.flatnonzero((runs.run >= 0) & np.isin(data.views.part, data.boards)))
+    of_scale = torch.as_tensor(np.isin(rows, fit.rows))
     count, losses = torch.bincount(points.view, minlength=len(every)), np.zeros(len(every), dtype=int)
     while True:
-        limit = thresholds.robust.reject_sigma * fit.scale
-        near = (fit.state.residual_px(points) * points.weight[:, None]).norm(dim=-1) <= limit
+        residual = (fit.state.residual_px(points) * points.weight[:, None]).nan_to_num(torch.inf)
+        scale = max(robust_scale_px(residual[of_scale], limits.many_unknowns_share), LEAST_SCALE_PX)
+        near = residual.norm(dim=-1) <= limits.reject_sigma * scale
         share = torch.bincount(points.view, near.to(torch.float64), minlength=len(every)) / count
         good = (share >= LEAST_SHARE).numpy()
         losses += ~good & np.isin(every, fit.views)
         chosen = _followable(data, seen, every[good & (losses < 2)])
         if np.array_equal(chosen, np.sort(fit.views)):
-            return fit
+            kept = np.isin(fit.rows, rows[near.numpy()])
+            return replace(fit, kept=torch.as_tensor(kept), scale=scale)
         if not len(chosen):
             return None
         fit = robust_rig_fit(data, chosen, fit.state, "cauchy", thresholds)
