@@ -160,8 +160,8 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
 
 
 SEEN_ALONE = (
-    "Calibrate each camera alone and compare. Check that frames of one name are of the same instant, or give videos, by which clocks "
-    "are compared."
+    "Calibrate each camera alone and compare. Check that frames of one name are of the same instant, or give videos, by which "
+    "clocks are compared."
 )
 
 

@@ -98,8 +98,8 @@ def _verdict(result: RigCalibration) -> str:
     least, against = others[int(np.argmax(spread))], result.against_alone
     if against.unknown:
         return (
-            f"{len(result.members)} cameras: where they stand is not known, as {against.rejected} of {against.fitted} views that "
-            "fit their camera alone do not fit the rig."
+            f"{len(result.members)} cameras: where they stand is not known, as {against.rejected} of {against.fitted} views "
+            "that fit their camera alone do not fit the rig."
         )
     doubt = f" But: {against.notes[0]}" if against.notes else ""
     return (

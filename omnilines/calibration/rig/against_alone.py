@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -14,6 +14,7 @@ from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.followed import NOT_FOLLOWED
+from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.least_squares import Outcome
 
@@ -26,9 +27,10 @@ class AgainstAlone:
     """What of the cameras alone contradicts their rig."""
 
     fitted: int
-    """Views that fit their camera alone and that the rig could hold."""
+    """Views that fit their camera alone and by which the rig could tie it to others: these see the board at once, or in the same
+    run of frames."""
     rejected: int
-    """Those of them that do not fit the rig."""
+    """Those of them that do not: they do not fit the rig, or no other camera's view does then."""
     sigmas: dict[str, float]
     """By how many standard deviations the parameters of a camera differ from those that all its views alone give, as a normal
     variable of the same probability; of cameras where that is more than chance."""
@@ -46,8 +48,8 @@ class AgainstAlone:
         found = []
         if self.rejected > self.many_share * self.fitted:
             found.append(
-                f"{self.rejected} of {self.fitted} views that fit their camera alone do not fit the rig: frames are of other "
-                "instants, boards are numbered wrongly, or the cameras do not stand as it says; look at these views before you "
+                f"{self.rejected} of {self.fitted} views that fit their camera alone do not tie it to the others, as they do not "
+                "fit the rig: frames are of other instants, boards are numbered wrongly, or the cameras do not stand as it says; look at these views before you "
                 "use it."
             )
         for name, sigmas in self.sigmas.items():
@@ -64,8 +66,9 @@ def against_alone(outcome: RigOutcome, covariance: Float[Tensor, "k k"]) -> Agai
     data = outcome.data
     used = np.unique(outcome.fit.points.view[outcome.fit.kept].numpy())
     posed = np.concatenate([outcome.alone[c].views for c in data.cameras])
-    held = np.array([outcome.reasons.get(int(v)) != NOT_FOLLOWED for v in posed])
-    rejected = held & ~np.isin(posed, outcome.fit.views[used])
+    followed = np.array([outcome.reasons.get(int(v)) != NOT_FOLLOWED for v in posed])
+    sharing = _sharing(data, posed[followed])
+    tied = np.intersect1d(sharing, _sharing(data, outcome.fit.views[used]))
     sigmas, low = {}, 0
     for k, c in enumerate(data.cameras):
         high = low + len(outcome.solution.state.models[k].parameters)
@@ -74,12 +77,19 @@ def against_alone(outcome: RigOutcome, covariance: Float[Tensor, "k k"]) -> Agai
             sigmas[data.views.cameras[c]] = found
         low = high
     share = outcome.thresholds.views.many_rejected_share
-    return AgainstAlone(int(held.sum()), int(rejected.sum()), sigmas, share)
+    return AgainstAlone(len(sharing), len(sharing) - len(tied), sigmas, share)
+
+
+def _sharing(data: RigData, views: Int[np.ndarray, " v"]) -> Int[np.ndarray, " w"]:
+    """Those of some views whose instant, or run of frames, another camera sees in one of them."""
+    seen = np.unique(np.stack([data.block[views], data.views.camera[views]]), axis=1)[0]
+    blocks, cameras = np.unique(seen, return_counts=True)
+    return views[np.isin(data.block[views], blocks[(cameras > 1) & (blocks >= 0)])]
 
 
 def _sigmas(outcome: RigOutcome, member: int, covariance: Float[Tensor, "p p"]) -> float | None:
-    """`AgainstAlone.sigmas` of a member; None where the difference may be chance, or rows of images have times of their own, which
-    they have not alone."""
+    """`AgainstAlone.sigmas` of a member; None where the difference may be chance, or rows of images have times of their own,
+    which they have not alone."""
     data, basis, c = outcome.data, outcome.data.bases[member], outcome.data.cameras[member]
     if data.readout is not None or not basis.shape[1] or len(data.cameras) < 2:
         return None
