@@ -49,8 +49,8 @@ class AgainstAlone:
         if self.rejected > self.many_share * self.fitted:
             found.append(
                 f"{self.rejected} of {self.fitted} views that fit their camera alone do not tie it to the others, as they do not "
-                "fit the rig: frames are of other instants, boards are numbered wrongly, or the cameras do not stand as it says; look at these views before you "
-                "use it."
+                "fit the rig: frames are of other instants, boards are numbered wrongly, or the cameras do not stand as it says; "
+                "look at these views before you use it."
             )
         for name, sigmas in self.sigmas.items():
             found.append(

@@ -176,9 +176,14 @@ def _why_left_out(views: RigViews, graph: RigGraph, camera: int) -> str:
             f"it sees no board that another camera sees, and its {len(common)} common frames with the others do not tell where "
             "it stands: that takes four or more in which the rig, or the boards, are turned by 5 degrees or more about two axes"
         )
+    clocks = (
+        "their times do not tell an offset of clocks either"
+        if views.corners.times_s is not None
+        else "of cameras that run freely give videos, or a table with a column time_s, by which their clocks are compared"
+    )
     return (
         f"its {len(common)} common frames with the others do not agree on where it stands; check that frames are of the same "
-        "instant and see more of the board in both cameras"
+        f"instant ({clocks}) and that boards are numbered alike"
     )
 
 
