@@ -14,12 +14,19 @@ import omnilines as ol
 from calib_patterns import pattern
 from camera_models import InputError, OpenCVFisheye
 from camera_models.pose import Pose, rotation_from_vector
-from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig import calibrate
+from omnilines.calibration.rig.against_alone import against_alone
+from omnilines.calibration.rig.alone import CameraSetup, alone_camera
 from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.clock_search import STEPS_OF_GAP, ClockSearch
+from omnilines.calibration.rig.finish import rig_result
+from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path as BoardPath
 from omnilines.calibration.rig.path import ViewTimes, moved_run, path_derivatives, pose_along
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.rig.views import views_of
+from omnilines.calibration.rig.start import ViewNumberings, numberings_of, posed_views
+from omnilines.calibration.rig.views import RigViews, views_of
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.files import read_rig_corners, write_corners
 
 OFFSET_S = 0.0137
@@ -131,6 +138,74 @@ def test_a_camera_out_of_runs_is_named_and_the_others_are_compared() -> None:
     assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
     assert abs(second.time_offset_s - OFFSET_S) < 4 * second.time_offset_sigma_s < 2e-4
     assert pose_error(result) < 28
+
+
+@pytest.mark.parametrize("offset_s", [0.05, -0.05])
+def test_offsets_beyond_a_frame_are_found_and_keep_the_views(offset_s: float) -> None:
+    """One and a half gaps between frames: no two frames of one name agree on where the cameras stand."""
+    corners = noisy(seen_freely(HandMotion(2), (0.0, offset_s), runs=8), NOISE_PX, 1)
+    result = calibrate_rig(corners, SETUPS)
+    second = result.members[1]
+    assert second.time_offset_s is not None and second.time_offset_sigma_s is not None
+    assert abs(second.time_offset_s - offset_s) < 4 * second.time_offset_sigma_s < 1e-3
+    assert pose_error(result) < 28
+    assert sum(view.used for view in result.views) > 0.9 * len(result.views)
+    assert not result.against_alone.notes
+
+
+def test_the_search_begins_within_a_step_of_the_offset() -> None:
+    offsets_s = {"cam0": 0.0, "cam1": 0.041, "cam2": -0.027}
+    models = (*MODELS, FISHEYE_220)
+    poses = Pose.stack([*CAM_FROM_RIG, Pose.exp(torch.tensor([0.02, -0.1, 0.0, -0.15, 0.0, 0.02], dtype=torch.float64))])
+    table = seen_freely(HandMotion(3), tuple(offsets_s.values()), runs=8, models=models, cam_from_rig=poses)
+    setups = {name: CameraSetup(model.image_size, model.NAME) for name, model in zip(offsets_s, models, strict=True)}
+    views, limits = RigViews.of(noisy(table, NOISE_PX, 1), tuple(offsets_s), "fixed"), CalibrationThresholds()
+    alone = {
+        c: alone_camera(*views.of_camera(c)[:2], setup, "cauchy", limits, callback=None)
+        for c, setup in enumerate(setups.values())
+    }
+    posed, numbers = posed_views(ViewNumberings(views, numberings_of(views), frozenset()), alone)
+    search = ClockSearch.of(views, posed, numbers, limits)
+    assert search is not None
+    found_s = search.clocks_s((0, 1, 2))
+    assert found_s is not None
+    step_s = search.runs.gap_s / STEPS_OF_GAP
+    assert np.abs(found_s.numpy() - list(offsets_s.values())).max() < 1.5 * step_s
+    # Seen from another camera first, and of cameras that were not compared.
+    from_second_s = search.clocks_s((1, 2))
+    assert from_second_s is not None and torch.allclose(from_second_s, found_s[1:] - found_s[1])
+    assert search.clocks_s((0, 3)) is None
+
+
+def test_a_rig_that_most_views_contradict_is_not_said_to_be_known() -> None:
+    """Frames of the second camera are named wrongly in most runs, and nothing tells when they were taken."""
+    corners = noisy(seen_freely(HandMotion(2), (0.0, 0.0), runs=12), NOISE_PX, 1)
+    assert corners.cameras is not None and corners.frames is not None
+    frames = list(corners.frames)
+    own = [v for v, name in enumerate(corners.cameras) if name == "cam1" and int(frames[v]) >= 240]
+    for v, frame in zip(own, [frames[v] for v in own[7:] + own[:7]], strict=True):
+        frames[v] = frame
+    result = calibrate_rig(replace(corners, frames=tuple(frames), times_s=None), SETUPS)
+    against = result.against_alone
+    assert against.unknown and against.rejected > 0.6 * against.fitted
+    assert against.notes[0].startswith(f"{against.rejected} of {against.fitted} views that fit their camera alone do not tie it")
+    assert against.notes[0] in result.notes
+
+
+def test_parameters_that_a_camera_alone_contradicts_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes: list[RigOutcome] = []
+    monkeypatch.setattr(calibrate, "rig_result", lambda outcome: outcomes.append(outcome) or rig_result(outcome))
+    result = calibrate_rig(noisy(seen_freely(HandMotion(2), (0.0, 0.0), runs=6), NOISE_PX, 1), SETUPS)
+    assert not result.against_alone.sigmas
+    (outcome,) = outcomes
+    state, covariance = outcome.solution.state, torch.as_tensor(result.members[0].covariance)
+    along = covariance[:, 0] / covariance[0, 0].sqrt()
+    for times, named in ((1.0, False), (15.0, True)):
+        models = (state.models[0].with_parameters(state.models[0].parameters + times * along), state.models[1])
+        moved = replace(outcome, solution=replace(outcome.solution, state=replace(state, models=models)))
+        found = against_alone(moved, torch.as_tensor(result.covariance))
+        assert list(found.sigmas) == (["cam0"] if named else [])
+        assert any("Camera cam0: its parameters in the rig differ by" in note for note in found.notes) == named
 
 
 def test_what_has_no_times_is_refused() -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -13,6 +14,7 @@ import torch
 from rig_views import BOARD, RigScene, boards_at, looking_along, mixed_rig, outward_rig
 from table_checks import read_npz
 
+import omnilines as ol
 from calib_patterns import pattern
 from calib_patterns.rendering import graded_background, render_target
 from camera_models import InputError, OpenCVFisheye, load, save
@@ -20,8 +22,9 @@ from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.cli.values import parse_each
 from omnilines.files import is_rig_table, read_corners, read_rig_corners, write_corners
+from omnilines.pages.rig_figures import rig_summaries
 from omnilines.pipelines.detect_rig import is_rig
-from omnilines.pipelines.rig_corners import frame_of
+from omnilines.pipelines.rig_corners import RigCorners, frame_of
 
 SIZES = "cam0=1280x960,cam1=1020x1000,cam2=640x480"
 MODELS = "cam0=pinhole,cam1=opencv-fisheye,cam2=scaramuzza"
@@ -113,6 +116,27 @@ def test_left_out_camera_has_a_file_of_its_own(tmp_path, capsys):
     assert list(load(out / "calibration.yaml").rig) == ["cam0", "cam1", "cam3"]
     alone = load(out / "calibration-cam2.yaml")
     assert not alone.rig and abs(float(next(iter(alone.values())).parameters[0] - rig.models[2].parameters[0])) < 1
+
+
+def test_a_camera_that_never_sees_the_board_is_left_out_by_name(tmp_path):
+    """Noise in the photos of one camera; the corners of the others are as if found beside them."""
+    board, lens = pattern("checkerboard:7x5:30mm"), OpenCVFisheye([200.0, 200.0, 199.5, 149.5, 0.0, 0.0, 0.0, 0.0], (400, 300))
+    middle = Pose(torch.eye(3, dtype=torch.float64), torch.tensor([0.0, 0.0, 0.35]) - torch.as_tensor(board.points_m.mean(0)))
+    for name in ("blind", "left"):
+        (tmp_path / name).mkdir()
+        noise = np.random.default_rng(0).integers(0, 255, (300, 400), dtype=np.uint8)
+        photo = noise if name == "blind" else render_target(board, lens, middle, supersample=2)
+        cv2.imwrite(str(tmp_path / name / "0.png"), photo)
+    seen = ol.detect_rig(tmp_path, board.specification)
+    assert list(seen.image_sizes) == ["left"] and list(seen.blind) == ["blind"]
+    rig = outward_rig(24)
+    sizes = {f"cam{c}": model.image_size for c, model in enumerate(rig.models)}
+    found = replace(RigCorners.of_table(rig.noisy(0.1, 1), sizes), blind=seen.blind)
+    result = ol.calibrate_rig(found, model="opencv-fisheye")
+    assert result.fit.left_out == dict(seen.blind)
+    summary = rig_summaries(result)[0]
+    assert ("left out", "blind") in summary.rows
+    assert any(advice.limit.startswith("Camera blind is not of the rig: ") for advice in summary.advice)
 
 
 def rendered(

@@ -164,6 +164,7 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
     for name, reason in result.left_out.items():
         do = f"Hold a board where {name} and {result.members[0].name} see it at the same instant, in a few frames."
         found.append(Advice(f"Camera {name} is not of the rig: {reason.rstrip('.')}.", do))
+    found += [Advice(note, SEEN_ALONE) for note in result.against_alone.notes]
     found += _worse_than_alone(result) or _noise_of_the_worst(result)
     if result.weakest is not None:
         found.append(_of_link(result, result.weakest))
@@ -171,6 +172,12 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
         name, least = max(views.items(), key=lambda one: one[1].worst_px)
         found.append(Advice(f"{name}: {' '.join(least.limits)}", next_photo(least, f"with {name}, ")))
     return tuple(found)
+
+
+SEEN_ALONE = (
+    "Calibrate each camera alone and compare. Check that frames of one name are of the same instant, or give videos, by which "
+    "clocks are compared."
+)
 
 
 def _worse_than_alone(result: RigCalibration) -> list[Advice]:

@@ -95,10 +95,16 @@ def _verdict(result: RigCalibration) -> str:
         return f"Only {one.name} could be calibrated. {known}" if result.left_out else known
     spread = [max(0.0, np.linalg.eigvalsh(centre_covariance(one.cam_from_rig, one.pose_covariance))[-1]) for one in others]
     turn = [max(0.0, np.linalg.eigvalsh(one.pose_covariance[:3, :3])[-1]) for one in others]
-    least = others[int(np.argmax(spread))]
+    least, against = others[int(np.argmax(spread))], result.against_alone
+    if against.unknown:
+        return (
+            f"{len(result.members)} cameras: where they stand is not known, as {against.rejected} of {against.fitted} views "
+            "that fit their camera alone do not fit the rig."
+        )
+    doubt = f" But: {against.notes[0]}" if against.notes else ""
     return (
         f"{len(result.members)} cameras: each is known to stand within {figure(1e3 * math.sqrt(max(spread)), '.2g')} mm and "
-        f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least)."
+        f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least).{doubt}"
     )
 
 

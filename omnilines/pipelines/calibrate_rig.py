@@ -262,7 +262,8 @@ def calibrate_rig(
         replace(view, remarks=(*view.remarks, remarks[view.name])) if view.used and view.name in remarks else view
         for view in result.views
     )
-    result = replace(result, views=views + found.skipped, notes=found.notes + result.notes)
+    left_out = {**result.left_out, **found.blind}
+    result = replace(result, views=views + found.skipped, notes=found.notes + result.notes, left_out=left_out)
     return RigResult(result, found, rig_record(result, found.inputs), setup.options.shooting)
 
 

@@ -76,7 +76,7 @@ def detect_rig(
     boards = [parse_pattern(text) for text in specs]
     by_camera = _by_camera(photos, camera)
     several = len(boards) > 1
-    found: list[CameraCorners] = []
+    found, blind = list[CameraCorners](), dict[str, str]()
     notes = [] if camera is not None else list(_mismatches(by_camera))
     every = [photo for own in by_camera.values() for photo in own]
     for k, board in enumerate(boards):
@@ -93,6 +93,7 @@ def detect_rig(
                 found.append(CameraCorners(name, looked))
             except InputError as error:
                 notes.append(f"Camera {name}: {error}")
+                blind[name] = str(error).rstrip(".")
     folder = Path(photos) if isinstance(photos, str | Path) else None if isinstance(photos, Mapping) else photo_folder(every)
     if not found:
         where = "" if folder is None else f" in {folder}"
@@ -105,6 +106,7 @@ def detect_rig(
         photo_folder=folder,
         inputs={"photos": folder or IN_MEMORY, "pattern": ",".join(board.specification for board in boards)},
         notes=tuple(notes),
+        blind={name: reason for name, reason in blind.items() if name not in {item.camera for item in found}},
     )
 
 

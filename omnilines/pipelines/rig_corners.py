@@ -51,6 +51,8 @@ class RigCorners:
     """What they were made from, for the provenance of results."""
     skipped: tuple[ViewResult, ...] = ()
     notes: tuple[str, ...] = ()
+    blind: Mapping[str, str] = field(default_factory=dict)
+    """Cameras in whose photos nothing was found, and why."""
     cameras: tuple[CameraCorners, ...] = ()
     """One by one; none where the corners are from a table."""
     times_s: Mapping[str, float] = field(default_factory=dict)

@@ -66,9 +66,9 @@ def fit_agreeing_views(
     thresholds: CalibrationThresholds,
     callback: Callable[[Progress], None],
 ) -> tuple[RigData, RigFit, dict[int, str]]:
-    """The robust fit, first of the views that agree with the start, then with those that the fit predicts; and why views of the
-    rig were left out."""
-    views, reasons = data.views, dict[int, str]()
+    """The robust fit, first of the views that agree with the start, then with those that the fit predicts, once more those among
+    them that were lost on the way; and why views of the rig were left out."""
+    views, reasons, returned = data.views, dict[int, str](), np.zeros(0, dtype=int)
     chosen = np.array(sorted(start.board_from_numbered))
     handed = {data.cameras.index(int(views.camera[v])): bool(m.rotation[2, 2] < 0) for v, m in start.board_from_numbered.items()}
     found: dict[int, Pose] | None = None
@@ -84,9 +84,29 @@ def fit_agreeing_views(
             found = adopted_views(data, state, options, handed, candidates.tolist(), agreeing_squares=squares)
             reasons |= dict.fromkeys(np.setdiff1d(candidates, list(found)).tolist(), ELSEWHERE)
         if not len(lost) and not found:
-            return data, fit, reasons
+            misfits = [v for v, reason in reasons.items() if reason == MISFIT]
+            back = _predicted(data, fit, np.setdiff1d(misfits, returned).astype(int), thresholds)
+            if not len(back):
+                return data, fit, reasons
+            reasons = {v: reason for v, reason in reasons.items() if v not in back}
+            chosen, returned = np.union1d(chosen, back), np.union1d(returned, back)
+            continue
         data = _numbered(data, found)
         chosen = np.union1d(np.setdiff1d(chosen, lost), np.array(list(found), dtype=chosen.dtype))
+
+
+def _predicted(
+    data: RigData, fit: RigFit, lost: Int[np.ndarray, " l"], thresholds: CalibrationThresholds
+) -> Int[np.ndarray, " b"]:
+    """Of the lost views those in frames of the fit of which it has most corners where they are seen."""
+    lost = lost[np.isin(data.views.block[lost], data.views.block[fit.views])]
+    if not len(lost):
+        return lost
+    points, lost, _ = data.points(lost)
+    off = (fit.state.residual_px(points) * points.weight[:, None]).norm(dim=-1)
+    near = (off <= thresholds.robust.reject_sigma * fit.scale).to(torch.float64)
+    share = torch.bincount(points.view, near) / torch.bincount(points.view)
+    return lost[(share >= 0.5).numpy()]
 
 
 def _candidates(data: RigData, good: Int[np.ndarray, " g"], tried: Int[np.ndarray, " t"]) -> Int[np.ndarray, " c"]:

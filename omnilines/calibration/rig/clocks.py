@@ -5,55 +5,31 @@ stands still in all of them, its corners say nothing of the clocks.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.stats import chi2
 from torch import Tensor
 
-from camera_models.pose import Pose
-from omnilines.calibration.rig.fewer import without_members
-from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
+from omnilines.calibration.rig.fewer import state_of, without_members
+from omnilines.calibration.rig.followed import followed_fit
 from omnilines.calibration.rig.outcome import RigOutcome
-from omnilines.calibration.rig.path import Path, followed
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.runs import Runs, find_runs
 from omnilines.calibration.rig.seen_alone import SeenAlone
-from omnilines.least_squares import Outcome, Solution, solve
+from omnilines.least_squares import Outcome, solve
 
-NOT_FOLLOWED = "it is not in a run of consecutive frames in which the board is seen, by which its motion is followed"
-MISFIT = "more than half of its corners are not where the board's motion takes them (wrong frame, detection or numbering)"
 ITERATIONS = 30
 DRAWS = 4
 """Of the motion of boards at rest: of many frames each tells nearly the same."""
-LEAST_SHARE = 0.5
-"""Of the corners of a view that fit, for it to stay."""
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """A rig whose board is followed through runs."""
-
-    data: RigData
-    fit: RigFit
-    solution: Solution[RigState]
-    notes: tuple[str, ...]
-    lost: tuple[int, ...]
-    """Views that do not fit."""
-
-    def outcome(self, before: RigOutcome, seen: SeenAlone) -> RigOutcome:
-        """The outcome `before` with this in its place."""
-        out = np.setdiff1d(np.fromiter(seen.cam_from_board, dtype=int), self.fit.views).tolist()
-        lost = dict.fromkeys(out, NOT_FOLLOWED) | dict.fromkeys(self.lost, MISFIT)
-        return replace(before, data=self.data, fit=self.fit, solution=self.solution, notes=self.notes, reasons=lost)
 
 
 def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked: bool) -> RigOutcome:
     """The outcome with an offset of each camera's clock, where that is asked for, or where cameras contradict each other and
     their clocks do by more than chance; else as it is, with a note where clocks were compared. `start` has the models of the
-    cameras alone."""
+    cameras alone, and where they stand with the clocks that it has."""
     if len(outcome.data.cameras) < 2 or not (asked or outcome.worse or outcome.reasons):
         return outcome
     data, limits = outcome.data, outcome.thresholds.clocks
@@ -71,8 +47,7 @@ def with_clocks(outcome: RigOutcome, start: RigState, seen: SeenAlone, *, asked:
         return replace(outcome, clock_notes=(*outcome.clock_notes, *named))
     fewer = without_members(outcome, apart)
     found = find_runs(fewer.data.views, fewer.data.cameras, posed, runs.middle_m, limits)
-    models = replace(start, models=tuple(start.models[k] for k in left))
-    told = fewer if found is None else _compared(fewer, found, models, seen, asked=asked)
+    told = fewer if found is None else _compared(fewer, found, state_of(start, left), seen, asked=asked)
     if told.data.runs is None:
         return replace(outcome, clock_notes=(*told.clock_notes, *named))
     failures = {data.cameras[k]: reason for k, reason in zip(apart, why, strict=True)}
@@ -205,50 +180,3 @@ def moving_share(timed: RigOutcome) -> Float[Tensor, " k"]:
         still = solve(problem, replace(state, path=replace(state.path, rates=rates)), max_iterations=0)
         resting += 1 / still.kept_covariance().diagonal()[-clocks:] / DRAWS
     return 1 - resting * timed.solution.kept_covariance().diagonal()[-clocks:]
-
-
-def followed_fit(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone) -> Followed | None:
-    """The rig of the views in runs; None where too few are left."""
-    lost: tuple[int, ...] = ()
-    while True:
-        chosen = _chosen(data, outcome, seen, lost)
-        if not len(chosen):
-            return None
-        state = _begun(data, outcome, start, seen, chosen)
-        loss = "cauchy" if outcome.rejects else "none"
-        fit = robust_rig_fit(data, chosen, state, loss, outcome.thresholds)
-        more = fit.views[(fit.share_kept < LEAST_SHARE).numpy()].tolist() if outcome.rejects else []
-        if more:
-            lost += tuple(more)
-            continue
-        data, fit, solution, notes = least_squares_rig(data, fit, loss)
-        return Followed(data, fit, solution, notes, lost)
-
-
-def _chosen(data: RigData, outcome: RigOutcome, seen: SeenAlone, lost: tuple[int, ...]) -> Int[np.ndarray, " v"]:
-    """Views of the runs of which enough instants are seen to follow the board."""
-    views, runs = data.views, data.runs
-    assert runs is not None
-    number = np.arange(len(views.camera))
-    usable = (runs.run >= 0) & ~np.isin(number, lost)
-    posed = usable & np.isin(number, [*seen.cam_from_board])
-    seen_at = np.unique(np.stack([runs.run[posed], views.frame[posed]]), axis=1)
-    enough = np.bincount(seen_at[0], minlength=runs.count) > runs.degree
-    return number[usable & (posed | np.isin(number, outcome.fit.views)) & enough[runs.run]]
-
-
-def _begun(data: RigData, outcome: RigOutcome, start: RigState, seen: SeenAlone, chosen: Int[np.ndarray, " v"]) -> RigState:
-    """The rig with the cameras' own models, its board followed through where each camera alone sees it."""
-    runs, state = data.runs, outcome.fit.state
-    assert runs is not None
-    posed = np.array([v for v in chosen if v in seen.cam_from_board])
-    member = torch.tensor([data.cameras.index(int(c)) for c in data.views.camera[posed]])
-    board = torch.tensor([data.boards.index(int(b)) for b in data.views.part[posed]])
-    poses = Pose.stack([seen.cam_from_board[int(v)] for v in posed])
-    target = state.cam_from_rig[member].inverse() @ poses @ state.target_from_board[board].inverse()
-    times, run, known = runs.times(posed, None), torch.as_tensor(runs.run[posed]), outcome.solution.state.path
-    offset_s = torch.as_tensor(runs.beside_s) if known is None else known.offset_s
-    delay_s = torch.zeros_like(offset_s) if data.readout is None else torch.as_tensor(data.readout.start_s)
-    clocks = Path(torch.zeros(runs.count, runs.degree, 6, dtype=torch.float64), offset_s, delay_s)
-    base, rates = followed(target, run, times.tau(clocks, member), runs.count, runs.degree, times.middle_m)
-    return replace(state, models=start.models, rig_from_target=base, path=replace(clocks, rates=rates))

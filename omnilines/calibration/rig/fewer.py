@@ -21,7 +21,7 @@ def without_members(outcome: RigOutcome, members: Collection[int]) -> RigOutcome
     points, ordered, rows = fewer.points(views)
     kept = np.zeros(len(data.views.corners), dtype=bool)
     kept[fit.rows] = fit.kept.numpy()
-    state = _state(outcome.solution.state, left)
+    state = state_of(outcome.solution.state, left)
     smaller = RigFit(points, fewer.problem(points), ordered, rows, state, torch.as_tensor(kept[rows]), fit.scale)
     return replace(outcome, data=fewer, fit=smaller, solution=replace(outcome.solution, state=state))
 
@@ -35,8 +35,12 @@ def _data(data: RigData, left: list[int]) -> RigData:
     )
 
 
-def _state(state: RigState, left: list[int]) -> RigState:
+def state_of(state: RigState, left: list[int]) -> RigState:
+    """The state of some members, with the first of them as the frame of the rig."""
     first = state.cam_from_rig[left[0]]
     in_first = Pose.stack([state.cam_from_rig[k] @ first.inverse() for k in left])
     models = tuple(state.models[k] for k in left)
-    return replace(state, models=models, cam_from_rig=in_first, rig_from_target=first @ state.rig_from_target)
+    path = state.path
+    if path is not None:
+        path = replace(path, offset_s=path.offset_s[left] - path.offset_s[left[0]], line_delay_s=path.line_delay_s[left])
+    return replace(state, models=models, cam_from_rig=in_first, rig_from_target=first @ state.rig_from_target, path=path)

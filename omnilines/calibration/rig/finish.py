@@ -12,6 +12,7 @@ from camera_models import CameraModel, GeometryError
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.intervals import SHARE, linear_intervals
+from omnilines.calibration.rig.against_alone import against_alone
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.links import Link, links, weakest_link
 from omnilines.calibration.rig.notes import rig_notes
@@ -46,7 +47,7 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         boards[1:] = torch.stack([free[k : k + 6, k : k + 6] for k in range(0, len(free), 6)])
     blocks, rig_from_target, frame_covariance = _targets(outcome, frame_covariance)
     members = _members(outcome, covariance, poses, residual, kept)
-    used = residual[kept]
+    used, against = residual[kept], against_alone(outcome, covariance)
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
     return RigCalibration(
         members=members,
@@ -72,8 +73,9 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         board=solution.state.shape,
         board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last : last + terms].sqrt().tolist(), strict=True)),
         iterations=solution.iterations,
-        notes=rig_notes(outcome, members, weakest, left_out),
+        notes=rig_notes(outcome, members, weakest, left_out, against),
         line_delays=outcome.line_delays,
+        against_alone=against,
     )
 
 

@@ -162,6 +162,14 @@ def judged(
     )
 
 
+def not_fitted(data: RigData, chosen: Int[np.ndarray, " v"], state: RigState) -> tuple[RigFit, Solution[RigState]]:
+    """All corners of some views as they are seen from where a fit begins."""
+    points, views, rows = data.points(chosen)
+    problem = data.problem(points)
+    kept = torch.ones(len(points.view), dtype=torch.bool)
+    return RigFit(points, problem, views, rows, state, kept, 1.0), solve(problem, state, max_iterations=0)
+
+
 def robust_rig_fit(
     data: RigData,
     chosen: Int[np.ndarray, " v"],

@@ -9,6 +9,7 @@ from camera_models.formats.camera_doubts import model_doubts
 from camera_models.wording import rounded
 from omnilines.calibration.diagnose import coverage_notes
 from omnilines.calibration.intervals import few_notes, stated_variance_px2
+from omnilines.calibration.rig.against_alone import AgainstAlone
 from omnilines.calibration.rig.clocks import offsets_note
 from omnilines.calibration.rig.excess import excess_note
 from omnilines.calibration.rig.links import Link
@@ -23,9 +24,11 @@ def rig_notes(
     members: tuple[RigMember, ...],
     weakest: Link | None,
     left_out: Mapping[str, str],
+    against: AgainstAlone,
 ) -> tuple[str, ...]:
     """What a person should know of a rig, the most important first."""
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
+    notes += against.notes
     offsets = offsets_note(outcome)
     notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.line_notes]
     sizes = {member.name: member.model.image_size for member in members}

@@ -12,6 +12,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.rig.against_alone import AgainstAlone
 from omnilines.calibration.rig.links import Link
 from omnilines.records import Corners, ViewResult
 
@@ -90,6 +91,8 @@ class RigCalibration:
     """One standard deviation of each board term that was estimated."""
     iterations: int
     notes: tuple[str, ...]
+    against_alone: AgainstAlone
+    """What of the cameras alone contradicts the rig."""
     line_delays: tuple[LineDelay, ...] = ()
     """Rolling shutters that were recognised or estimated."""
 

@@ -19,7 +19,8 @@ from camera_models import GeometryError, InputError
 from omnilines.calibration.intervals import stated_variance_px2
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.by_frames import spread_of_runs
-from omnilines.calibration.rig.clocks import Followed, followed_fit, moving_share
+from omnilines.calibration.rig.clocks import moving_share
+from omnilines.calibration.rig.followed import Followed, followed_fit
 from omnilines.calibration.rig.joint import Readout, RigData, least_squares_rig
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
