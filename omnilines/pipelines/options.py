@@ -91,7 +91,7 @@ class AdviceOptions(NamedTuple):
     many_by_chance: float = 0.05
     """Share of the lines that are there by chance above which it is spoken of."""
     significance: float = 0.001
-    """Lines leave a camera possible that chance makes more often than this, were their noise `calibration_noise` times as large."""
+    """Lines leave a camera possible that chance makes more often than this, with `calibration_noise`."""
     calibration_noise: float = 2.0
     """Times that what lines ask of a camera is taken to be noisier than is stated: arcs of real edges err alike."""
     calibration_slack: float = 3.0
