@@ -47,7 +47,7 @@ def test_another_model_has_the_same_strays_in_pixels() -> None:
 
 
 def test_walls_that_explain_the_same_focal_length_are_not_told_as_another() -> None:
-    told = ToldScale(1.003, 0.016, 0.08, 5.5, 1.0045, math.radians(88.4), False)
+    told = ToldScale(1.003, 0.016, 0.08, 5.5, 1.0045, math.radians(88.4), False, 1.0, 0.02, True)
     assert doubt(told).endswith("in other ways, as by walls at 88 degrees and about the same focal length.")
     other = doubt(replace(told, rival_factor=1.2, rival_angle_rad=None))
     assert other.endswith("as by a focal length 20 percent longer with right angles.")

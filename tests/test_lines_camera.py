@@ -102,16 +102,31 @@ def test_walls_at_85_degrees_are_not_taken_for_right_angles(factor: float) -> No
     held = adjusted_camera(scaled(WIDE, factor, math.radians(50.0)), chains)
     off, sigma = focal_off(held, chains)
     assert held.families.frames and abs(off) > 0.05 and abs(off) > 20.0 * sigma
-    done, lines, doubts = without_doubtful_angles(held, chains, LinesOptions())
+    _, done, lines, doubts = without_doubtful_angles(NO_SCALE, held, chains, GUIDE, LinesOptions())
     off, sigma = focal_off(done, chains)
-    assert not done.families.frames and abs(off) < 2.0 * sigma and sigma > 0.1
+    assert not done.families.frames and abs(off) < 2.0 * sigma
     assert not lines.adjustment.right_angles and len(doubts) == 1 and "Right angles are not used" in doubts[0]
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
+def test_walls_at_88_degrees_tell_the_focal_length_as_far_as_both_explanations_agree(seed: int) -> None:
+    chains = level_chains(FISHEYE, seed, 88.0, tilt_rad=0.1)
+    held = adjusted_camera(FISHEYE, chains)
+    start, done, lines, doubts = without_doubtful_angles(NO_SCALE, held, chains, GUIDE, LinesOptions())
+    off, sigma = focal_off(done, chains)
+    assert not done.families.frames and not lines.adjustment.right_angles
+    assert abs(off) < 3.0 * sigma < 0.2 and start.focal_sigma == done.prior.scale_sigma
+    assert "tell the focal length to" in doubts[0]
+    begun = disturbed(FISHEYE, fx=5.0, fy=5.0)
+    other = readjusted_camera(begun, done, OPTIONS)
+    assert other.prior.scale_sigma == start.focal_sigma
+    assert abs(focal_length(other.model)[0] / focal_length(begun)[0] - 1.0) < 2.0 * start.focal_sigma
 
 
 def test_right_angles_that_are_decisive_stay() -> None:
     chains = level_chains(FISHEYE, 0, 90.0, tilt_rad=0.15)
     done, lines = adjusted_camera(FISHEYE, chains), LinesOptions()
-    assert without_doubtful_angles(done, chains, lines) == (done, lines, ())
+    assert without_doubtful_angles(NO_SCALE, done, chains, GUIDE, lines) == (NO_SCALE, done, lines, ())
     off, sigma = focal_off(done, chains)
     assert abs(off) < 4.0 * sigma < 0.01
 

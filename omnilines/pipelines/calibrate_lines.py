@@ -158,7 +158,7 @@ def calibrate_lines(
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
         start, done = with_scale_of_all(start, done, arcs, guide, lines, progress)
-    guided, lines, doubts = without_doubtful_angles(done, arcs, lines, progress)
+    start, guided, lines, doubts = without_doubtful_angles(start, done, arcs, guide, lines, progress)
     trials = [_trial(one, guide, start, guided, lines, options, progress) for one in candidates]
 
     def adjusted(trial: LineTrial) -> LineAdjustment:
@@ -166,7 +166,8 @@ def calibrate_lines(
         if trial.candidate == guide:
             return guided
         assert trial.model is not None
-        return adjusted_camera(trial.model, arcs, lines.adjustment, lines.directions, progress=progress)
+        sigma = guided.prior.scale_sigma
+        return adjusted_camera(trial.model, arcs, lines.adjustment, lines.directions, scale_sigma=sigma, progress=progress)
 
     selection, done = chosen_camera(trials, options.held_out, adjusted, lines.adjustment.open_share)
     fit = line_camera(done, images, lines.adjustment)

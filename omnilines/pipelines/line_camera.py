@@ -39,22 +39,27 @@ def adjusted_camera(
     directions: DirectionsOptions = DirectionsOptions(),
     *,
     prior: CameraPrior | None = None,
+    scale_sigma: float | None = None,
     met: Callable[[LineAdjustment], bool] = lambda _: False,
     progress: ProgressCallback = silent,
 ) -> LineAdjustment:
     """Rounds of families, weights and least squares from `start` until the camera stays where it is, or `met` says of a round
     that there is no need for more.
 
-    `prior` is that of an earlier start, where this one comes of it. Raises GeometryError where too few chains are straight.
+    `prior` is that of an earlier start, where this one comes of it; `scale_sigma` is the standard deviation of the logarithm of
+    the focal length of `start`, where something beside these chains tells it. Raises GeometryError where too few are straight.
     """
     model, basis = start.calibrated_form(), start.calibration_basis()
     _require(chains.count, options)
     readings = longest(EdgeReadings.of(chains), options.most_chains)
     if prior is None:
         prior = _prior(model, basis, readings, options)
+    if scale_sigma is not None:
+        prior = _with_scale(prior, model, scale_sigma, told=True)
     angles: AngleSigmas | None = None
     held = None if prior.held is None else prior
-    prior = replace(prior, held=None)
+    if prior.scale_sigma is None:
+        prior = replace(prior, held=None)
     for number in range(options.rounds):
         progress("adjusting the camera to lines", number, options.rounds)
         weighted = weighted_chains(model, readings, options)
@@ -65,7 +70,7 @@ def adjusted_camera(
         model, angles = done.model, _angles(done)
         opens = scaled.held is None and done.leaves_scale_open(options.open_share)
         if opens:
-            held = _with_scale_held(prior, done)
+            held = _with_scale(prior, done.model, HELD_SHARE, told=False)
         if met(done) or (done.settled and not opens):
             break
     return done
@@ -86,6 +91,8 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     if seen < SEEN_SHARE:
         raise GeometryError(f"it sees {100 * seen:.0f} percent of the edges.")
     prior = _prior(model, basis, chains.blocks, options)
+    if like.prior.scale_sigma is not None:
+        prior = _with_scale(prior, model, like.prior.scale_sigma, told=True)
     here = replace(chains, at=at)
     turning = Turning.of(model, here, like.families.direction, like.families.of_chain)
     stray = like.families.stray_rad.clone()
@@ -104,7 +111,9 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
         return LineAdjustment(moved, families, problem, solution.state, scores, prior, settled)
 
     done = solved(prior)
-    return solved(_with_scale_held(prior, done)) if done.leaves_scale_open(options.open_share) else done
+    if not done.leaves_scale_open(options.open_share):
+        return done
+    return solved(_with_scale(prior, done.model, HELD_SHARE, told=False))
 
 
 def asked_camera(
@@ -150,10 +159,11 @@ def _solved(
     return LineAdjustment(weighted, families, problem, solution.state, scores, prior, settled)
 
 
-def _with_scale_held(prior: CameraPrior, done: LineAdjustment) -> CameraPrior:
-    """The focal length stays what it is at the start: where lines say next to nothing of it, what a model cannot follow draws it
-    along a valley, to where it seems to be known well."""
-    return replace(prior, held=done.focal_row / (HELD_SHARE * focal_length(done.model)[0]))
+def _with_scale(prior: CameraPrior, model: CameraModel, sigma: float, *, told: bool) -> CameraPrior:
+    """The focal length stays about what it is at the start. Where lines say next to nothing of it, what a model cannot follow of
+    a factor on z would draw it along a valley, to where it seems to be known well."""
+    focal_px, by_parameter = focal_length(model)
+    return prior.with_scale(by_parameter, focal_px, sigma, told=told)
 
 
 def _angles(done: LineAdjustment) -> AngleSigmas | None:

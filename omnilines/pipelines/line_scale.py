@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
+from camera_models.wording import rounded
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.lines.camera import LineAdjustment
 from omnilines.calibration.select import Candidate
@@ -78,19 +79,33 @@ def _middle_focal_px(model: CameraModel) -> float:
 
 
 def without_doubtful_angles(
-    done: LineAdjustment, arcs: Chains, lines: LinesOptions, progress: ProgressCallback = silent
-) -> tuple[LineAdjustment, LinesOptions, tuple[str, ...]]:
-    """The adjustment as it is where right angles tell its scale, or boards do; else one to straightness and parallels alone, with
-    the options for it, and what a person should know."""
+    start: CameraStart,
+    done: LineAdjustment,
+    arcs: Chains,
+    guide: Candidate,
+    lines: LinesOptions,
+    progress: ProgressCallback = silent,
+) -> tuple[CameraStart, LineAdjustment, LinesOptions, tuple[str, ...]]:
+    """The adjustment as it is where right angles tell its scale, or boards do; else one to straightness and parallels alone, at
+    the scale that right angles and other angles tell together, where they do. With the start and the options for it, and what a
+    person should know."""
     if not done.families.frames or done.prior.boards:
-        return done, lines, ()
+        return start, done, lines, ()
     found = scale_of_all(done, lines, progress)
     if found.decisive and found.here:
-        return done, lines, ()
+        return start, done, lines, ()
     lines = _without_right_angles(lines)
-    done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
-    note = "The focal length stays near that of the start, and its standard deviation says so; add photos from other sides, "
-    return done, lines, (f"{doubt(found)} {note}with the camera tilted, or of a board.",)
+    if not found.told:
+        done = adjusted_camera(done.model, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
+        note = "The focal length stays near that of the start, and its standard deviation says so; add photos from other sides, "
+        return start, done, lines, (f"{doubt(found)} {note}with the camera tilted, or of a board.",)
+    reach = float(angles_off_axis(done.model, done.chains.blocks.pixels).max())
+    other = scaled(done.model, found.either, reach, **guide.options)
+    start = replace(start, focal_px=_middle_focal_px(other), focal_sigma=found.either_sigma)
+    sigma = found.either_sigma
+    done = adjusted_camera(other, arcs, lines.adjustment, lines.directions, scale_sigma=sigma, progress=progress)
+    note = f"All of these together tell the focal length to {rounded(100 * sigma)} percent, and no more is taken from them."
+    return start, done, lines, (f"{doubt(found)} {note}",)
 
 
 def asked_by_lines(

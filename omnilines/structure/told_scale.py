@@ -18,6 +18,9 @@ the mean over s and t. Right angles tell q where the sum of L_R over the scales 
 over all others and of L_A over all. Where A has the same scale, within its standard deviation, it does not speak against it: so
 much of that as R has itself counts with R.
 
+Where right angles do not tell it, L_R and L_A may still agree on it, as where walls are nearly at right angles and photos are
+tilted: each by itself tells about the same scale. Then it is that of both together, the mean over their sum, and as uncertain.
+
 Any one pair is at right angles at some scale, and explains itself. What tells is agreement: of walls seen from several sides, or
 of verticals and horizontals in photos that are tilted.
 
@@ -53,6 +56,13 @@ class ToldScale:
     """Of its walls; None where right angles explain it."""
     decisive: bool
     """Whether right angles tell the scale."""
+    either: float
+    """The factor that right angles and walls at other angles tell together: by the mean logarithm about the most likely one."""
+    either_sigma: float
+    """Standard deviation of that logarithm."""
+    told: bool
+    """Whether these tell the scale, though not whether angles are right ones: by each of both, scales about that one are
+    `decisive` times as likely as all others."""
 
     @property
     def here(self) -> bool:
@@ -82,7 +92,12 @@ def told_scale(
     by_right = bool(rest.max() >= of_walls.max())
     rival = int(np.argmax(rest if by_right else of_walls))
     angle = None if by_right else math.acos(float(cosines[int(np.argmax(other[:, rival]))]))
-    return ToldScale(math.exp(top), sigma, reach, odds, math.exp(places[rival]), angle, odds >= options.decisive)
+    both = right + of_walls
+    mean, spread = _top(places, both, options)
+    about = np.abs(places - places[int(np.argmax(both))]) <= options.same_scale
+    told = all(bool(one[about].sum() >= options.decisive * one[~about].sum()) for one in (right, of_walls))
+    decisive = odds >= options.decisive
+    return ToldScale(math.exp(top), sigma, reach, odds, math.exp(places[rival]), angle, decisive, math.exp(mean), spread, told)
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,8 @@ class LineAdjustment:
 
     @property
     def scale_told(self) -> bool:
-        """By right angles, or by boards. Straight lines and parallel ones do not: any factor on z keeps them."""
-        return self.families.frames > 0 or self.prior.boards
+        """By right angles, by boards, or beforehand. Straight lines and parallel ones do not: any factor on z keeps them."""
+        return self.families.frames > 0 or self.prior.boards or self.prior.scale_sigma is not None
 
     @cached_property
     def covariance(self) -> Float[Tensor, "q q"]:

@@ -8,7 +8,7 @@ d of the parameters:
     d' P d = mean_u |B(u) d|^2 / s^2,        s = prior_share of half the image's longer side.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -35,8 +35,10 @@ class CameraPrior:
     boards: bool = False
     """Whether boards say it."""
     held: Float[Tensor, " q"] | None = None
-    """Derivative of a quantity that is held at its start, over the standard deviation that it is left: the scale, where lines do
-    not tell it."""
+    """Derivative of the focal length, over the standard deviation that it is left about its start: where lines do not tell it, or
+    something beside them does."""
+    scale_sigma: float | None = None
+    """That of its logarithm, where something beside lines tells it."""
 
     @staticmethod
     def of(
@@ -69,6 +71,12 @@ class CameraPrior:
         values, vectors = torch.linalg.eigh(own / (unit[:, None] * unit))
         told = (values.clamp_min(LEAST_SHARE).rsqrt()[:, None] * vectors.mT) / unit
         return CameraPrior(model.parameters.detach().clone(), self.wide, told, self.basis, boards=True)
+
+    def with_scale(self, by_parameter: Float[Tensor, " p"], focal_px: float, sigma: float, *, told: bool) -> "CameraPrior":
+        """With the focal length of the start, which has that derivative and this standard deviation of its logarithm; `told` by
+        what, beside lines, tells it."""
+        row = by_parameter @ self.basis / (sigma * focal_px)
+        return replace(self, held=row, scale_sigma=sigma if told else None)
 
     @property
     def root(self) -> Float[Tensor, "r q"]:
