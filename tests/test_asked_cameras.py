@@ -12,7 +12,7 @@ from camera_models import Calibration, CameraModel, Equirectangular
 from camera_models.formats.calibration_data import CameraEstimate
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.pages.limits_of_lines import scene_advice
-from omnilines.pages.scene import scene_summary
+from omnilines.pages.scene import scene_data, scene_summary
 from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
 
@@ -77,3 +77,11 @@ def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     told = scene_advice(wrong)[0]
     assert "by cam0 4.4 px (3.1 at least)." in told.limit and "cam1" not in told.limit and "omnilines check" in told.do
     assert str(scene_summary(wrong).verdict).endswith("but they contradict the calibration.")
+
+
+def test_figures_of_a_room_say_what_its_lines_ask_of_the_camera() -> None:
+    made = ol.render("plain-room", "opencv-fisheye", views=5, size_px=(480, 480), seed=1)
+    scene = ol.reconstruct(ol.extract(made.photos, made.camera), made.poses, made.camera)
+    rows, (found,) = dict(scene_summary(scene).rows), scene_data(scene)["asked_cameras"]
+    assert not found["contradicted"] and found["least_px"] <= found["drift_px"] < 0.3
+    assert rows["motion of the image that lines ask for"].startswith("cam0 ")

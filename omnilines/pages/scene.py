@@ -75,6 +75,7 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
         ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
+        *_by_lines(scene),
         ("bow of edges", f"{100 * of_photos.bow_share:g} percent of their length"),
         ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         *_by_calibration(scene),
@@ -89,6 +90,12 @@ def _by_calibration(scene: Scene) -> tuple[tuple[str, str], ...]:
         return ()
     sigma, sign = scene.median_calibration_sigma_m(), scene.lines.unit.sign
     return (("of it, for errors of the calibration", figure(sigma, ".3g", sign)),)
+
+
+def _by_lines(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """How far lines move the image of each camera that has parameters, and what of that is noise."""
+    moved = [f"{one.name} {figure(one.drift_px, '.2g')} px (noise {figure(one.sigma_px, '.2g')})" for one in scene.asked]
+    return (("motion of the image that lines ask for", ", ".join(moved)),) if moved else ()
 
 
 def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:
@@ -161,6 +168,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
         "lines_by_chance": None if lines.chance_share is None else float(np.nansum(lines.chance_share)),
         "rms_px": scene.adjusted.rms_px(),
         "slack_px": of_photos.tolerance_px,
+        "asked_cameras": [asdict(one) | {"contradicted": one in scene.contradicted} for one in scene.asked],
         "bow_share": of_photos.bow_share,
         "median_sigma_m": scene.median_sigma_m(),
         "median_calibration_sigma_m": None if lines.calibration_sigma_m is None else scene.median_calibration_sigma_m(),
