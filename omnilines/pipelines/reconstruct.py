@@ -41,6 +41,7 @@ from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
 from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.pose_errors import errors_by_poses, lines_with_pose_errors
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.same_place import without_same_place
@@ -191,6 +192,7 @@ def _scene(
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
     errors = _errors_by_calibration(found, posed, cameras, options, progress)
     asked = _asked_cameras(found, cameras, options, progress)
+    by_poses = errors_by_poses(found.scene.lines, _arcs_of(found, cameras, options), found.track, found.scene.poses, options)
     lines, poses = found.scene.lines, poses_with_calibration_errors(found.scene.poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
@@ -208,7 +210,8 @@ def _scene(
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     # Only now: families and corners are of lines whose errors are their own.
-    whole = lines_with_calibration_errors(frame.lines, errors, options.adjustment.weak_share)
+    whole = lines_with_pose_errors(frame.lines, by_poses, options.adjustment.weak_share)
+    whole = lines_with_calibration_errors(whole, errors, options.adjustment.weak_share)
     found = replace(found, scene=replace(found.scene, lines=whole, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)
     told = (
