@@ -10,8 +10,9 @@ import omnilines as ol
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.state import moved_poses
 from omnilines.geometry.line import PlueckerLines
+from omnilines.pipelines.calibration_errors import wider_lines
 from omnilines.pipelines.options import OF_TABLES
-from omnilines.pipelines.pose_errors import errors_by_poses, lines_with_pose_errors
+from omnilines.pipelines.pose_errors import errors_by_poses
 from omnilines.records import ImagePoses, Lines
 
 HELD, DRAWS = replace(OF_TABLES, refine=("lines",)), 60
@@ -51,11 +52,11 @@ def test_lines_scatter_as_is_stated_where_poses_are_drawn_from_their_covariance(
 
 def test_they_widen_sigma_and_make_lines_weak() -> None:
     lines, _, found = adjusted()
-    wider = lines_with_pose_errors(lines, found, HELD.adjustment.weak_share)
+    wider = wider_lines(lines, found, HELD.adjustment.weak_share)
     assert wider.covariance is not None and lines.covariance is not None
     np.testing.assert_allclose(wider.covariance, lines.covariance + found.numpy())
     assert (wider.sigma_m > lines.sigma_m).all() and set(wider.status) == {"ok"} and len(charts(wider)) == LINES
-    far = lines_with_pose_errors(lines, 1e6 * found, HELD.adjustment.weak_share)
+    far = wider_lines(lines, 1e6 * found, HELD.adjustment.weak_share)
     assert set(far.status) == {"weak"}
 
 
@@ -65,4 +66,3 @@ def test_poses_that_are_refined_or_exact_add_nothing() -> None:
     arcs = arcs_from_segments(segments, poses, {"cam0": CAMERA}).arcs
     assert errors_by_poses(lines, arcs, np.arange(LINES), poses, HELD) is None
     assert errors_by_poses(lines, arcs, np.arange(LINES), known, OF_TABLES) is None
-    assert lines_with_pose_errors(lines, None, HELD.adjustment.weak_share) is lines

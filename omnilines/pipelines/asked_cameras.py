@@ -11,7 +11,7 @@ is chi-square, with as many degrees of freedom as it has parameters, if the came
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -32,7 +32,7 @@ from omnilines.calibration.lines.scores import pseudo_inverse
 from omnilines.calibration.uncertainty import projection_jacobian, supported_grid
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
-from omnilines.pipelines.calibration_errors import charts_of, known_calibration
+from omnilines.pipelines.calibration_errors import charts_of, known_calibration, whole_lines
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.records import ImagePoses, Lines
 
@@ -71,9 +71,9 @@ def asked_cameras(
     """
     if "intrinsics" in options.refine or not any(model.calibration_basis().shape[1] for model in cameras.values()):
         return ()
-    inner, rows = _some_lines(lines, arcs, track)
-    if not len(rows):
+    if not lines.known.any():
         return ()
+    inner, rows = _some_lines(lines, arcs, track)
     known, frames = known_calibration(poses, cameras, options)
     chart = charts_of(lines, rows)
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, chart), options.adjustment)
@@ -114,18 +114,13 @@ def _determined(adjust: Callable[..., Adjusted], arcs: MatchedArcs, lines: Pluec
 
 def _some_lines(lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]) -> tuple[MatchedArcs, Int[np.ndarray, " k"]]:
     """Arcs of some of the lines, all stretches of a line in one, and a row of each line."""
-    rows = np.flatnonzero(lines.known)
-    _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
-    line_of_row = np.full(len(lines), -1)
-    line_of_row[rows] = line
-    own = line_of_row[arcs.track.numpy()]
+    inner, rows, first, _ = whole_lines(lines, arcs, track)
     # Every so manieth of the lines, by how many arcs they have: those with the most show some of the photos only.
-    counts = np.bincount(own[own >= 0], minlength=len(first))
-    kept = np.sort(np.argsort(-counts, kind="stable")[:: 1 + counts.sum() // MOST_ARCS])
-    place = np.full(len(first) + 1, -1)
-    place[kept] = np.arange(len(kept))
-    of_arc = torch.as_tensor(place[own])
-    return replace(arcs, track=of_arc, tracks=len(kept)).rows(of_arc >= 0), rows[first[kept]]
+    counts = torch.bincount(inner.track, minlength=inner.tracks)
+    some = torch.zeros(inner.tracks, dtype=torch.bool)
+    some[torch.argsort(-counts, stable=True)[:: 1 + len(inner) // MOST_ARCS]] = True
+    kept, tracks = drop_unknown(inner, some)
+    return kept, rows[first[tracks.numpy()]]
 
 
 def _asked(

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from camera_models import Calibration
 from camera_models.pose import Pose
@@ -67,12 +68,7 @@ def errors_by_calibration(
         return None
     held = "poses" not in options.refine
     calibration, frames = known_calibration(poses, cameras, options)
-    rows = np.flatnonzero(lines.known)
-    _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
-    line_of_row = np.full(len(lines), -1)
-    line_of_row[rows] = line
-    of_arc = torch.as_tensor(line_of_row)[arcs.track]
-    inner = replace(arcs, track=of_arc, tracks=len(first)).rows(of_arc >= 0)
+    inner, rows, first, line = whole_lines(lines, arcs, track)
     own = charts_of(lines, rows)
     start = own[torch.as_tensor(first)]
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
@@ -97,15 +93,37 @@ def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None
     uncertain then are weak."""
     if errors is None or lines.covariance is None:
         return lines
-    rows = np.flatnonzero(lines.known)
-    chart, ends, whole = charts_of(lines, rows), torch.as_tensor(lines.ends_m[rows]), lines.covariance + errors.lines.numpy()
-    sigma, own = lines.sigma_m.copy(), np.full(len(lines), np.nan)
-    sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), ends).numpy()
-    own[rows] = end_sigma_m(chart, errors.lines[torch.as_tensor(rows)], ends).numpy()
-    wider = replace(lines, covariance=whole, sigma_m=sigma, calibration_sigma_m=own)
+    return replace(wider_lines(lines, errors.lines, weak_share), calibration_sigma_m=_sigma_m(lines, errors.lines))
+
+
+def wider_lines(lines: Lines, errors: Float[Tensor, "n 4 4"], weak_share: float) -> Lines:
+    """Lines whose covariances hold other errors too; those that are too uncertain then are weak."""
+    assert lines.covariance is not None
+    whole = torch.as_tensor(lines.covariance) + errors
+    wider = replace(lines, covariance=whole.numpy(), sigma_m=np.where(lines.known, _sigma_m(lines, whole), lines.sigma_m))
     weak = too_uncertain(wider, weak_share)
-    status = tuple("weak" if weak[k] and one == "ok" else one for k, one in enumerate(lines.status))
-    return replace(wider, status=status)
+    return replace(wider, status=tuple("weak" if weak[k] and one == "ok" else one for k, one in enumerate(lines.status)))
+
+
+def _sigma_m(lines: Lines, covariance: Float[Tensor, "n 4 4"]) -> Float[np.ndarray, " n"]:
+    """Of the ends of each line; NaN where there is none."""
+    rows, sigma = np.flatnonzero(lines.known), np.full(len(lines), np.nan)
+    known = covariance[torch.as_tensor(rows)]
+    sigma[rows] = end_sigma_m(charts_of(lines, rows), known, torch.as_tensor(lines.ends_m[rows])).numpy()
+    return sigma
+
+
+def whole_lines(
+    lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]
+) -> tuple[MatchedArcs, Int[np.ndarray, " r"], Int[np.ndarray, " k"], Int[np.ndarray, " r"]]:
+    """Arcs whose tracks are whole lines, all stretches of one together; the rows that have a line; of these the first of each
+    whole line, and the whole line of each. The tracks of `arcs` are rows of `lines`; rows of one `track` are of one line."""
+    rows = np.flatnonzero(lines.known)
+    _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
+    line_of_row = np.full(len(lines), -1)
+    line_of_row[rows] = line
+    of_arc = torch.as_tensor(line_of_row)[arcs.track]
+    return replace(arcs, track=of_arc, tracks=len(first)).rows(of_arc >= 0), rows, first, line
 
 
 def charts_of(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:

@@ -101,6 +101,7 @@ def readjusted_camera(start: CameraModel, like: LineAdjustment, options: LineOpt
     families = replace(like.families, stray_rad=stray)
 
     def solved(prior: CameraPrior) -> LineAdjustment:
+        """With what is known of the camera before."""
         problem = LineProblem(here, families, basis, like.problem.angles, turning, prior)
         begin = CameraAndCircles.right(model, normal, families)
         solution = solve(problem, begin, max_iterations=MOST_ITERATIONS, tolerance=TOLERANCE)

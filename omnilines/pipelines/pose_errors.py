@@ -6,21 +6,16 @@ photo. Errors of different photos are taken to be independent. Those of poses fo
 weak: of photos along one straight line the covariance is too large then.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.line_table import too_uncertain
-from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.start import scaled_loss
 from omnilines.adjustment.state import LinesAndPoses
-from omnilines.geometry.line_chart import LineChart
-from omnilines.pipelines.calibration_errors import charts_of
+from omnilines.pipelines.calibration_errors import charts_of, whole_lines
 from omnilines.pipelines.options import SceneOptions
 from omnilines.records import ImagePoses, Lines
 
@@ -35,12 +30,7 @@ def errors_by_poses(
     """
     if "poses" in options.refine or poses.covariance is None or not lines.known.any():
         return None
-    rows = np.flatnonzero(lines.known)
-    _, first, line = np.unique(track[rows], return_index=True, return_inverse=True)
-    line_of_row = np.full(len(lines), -1)
-    line_of_row[rows] = line
-    of_arc = torch.as_tensor(line_of_row)[arcs.track]
-    inner = replace(arcs, track=of_arc, tracks=len(first)).rows(of_arc >= 0)
+    inner, rows, first, line = whole_lines(lines, arcs, track)
     state = LinesAndPoses(poses.cam_from_world, charts_of(lines, rows[first]))
     found = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)
     found[torch.as_tensor(rows)] = _by_line(inner, state, torch.as_tensor(poses.covariance), options)[torch.as_tensor(line)]
@@ -64,15 +54,3 @@ def _by_line(
     moved = inverse[pairs[0]] @ mixed
     known = torch.nan_to_num(covariance)[pairs[1]]
     return torch.zeros_like(normal).index_add_(0, pairs[0], moved @ known @ moved.mT)
-
-
-def lines_with_pose_errors(lines: Lines, errors: Float[Tensor, "n 4 4"] | None, weak_share: float) -> Lines:
-    """Lines whose covariances hold errors of the poses too; those that are too uncertain then are weak."""
-    if errors is None or lines.covariance is None:
-        return lines
-    rows, whole, sigma = np.flatnonzero(lines.known), lines.covariance + errors.numpy(), lines.sigma_m.copy()
-    chart: LineChart = charts_of(lines, rows)
-    sigma[rows] = end_sigma_m(chart, torch.as_tensor(whole[rows]), torch.as_tensor(lines.ends_m[rows])).numpy()
-    wider = replace(lines, covariance=whole, sigma_m=sigma)
-    weak = too_uncertain(wider, weak_share)
-    return replace(wider, status=tuple("weak" if weak[k] and one == "ok" else one for k, one in enumerate(lines.status)))

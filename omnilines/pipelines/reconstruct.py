@@ -10,8 +10,7 @@ import numpy as np
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
-from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments
-from omnilines.adjustment.by_calibration import CalibrationErrors
+from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost, cost_named
 from omnilines.files import photo_folder, write_poses
@@ -21,14 +20,14 @@ from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
-from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
+from omnilines.pipelines.asked_cameras import asked_cameras
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
     poses_with_calibration_errors,
-    states_errors,
     unfollowed_errors,
+    wider_lines,
 )
 from omnilines.pipelines.copies import without_copies
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
@@ -41,7 +40,7 @@ from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
 from omnilines.pipelines.photo_arcs import PhotoArcs
-from omnilines.pipelines.pose_errors import errors_by_poses, lines_with_pose_errors
+from omnilines.pipelines.pose_errors import errors_by_poses
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.same_place import without_same_place
@@ -190,10 +189,13 @@ def _scene(
     progress: ProgressCallback,
 ) -> Scene:
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
-    errors = _errors_by_calibration(found, posed, cameras, options, progress)
-    asked = _asked_cameras(found, cameras, options, progress)
-    by_poses = errors_by_poses(found.scene.lines, _arcs_of(found, cameras, options), found.track, found.scene.poses, options)
-    lines, poses = found.scene.lines, poses_with_calibration_errors(found.scene.poses, errors)
+    lines, poses = found.scene.lines, found.scene.poses
+    arcs_of_lines = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
+    progress("asking lines for the calibration", 0, 0)
+    errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
+    by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)
+    asked = asked_cameras(lines, arcs_of_lines, found.track, poses, cameras, options)
+    poses = poses_with_calibration_errors(poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
     if options.kept_lines.guided_by_families:
@@ -210,8 +212,9 @@ def _scene(
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     # Only now: families and corners are of lines whose errors are their own.
-    whole = lines_with_pose_errors(frame.lines, by_poses, options.adjustment.weak_share)
-    whole = lines_with_calibration_errors(whole, errors, options.adjustment.weak_share)
+    weak_share = options.adjustment.weak_share
+    whole = frame.lines if by_poses is None else wider_lines(frame.lines, by_poses, weak_share)
+    whole = lines_with_calibration_errors(whole, errors, weak_share)
     found = replace(found, scene=replace(found.scene, lines=whole, poses=frame.poses))
     lost = _without_poses(posed, found.scene.poses)
     told = (
@@ -244,32 +247,6 @@ def _scene(
         advice(found, still, options, progress),
         asked,
     )
-
-
-def _errors_by_calibration(
-    found: KeptLines, posed: PhotoPoses, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
-) -> CalibrationErrors | None:
-    """What errors of the calibration leave uncertain of lines and poses."""
-    if not states_errors(cameras):
-        return None
-    progress("following the errors of the calibration", 0, 0)
-    return errors_by_calibration(
-        found.scene.lines, _arcs_of(found, cameras, options), found.track, found.scene.poses, cameras, options, posed.points
-    )
-
-
-def _asked_cameras(
-    found: KeptLines, cameras: Calibration, options: SceneOptions, progress: ProgressCallback
-) -> tuple[AskedCamera, ...]:
-    """What the lines ask of the cameras that they were found with."""
-    progress("asking lines for the calibration", 0, 0)
-    arcs, poses = _arcs_of(found, cameras, options), found.scene.poses
-    return asked_cameras(found.scene.lines, arcs, found.track, poses, cameras, options)
-
-
-def _arcs_of(found: KeptLines, cameras: Calibration, options: SceneOptions) -> MatchedArcs:
-    integrates = cost_named(options.cost).integrates
-    return arcs_from_segments(found.segments, found.scene.poses, cameras, with_nodes=integrates).arcs
 
 
 def _checks(found: KeptLines) -> tuple[Check, ...]:
