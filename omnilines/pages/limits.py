@@ -122,7 +122,7 @@ def unused_advice(unused: Sequence[ViewResult], total: int) -> tuple[Advice, ...
     why = f"; of {len(reasons)} it is said{first}: {reasons[0]}" if reasons[0] else ""
     copied = len(unused) - len(lost)
     copy = f", {copied} of them as {'a copy' if copied == 1 else 'copies'}" if copied else ""
-    do = " ".join(f"{remedy.capitalize()}: {named([image for image, _ in photos])}." for remedy, photos in remedies)
+    do = " ".join(f"{remedy[:1].upper()}{remedy[1:]}: {named([image for image, _ in photos])}." for remedy, photos in remedies)
     return (Advice(f"{len(unused)} of {total} photos are not used{copy}{why}.", do),)
 
 
