@@ -262,8 +262,8 @@ class Lines(Typed):
     """Share of each line that its arcs cover, the mean over all photos that look where it is, hidden or not; None where segments
     were matched by others."""
     chance_share: Float[np.ndarray, " n"] | None = None
-    """Share of lines like each that are there by chance, as far as moved photos tell; NaN where a corner confirms a line, None
-    where segments were matched by others."""
+    """Share of lines like each that are there by chance, as far as moved photos tell; NaN where a corner or a plane confirms a
+    line, None where segments were matched by others."""
     calibration_sigma_m: Float[np.ndarray, " n"] | None = None
     """What of `sigma_m` is for errors of the calibration, as its file states them: lines have these in common. None where the
     file states none, or the cameras were refined."""

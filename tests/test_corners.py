@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import torch
+from drawn_lines import drawn_lines, square_error, unit
 
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
@@ -16,10 +17,6 @@ from omnilines.structure.corners import Corners, corners_seen, gap_shares
 from omnilines.structure.options import CornerOptions
 
 PX_RAD = 1e-3
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def seen_from(centres: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -73,35 +70,10 @@ def drawn_pairs(
     first, second = unit(rng.normal(size=(2, len(gap_m), 3)))
     second = unit(second - 0.5 * (first * second).sum(-1, keepdims=True) * first)
     corner, side = rng.uniform(-3, 3, (len(gap_m), 3)) + 1000.0, unit(np.cross(first, second))
-    d = torch.as_tensor(np.stack([first, second], 1).reshape(-1, 3))
-    point = torch.as_tensor(np.stack([corner, corner + gap_m[:, None] * side], 1).reshape(-1, 3))
-    centre = point + torch.as_tensor(rng.normal(size=(count, 3)))
-    chart = LineChart.from_lines(
-        PlueckerLines(d, torch.linalg.cross(point, d)), centre, torch.full((count,), 2.0, dtype=torch.float64)
-    )
-    mix = (
-        rng.normal(size=(count, 4, 4))
-        * np.exp(rng.uniform(-0.5, 0.5, (count, 1, 1)))
-        * np.tile(sigma_rad, count // 2)[:, None, None]
-        / 2
-    )
-    seen = chart.retract(torch.as_tensor((mix @ rng.normal(size=(count, 4, 1)))[..., 0])).lines()
-    start = seen.closest_point(point)
-    ends = torch.stack([start, start + seen.direction * torch.as_tensor(rng.uniform(0.3, 2, (count, 1)))], 1).numpy()
-    one, covariance = np.ones(count), mix @ mix.transpose(0, 2, 1)
-    names, views = tuple(map(str, range(count))), np.full(count, 5)
-    lines = Lines(names, ends, views, one, one, ("ok",) * count, covariance, centre.numpy(), chart.scale.numpy())
-    return lines, chart, np.arange(count).reshape(-1, 2)
-
-
-def square_error(lines: Lines, true: LineChart) -> np.ndarray:
-    """Squared error of each line in units of its covariance: chi-square with 4 degrees of freedom."""
-    ends = torch.as_tensor(lines.ends_m - lines.chart_centre_m[:, None])
-    own = PlueckerLines.from_points(ends[:, 0], ends[:, 1])
-    chart = LineChart.from_lines(own, torch.zeros_like(own.direction), true.scale)
-    turn = (chart.S.mT @ true.S).numpy()
-    error = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0], (true.phi - chart.phi).numpy()], -1)
-    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(lines.covariance), error)
+    d = np.stack([first, second], 1).reshape(-1, 3)
+    point = np.stack([corner, corner + gap_m[:, None] * side], 1).reshape(-1, 3)
+    sigma, length = np.tile(sigma_rad, len(gap_m)), rng.uniform(0.3, 2, count)
+    return *drawn_lines(d, point, length, sigma, rng), np.arange(count).reshape(-1, 2)
 
 
 def test_a_line_goes_to_where_it_is_most_likely_to_meet_the_other() -> None:

@@ -1,7 +1,8 @@
-"""Lines of one photo fewer than are asked for, where a corner confirms them.
+"""Lines of one photo fewer than are asked for, where a corner or a plane confirms them.
 
 Arcs of three photos meet in a line that is not there far more often than those of four. But where they end together with the arcs
-of another line, such a line passes that one somewhere: one that meets it, to within what is known of both, is there.
+of another line, such a line passes that one somewhere: one that meets it, to within what is known of both, is there. So is one
+that lies in the plane of a line beside it, among lines that mostly lie anywhere or in few planes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from camera_models import CameraModel
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.matching.match import Matched
 from omnilines.matching.tracks import FIRST_VIEWS, spare_tracks
+from omnilines.pipelines.coplanar_lines import lying
 from omnilines.pipelines.cornered_lines import corners_of, meeting
 from omnilines.pipelines.kept_lines import KeptLines, counted, photo_counts
 from omnilines.pipelines.options import SceneOptions
@@ -21,12 +23,14 @@ from omnilines.pipelines.passing_lines import PassingLines, passing_lines
 from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback
 from omnilines.records import Lines, StageCount
+from omnilines.structure.families import line_families
 
 
 def spare_of(matched: Matched, options: SceneOptions) -> Matched | None:
-    """The tracks that a corner may confirm, in place of those of `matched`; None where there are none."""
+    """The tracks that a corner or a plane may confirm, in place of those of `matched`; None where there are none."""
     views = max(options.min_views - 1, FIRST_VIEWS)
-    if views == options.min_views or options.kept_lines.min_meeting >= 1.0:
+    kept = options.kept_lines
+    if views == options.min_views or min(kept.min_meeting, kept.min_lying) >= 1.0:
         return None
     tracks = spare_tracks(matched.arcs, matched.hypotheses, matched.tracks, views, options.matching)
     return replace(matched, tracks=tracks) if len(tracks) else None
@@ -43,7 +47,7 @@ def with_confirmed(
     progress: ProgressCallback,
 ) -> KeptLines:
     """The lines `kept`, as they are, and after them those of `spare`, adjusted in `scene` with the same poses, that meet one of
-    them with more than `options.kept_lines.min_meeting`."""
+    them with more than `options.kept_lines.min_meeting`, or lie in the plane of one with more than `min_lying`."""
     more = passing_lines(found, spare, scene, cameras, options=options, progress=progress)
     confirmed = _confirmed(kept, more, options)
     first, rows = len(kept.scene.lines), np.flatnonzero(confirmed)
@@ -52,8 +56,8 @@ def with_confirmed(
     number[rows] = first + np.arange(len(rows))
     own = np.where(kept.segments.track >= 0, kept.segments.track, number[more.row])
     segments = replace(kept.segments, track=own, tracks=table.tracks)
-    dropped = counted([("of one photo fewer, confirmed by no corner", len(confirmed) - len(rows))])
-    stage = StageCount("lines, with those that a corner confirms", len(table), dropped)
+    dropped = counted([("of one photo fewer, confirmed by no corner and no plane", len(confirmed) - len(rows))])
+    stage = StageCount("lines, with those that a corner or a plane confirms", len(table), dropped)
     return replace(
         kept,
         scene=replace(kept.scene, lines=table),
@@ -65,15 +69,17 @@ def with_confirmed(
 
 
 def _confirmed(kept: KeptLines, more: PassingLines, options: SceneOptions) -> Bool[np.ndarray, " m"]:
-    """The rows of `more` that meet a line that is kept. Both are as they were measured: which families there are must not hang on
-    lines that may not be there."""
+    """The rows of `more` that meet a line that is kept, or lie in the plane of one. All are as they were measured: which families
+    there are must not hang on lines that may not be there."""
     sure = np.arange(len(kept.track) + len(more.track)) < len(kept.track)
     track = np.append(kept.track, more.track + len(kept.matched.tracks))
     of_arc = np.where(kept.segments.track >= 0, kept.segments.track, np.where(more.row >= 0, more.row + len(kept.track), -1))
     arcs, corner = kept.matched.arcs.with_poses(kept.scene.poses.cam_from_world), options.structure.corners
     corners = corners_of(arcs, np.append(track, -1)[of_arc], corner)
     lines = _joined(kept.scene.lines, more.table, np.arange(len(more.track)))
-    return meeting(lines, track, corners, sure, corner)[~sure] > options.kept_lines.min_meeting
+    meets = meeting(lines, track, corners, sure, corner)[~sure] > options.kept_lines.min_meeting
+    families = line_families(kept.scene.lines, options.structure.families)
+    return meets | (lying(lines, track, families, sure, options.structure)[~sure] > options.kept_lines.min_lying)
 
 
 def _joined(lines: Lines, more: Lines, rows: Int[np.ndarray, " k"]) -> Lines:

@@ -1,16 +1,8 @@
 """Lines that take those into account that end where they do, as far as they are less certain.
 
 That two lines end together is a measurement of both: of their gap, with the variance of the other line as it was measured, and
-of how far such lines pass each other (`structure.corners`). For each of the standard deviations t_c that a gap may have there is
-a Kalman update of the four parameters of the line; they are joined by their probabilities, and the covariance holds how much
-they differ. With P the covariance of the line, h the derivative of the gap g by it, r the variance of the other line, and
-s_c = h'Ph + r + t_c^2 with the probability w_c,
-
-    step = -P h g sum_c w_c / s_c,    P - P h h'P (sum_c w_c / s_c - g^2 (sum_c w_c / s_c^2 - (sum_c w_c / s_c)^2)),
-
-one corner of a line after the other, those with the best known lines first (assumed density filtering: Minka, Expectation
-propagation for approximate Bayesian inference, UAI 2001). What the other line learns from its own corners is left out, so that
-nothing counts twice.
+of how far such lines pass each other (`structure.corners`, `structure.gaps`): one corner of a line after the other, those with
+the best known lines first. What the other line learns from its own corners is left out, so that nothing counts twice.
 """
 
 from dataclasses import replace
@@ -25,6 +17,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.parallel_lines import local_charts, stepped_lines
 from omnilines.records import Lines
 from omnilines.structure.corners import Corners, GapShares, corners_seen, gap_shares, likelihood, meeting_share
+from omnilines.structure.gaps import learned
 from omnilines.structure.options import CornerOptions
 
 
@@ -136,13 +129,10 @@ def _update(
         rows = order[turn == k]
         own, h = seen.line[rows], seen.by_line[rows]
         gap = seen.gap_m[rows] + (h * step[own]).sum(-1)
-        moved = (after[own] @ h[..., None])[..., 0]
-        known = (h * moved).sum(-1) + seen.variance_m2[rows]
+        known = np.einsum("ki,kij,kj->k", h, after[own], h) + seen.variance_m2[rows]
         weight = shares.share[shares.group[seen.corner[rows]]] * likelihood(gap, known, shares.gaps_m)
         weight /= weight.sum(-1, keepdims=True)
-        precision = 1.0 / (known[:, None] + shares.gaps_m**2)
-        mean = (weight * precision).sum(-1)
-        differ = np.square(gap) * ((weight * precision**2).sum(-1) - mean**2)
-        step[own] -= moved * (gap * mean)[:, None]
-        after[own] -= (mean - differ)[:, None, None] * moved[:, :, None] * moved[:, None, :]
+        spread = known[:, None] + shares.gaps_m**2
+        more, after[own] = learned(after[own], h, np.broadcast_to(gap[:, None], spread.shape), spread, weight)
+        step[own] += more
     return step, after

@@ -32,7 +32,8 @@ class KeptLines:
     matched: Matched
     """The tracks that the lines come from, with the poses that they were matched with."""
     track: Int[np.ndarray, " k"]
-    """Of each line, one for all stretches of a line; those beyond the tracks of `matched` are of lines that a corner confirms."""
+    """Of each line, one for all stretches of a line; those beyond the tracks of `matched` are of lines that a corner or a plane
+    confirms."""
 
     @property
     def tolerance_px(self) -> float:
@@ -123,7 +124,7 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
 def photo_counts(segments: Segments, matched: Matched, min_views: int) -> tuple[PhotoCount, ...]:
     """The same of each photo of `segments`, whose `track` is the line of every arc; later stages are parts of those before."""
     in_line = segments.track >= 0
-    # Those of lines that a corner confirms are in no track of `matched`.
+    # Those of lines that a corner or a plane confirms are in no track of `matched`.
     in_track = (matched.tracks.track >= 0) | in_line
     partner, several, enough = _agreement(matched, min_views)
     # A line may take an arc in that led to none by itself.

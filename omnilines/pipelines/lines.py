@@ -120,8 +120,8 @@ def _moved_lines(
 def _with_spare(
     kept: KeptLines, found: Sequence[FoundArcs], cameras: Calibration, options: SceneOptions, progress: ProgressCallback
 ) -> KeptLines:
-    """With the lines that a corner confirms. They are adjusted by themselves, with cameras as they are, and poses as far as they
-    are known: what poses that were refined leave uncertain is in the covariances of the lines."""
+    """With the lines that a corner or a plane confirms. They are adjusted by themselves, with cameras as they are, and poses as
+    far as they are known: what poses that were refined leave uncertain is in the covariances of the lines."""
     spare = spare_of(kept.matched, options)
     if spare is None:
         return kept

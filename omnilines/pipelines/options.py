@@ -64,12 +64,18 @@ class KeptLineOptions(NamedTuple):
     guided_by_families: bool = True
     """A line takes the direction of its family of parallel lines into account, as far as its own is less certain than
     `structure.families.tolerance_rad`."""
+    guided_by_planes: bool = True
+    """A line takes the planes of the lines beside it into account, as far as lines of this scene lie in the planes of their
+    neighbours (`structure.planes`)."""
     guided_by_corners: bool = True
     """A line takes the lines into account that end where it does in several photos, as far as lines of this scene that end
     together meet (`structure.corners`)."""
     min_meeting: float = 0.95
     """A line of one photo fewer than `min_views` (never fewer than 3) is kept where it meets one of the others in a corner
     (`structure.corners`) with a larger probability; with 1 none is."""
+    min_lying: float = 0.8
+    """Such a line is kept, too, where it lies in the plane of one of the others beside it (`structure.planes`) with a larger
+    probability; with 1 none is."""
 
 
 class FrameOptions(NamedTuple):

@@ -30,6 +30,7 @@ from omnilines.pipelines.calibration_errors import (
     wider_lines,
 )
 from omnilines.pipelines.copies import without_copies
+from omnilines.pipelines.coplanar_lines import coplanar_lines
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
@@ -200,6 +201,8 @@ def _scene(
     families = line_families(lines, options.structure.families)
     if options.kept_lines.guided_by_families:
         lines = guided_lines(lines, families)
+    if options.kept_lines.guided_by_planes:
+        lines = coplanar_lines(lines, found.track, families, options.structure)
     if options.kept_lines.guided_by_corners:
         at, track = found.matched.arcs.with_poses(poses.cam_from_world), found.track
         own = np.append(track, -1)[found.segments.track]
@@ -211,7 +214,7 @@ def _scene(
         lines, poses, families, source=posed.source, unit=posed.unit, known=distance,
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
-    # Only now: families and corners are of lines whose errors are their own.
+    # Only now: families, planes and corners are of lines whose errors are their own.
     weak_share = options.adjustment.weak_share
     whole = frame.lines if by_poses is None else wider_lines(frame.lines, by_poses, weak_share)
     whole = lines_with_calibration_errors(whole, errors, weak_share)

@@ -2,12 +2,7 @@
 
 Two arcs of one photo end together where an end of each lies near the point that both circles share. Such lines meet, or
 something hides where they go on: then there is a gap between them. Which share of the corners has which gap is found from the
-lines themselves. With the gap g_k measured at corner k, of the variance v_k, and the standard deviations t_c of gaps,
-
-    p(g_k) = sum_c a_c N(g_k; 0, v_k + t_c^2),    sum_c a_c = 1,
-
-the shares a_c are found by expectation maximisation, for corners that two, three, and more photos show each; one further
-corner, that may have any gap, is counted along, so that few corners say little.
+lines themselves (`gaps.py`), for corners that two, three, and more photos show each.
 """
 
 from dataclasses import dataclass
@@ -16,10 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from omnilines.structure.gaps import TINY, likely_shares, log_density
 from omnilines.structure.options import CornerOptions
 
-ROUNDS = 200
-TINY = 1e-300
 FARTHEST, APART = 2.0, 3.0
 """Distance of opposite bearings, and of two photos in the search for arcs that end together."""
 
@@ -102,17 +96,7 @@ def gap_shares(
     """The shares under which the gaps of corners are most likely; `distance_m` is what `options.gaps` are shares of."""
     gaps = distance_m * np.array(options.gaps)
     _, group = np.unique(np.minimum(photos, options.most_photos), return_inverse=True)
-    own = likelihood(gap_m, variance_m2, gaps)
-    share = np.full((int(group.max(initial=-1)) + 1, len(gaps)), 1.0 / len(gaps))
-    # Cells of the table, first all of them for the further corner.
-    cell = np.concatenate([np.arange(share.size), (group[:, None] * len(gaps) + np.arange(len(gaps))).ravel()])
-    weight = np.full(len(cell), 1.0 / len(gaps))
-    for _ in range(ROUNDS):
-        part = share[group] * own
-        weight[share.size :] = (part / np.maximum(part.sum(-1, keepdims=True), TINY)).ravel()
-        total = np.bincount(cell, weight).reshape(share.shape)
-        share = total / total.sum(-1, keepdims=True)
-    return GapShares(gaps, share, group)
+    return GapShares(gaps, likely_shares(likelihood(gap_m, variance_m2, gaps), group), group)
 
 
 def meeting_share(
@@ -132,6 +116,5 @@ def likelihood(
     gap_m: Float[np.ndarray, " k"], variance_m2: Float[np.ndarray, " k"], gaps_m: Float[np.ndarray, " c"]
 ) -> Float[np.ndarray, "k c"]:
     """N(g; 0, v + t^2) of each gap and each standard deviation t, over the largest of the gap."""
-    spread = variance_m2[:, None] + gaps_m**2
-    log = -0.5 * (np.square(gap_m)[:, None] / spread + np.log(spread))
+    log = log_density(gap_m, variance_m2[:, None] + gaps_m**2)
     return np.exp(log - log.max(-1, keepdims=True))

@@ -64,6 +64,30 @@ class CornerOptions(NamedTuple):
     """Lines meet whose gap has a standard deviation of at most so much, over that distance."""
 
 
+class PlaneOptions(NamedTuple):
+    """Which lines run along the planes that families of parallel lines span, and how far they lie from each other's planes."""
+
+    most_families: int = 6
+    """The largest families, each two of which span planes."""
+    min_angle_rad: float = math.radians(20.0)
+    """Least angle between two families that span planes."""
+    along_sigmas: float = 3.0
+    """A line runs along planes where its direction differs from theirs by at most so many standard deviations, the stray of
+    `families.tolerance_rad` among them."""
+    min_lines: int = 10
+    """Along the planes of one normal, from which on they are asked."""
+    neighbours: int = 8
+    """Nearest lines, in the plane of one of which a line may lie."""
+    same_sigmas: float = 3.0
+    """Lines nearly parallel (`corners.min_sine`) that lie nearer to each other within the plane than so many standard deviations
+    may be one line: neither is a neighbour of the other."""
+    gaps: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
+    """Standard deviations of the gap between a line and the plane of a neighbour, over the median distance of lines from
+    cameras, of which the shares are found: the least of lines in one plane, the others of those that are not."""
+    lying_gap: float = 1e-3
+    """Lines lie in one plane whose gap has a standard deviation of at most so much, over that distance."""
+
+
 class UprightOptions(NamedTuple):
     """Which family of parallel lines is vertical."""
 
@@ -89,6 +113,8 @@ class StructureOptions(Typed):
     """Which lines are parallel."""
     corners: CornerOptions = CornerOptions()
     """Where lines end together."""
+    planes: PlaneOptions = PlaneOptions()
+    """Which lines lie in one plane."""
     upright: UprightOptions = UprightOptions()
     """Which way is up."""
 
