@@ -164,9 +164,13 @@ def photo_flaw(grey: Grey, name: str, options: SearchOptions) -> str | None:
     full = 65535 if grey.dtype == np.uint16 else 255
     low, high = np.percentile(grey[::4, ::4], [1, 99]) / full
     if high < 0.12:
-        return f"The photo is too dark to show a {name}: 99 percent of it is below {100 * high:.0f} percent of full scale."
+        most = max(1, math.ceil(100 * high))
+        why = f"99 percent of it is below {most} percent of full scale" if grey.any() else "it is black"
+        return f"The photo is too dark to show a {name}: {why}."
     if low > 0.9:
-        return f"The photo is overexposed: 99 percent of it is above {100 * low:.0f} percent of full scale."
+        least = min(99, math.floor(100 * low))
+        why = f"99 percent of it is above {least} percent of full scale" if (grey < full).any() else "it is white"
+        return f"The photo is overexposed: {why}."
     if high - low < 0.08:
         return f"The photo has too little contrast to show a {name}: it spans {100 * (high - low):.0f} percent of full scale."
     reduced = _rescaled(stretched(grey), min(1.0, options.side_px / max(grey.shape))).astype(np.float32)

@@ -30,6 +30,14 @@ def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | 
         raise InputError(f"An array of real numbers was expected, found {found(values)}; correct it.") from None
 
 
+def vectors(values: Any, sides: int, what: str) -> torch.Tensor:
+    """Raises InputError where these are no vectors of so many sides."""
+    if not isinstance(values, torch.Tensor) or values.shape[-1:] != (sides,):
+        given = f"an array {tuple(values.shape)}" if isinstance(values, torch.Tensor) else type(values).__name__
+        raise InputError(f"{what} were expected as an array (..., {sides}), found {given}; give them so.")
+    return values
+
+
 def _to_numpy(value: Any) -> Any:
     if isinstance(value, torch.Tensor):
         return value.detach().cpu().numpy()

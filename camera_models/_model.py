@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models._arrays import Array, array_function, as_tensor
+from camera_models._arrays import Array, array_function, as_tensor, vectors
 from camera_models.errors import InputError
 
 _LEAST_NORM = 0.5
@@ -32,14 +32,6 @@ def _size(given: Any) -> tuple[int, int]:
     except (TypeError, ValueError, OverflowError):
         pass  # what is wrong with them is said below
     raise InputError(f"An image was expected to be (width, height) in whole pixels above 0, found {given!r}; correct it.")
-
-
-def _vectors(values: Any, sides: int, what: str) -> Tensor:
-    """Raises InputError where these are no vectors of so many sides."""
-    if not isinstance(values, Tensor) or values.shape[-1:] != (sides,):
-        found = f"an array {tuple(values.shape)}" if isinstance(values, Tensor) else type(values).__name__
-        raise InputError(f"{what} were expected as an array (..., {sides}), found {found}; give them so.")
-    return values
 
 
 class CameraModel(ABC):
@@ -139,7 +131,7 @@ class CameraModel(ABC):
         `valid` is false beyond `max_angle`, at the camera centre, and for numbers that are none (NaN, infinity) or beyond
         computing; the pixel there is finite and means nothing. Raises InputError where points are none.
         """
-        pixels, valid = self._project(_vectors(points, 3, "Points"))
+        pixels, valid = self._project(vectors(points, 3, "Points"))
         known = pixels.isfinite().all(-1)
         if not bool(known.all()):
             pixels, valid = torch.where(known[..., None], pixels, self.centre_px), valid & known
@@ -157,7 +149,7 @@ class CameraModel(ABC):
 
         Raises InputError where pixels are none.
         """
-        bearings, valid = self._unproject(_vectors(pixels, 2, "Pixels"))
+        bearings, valid = self._unproject(vectors(pixels, 2, "Pixels"))
         known = bearings.norm(dim=-1) > _LEAST_NORM
         if not bool(known.all()):
             ahead = torch.tensor([0.0, 0.0, 1.0], dtype=bearings.dtype, device=bearings.device)

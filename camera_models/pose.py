@@ -1,13 +1,14 @@
 """Rigid motions SE(3), batched. `a_from_b @ b_from_c` is `a_from_c`."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models._arrays import Array, as_tensor
+from camera_models._arrays import Array, array_function, as_tensor, vectors
 from camera_models.errors import InputError
 from camera_models.typed import require_fields
 
@@ -131,8 +132,12 @@ class Pose:
         return Pose(torch.eye(3, dtype=torch.float64).expand(*batch, 3, 3).clone(), torch.zeros(*batch, 3, dtype=torch.float64))
 
     @staticmethod
-    def exp(delta: Float[Tensor, "*batch 6"]) -> "Pose":
-        """Exponential of a twist delta = (rotation_rad, translation_m); exp(delta) @ T is the left perturbation of T."""
+    def exp(delta: Float[Array, "*batch 6"] | list[Any]) -> "Pose":
+        """Exponential of a twist delta = (rotation_rad, translation_m); exp(delta) @ T is the left perturbation of T.
+
+        Raises InputError where it is none.
+        """
+        delta = vectors(as_tensor(delta), 6, "Twists")
         w = delta[..., :3]
         first, second, third = _exponential_factors(w)
         h = hat(w)
@@ -155,15 +160,25 @@ class Pose:
         return torch.cat([w, (inverse @ self.translation[..., None]).squeeze(-1)], -1)
 
     def __matmul__(self, other: "Pose") -> "Pose":
-        return Pose(self.rotation @ other.rotation, self.transform(other.translation[..., None, :]).squeeze(-2))
+        return Pose(self.rotation @ other.rotation, self._moved(other.translation[..., None, :]).squeeze(-2))
 
     def inverse(self) -> "Pose":
         """b_from_a of a_from_b."""
         r = self.rotation.mT
         return Pose(r, -(r @ self.translation[..., None]).squeeze(-1))
 
-    def transform(self, points: Float[Tensor, "*points_batch n 3"]) -> Float[Tensor, "*out_batch n 3"]:
-        """The points (a set of n per pose) in the frame on the left."""
+    @overload
+    def transform(self, points: Tensor) -> Tensor: ...
+
+    @overload
+    def transform(self, points: np.ndarray | list[Any]) -> np.ndarray: ...
+
+    @array_function
+    def transform(self, points: Float[Array, "*points_batch n 3"] | list[Any]) -> Float[Array, "*out_batch n 3"]:
+        """The points (a set of n per pose) in the frame on the left. Raises InputError where they are none."""
+        return self._moved(vectors(points, 3, "Points").to(self.rotation))
+
+    def _moved(self, points: Float[Tensor, "*points_batch n 3"]) -> Float[Tensor, "*out_batch n 3"]:
         return points @ self.rotation.mT + self.translation[..., None, :]
 
     @property
@@ -176,10 +191,19 @@ class Pose:
         """Unit quaternion (w, x, y, z) of the rotation, w >= 0."""
         return quaternion_from_rotation(self.rotation)
 
+    @property
+    def is_single(self) -> bool:
+        """Whether this is one pose, not a batch."""
+        return self.rotation.dim() == 2
+
     def __getitem__(self, index: Any) -> "Pose":
+        if self.is_single and index is not None:
+            raise InputError("A batch of poses was expected where one is picked, found a single pose; use it as it is.")
         return Pose(self.rotation[index], self.translation[index])
 
     def __len__(self) -> int:
+        if self.is_single:
+            raise TypeError("A batch of poses was expected where poses are counted, found a single pose; pose[None] is a batch.")
         return self.rotation.shape[0]
 
     @staticmethod

@@ -12,6 +12,7 @@ from jaxtyping import UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
+from camera_models.typed import typed
 from omnilines.machine import available_bytes
 from omnilines.photo_size import size_of_photo
 
@@ -22,6 +23,7 @@ LONGEST_JPEG_PX = 65_500
 """A side of what libjpeg writes."""
 
 
+@typed
 def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
 

@@ -57,6 +57,34 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(from_csv, name), getattr(from_parquet, name))
 
 
+def test_whole_numbers_are_names_as_in_csv(tmp_path: Path) -> None:
+    """Also where a tool wrote them as floating point, as pandas does where one is missing."""
+    pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow", "pyarrow.parquet"))
+    ends = {"u1_px": [1.0, 2.0, 3.0], "v1_px": [2.0] * 3, "u2_px": [7.0] * 3, "v2_px": [5.0] * 3}
+    path = tmp_path / "s.parquet"
+    for track, names, index in (
+        ([7, 3, 7], ("7", "3"), [0, 1, 0]),
+        ([7.0, None, 3.0], ("7", "3"), [0, -1, 1]),
+        ([None, None, None], (), [-1, -1, -1]),
+    ):
+        columns = {"image": [20, 10, 20], "track": pyarrow.array(track, pyarrow.float64() if None in track else pyarrow.int64())}
+        parquet.write_table(pyarrow.table(columns | ends), path)
+        found = read_segments(path)
+        assert found.images == ("20", "10") and found.image.tolist() == [0, 1, 0]
+        assert found.tracks == names and found.track.tolist() == index
+    for wrong in ([1.5, 2.0, 3.0], [2**53, 2, 3], [2**60 + 1, 2, 3]):
+        parquet.write_table(pyarrow.table({"image": ["a", "b", "c"], "track": wrong} | ends), path)
+        with pytest.raises(InputError, match="row 1, column track: expected texts or whole numbers, found"):
+            read_segments(path)
+
+
+def test_tables_are_not_written_under_a_name_of_parquet(tmp_path: Path) -> None:
+    for name in ("segments.parquet", "segments.PQ"):
+        with pytest.raises(InputError, match=rf"{name}: tables are written as CSV, found a name of Parquet; give one"):
+            write_segments(tmp_path / name, segments())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_malformed_cell_is_named_by_row(tmp_path: Path) -> None:
     pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow", "pyarrow.parquet"))
     columns = {"image": ["a", "b"], "track": ["t", "t"], "u1_px": [1.0, None], "v1_px": [2.0, 2.0], "u2_px": [3.0, 3.0]}

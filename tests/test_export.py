@@ -137,10 +137,12 @@ def test_geojson_asks_for_an_origin_and_metres(folder: Path, tmp_path: Path, cap
 def test_nerfstudio_frames_project_as_ours(cameras: dict, tmp_path: Path) -> None:
     """By its documents: x right, y up, z backwards; pixels count from the corner of the image."""
     folder = scene(tmp_path / "scene", Calibration(cameras))
-    (tmp_path / "photos").mkdir()
+    poses = ol.read_poses(folder / "poses.csv")
+    (tmp_path / "photos" / "in").mkdir(parents=True)
+    for image in poses.images:
+        (tmp_path / "photos" / image).touch()
     ((path,), _) = ol.export(folder, tmp_path / "transforms.json", photos=tmp_path / "photos").save()
     data = json.loads(path.read_text())
-    poses = ol.read_poses(folder / "poses.csv")
     assert [frame["file_path"] for frame in data["frames"]] == [f"photos/in/{k}.png" for k in range(3)]
     for k, frame in enumerate(data["frames"]):
         lens = data | frame
@@ -160,6 +162,17 @@ def test_nerfstudio_frames_project_as_ours(cameras: dict, tmp_path: Path) -> Non
         ours, valid = camera.project(bearings)
         assert valid.mean() > 0.5
         np.testing.assert_allclose(pixels[valid] - 0.5, ours[valid], atol=1e-5)
+
+
+@pytest.mark.parametrize("out", ["transforms.json", "colmap"])
+def test_photos_that_are_missing_are_named(out: str, folder: Path, tmp_path: Path) -> None:
+    photos, images = tmp_path / "photos", ol.read_poses(folder / "poses.csv").images
+    (photos / "in").mkdir(parents=True)
+    for image in images[:-1]:
+        (photos / image).touch()
+    with pytest.raises(InputError, match=rf"{images[-1]} does not exist; check the path\."):
+        ol.export(folder, tmp_path / out, photos=photos)
+    assert not (tmp_path / out).exists()
 
 
 def test_what_nerfstudio_does_not_hold_is_fitted_and_said(tmp_path: Path) -> None:

@@ -89,8 +89,19 @@ def test_ros_variants(tmp_path: Path) -> None:
     for old, new, message in (
         ("plumb_bob", "thin_prism", "found thin_prism"),
         (", 0]\nrect", ", 0, 0.5]\nrect", "must have 5 coefficients, found more that are not zero"),
-        ("[526.6908296825479", "[0.0", "that of a calibrated camera"),
+        ("[526.6908296825479", "[0.0", "that of a calibrated camera, found fx = 0"),
+        ("[526.6908296825479", "[-400", "must have fx and fy above 0, found -400 and 525.754; correct it"),
+        ("camera_matrix", "intrinsics", "A ROS file has a camera_matrix .*, found none among image_width, .*intrinsics"),
         ("image_width: 640", "image_width: 0", "must be at least 1 x 1 pixels"),
     ):
         with pytest.raises(InputError, match=message):
             read(put(tmp_path / "bad.yaml", OST.replace(old, new)), "ros")
+
+
+def test_what_ros_prints_of_a_topic_is_one_document(tmp_path: Path) -> None:
+    """`rostopic echo` ends a message with a line of ---."""
+    (camera,) = read(put(tmp_path / "message.yaml", MESSAGE)).calibration.values()
+    (printed,) = read(put(tmp_path / "printed.yaml", MESSAGE + "---\n")).calibration.values()
+    assert printed.named_parameters() == camera.named_parameters()
+    with pytest.raises(InputError, match="expected to hold one document of YAML, found 2 set apart by ---; keep one"):
+        read(put(tmp_path / "two.yaml", f"{MESSAGE}---\n{MESSAGE}---\n"))

@@ -1,5 +1,6 @@
 """Laws of every calibration target (adding one needs no edit here), and the checkerboard on rendered and real photos."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -174,15 +175,17 @@ def test_says_why_nothing_was_found(pattern: Pattern) -> None:
     pure_noise = rng.integers(0, 256, (240, 320)).astype(np.uint8)
     sharp = cv2.resize(render_target(pattern, camera(), pose_in_front(pattern)), (320, 240), interpolation=cv2.INTER_AREA)
     cases = {
-        "too dark": np.full((240, 320), 4, dtype=np.uint8),
-        "overexposed": np.full((240, 320), 255, dtype=np.uint8),
+        "too dark .* 99 percent of it is below 2 percent": np.full((240, 320), 4, dtype=np.uint8),
+        "too dark .*: it is black": np.zeros((240, 320), dtype=np.uint16),
+        "overexposed: 99 percent of it is above 99 percent": np.full((240, 320), 254, dtype=np.uint8),
+        "overexposed: it is white": np.full((240, 320), 255, dtype=np.uint8),
         "too little contrast": np.full((240, 320), 120, dtype=np.uint8),
         "too blurred": cv2.GaussianBlur(sharp, (0, 0), 20),
         "No ": pure_noise,
     }
     for words, image in cases.items():
         detection, reason = pattern.detect(image)
-        assert len(detection) == 0 and reason is not None and words in reason and reason.endswith(".")
+        assert len(detection) == 0 and reason is not None and re.search(words, reason) and reason.endswith(".")
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((4, 4, 4), np.uint8), np.zeros((0, 4), np.uint8)])

@@ -8,7 +8,7 @@ import scipy.optimize
 import torch
 from scipy.spatial.transform import Rotation
 
-from camera_models.errors import GeometryError
+from camera_models.errors import GeometryError, InputError
 from camera_models.pose import Pose, rotation_from_vector
 from camera_models.rotations import common_rotation, mean_rotation, nearest_rotation, similarity_alignment
 
@@ -55,6 +55,34 @@ def test_common_rotation_is_that_of_scipy() -> None:
     np.testing.assert_allclose(common_rotation(source.numpy(), target.numpy()), expected.as_matrix(), atol=1e-7)
     with pytest.raises(GeometryError, match="on one axis"):
         common_rotation(source[:1].expand(5, 3), target[:1].expand(5, 3))
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+def test_poses_take_arrays_and_answer_in_kind(batch: tuple[int, ...]) -> None:
+    twist, points = normal(*batch, 6, seed=30), normal(*batch, 5, 3, seed=31)
+    pose = Pose.exp(twist)
+    torch.testing.assert_close(pose.log(), twist)
+    moved = pose.transform(points)
+    for given in (twist.numpy(), twist.tolist()):
+        torch.testing.assert_close(Pose.exp(given).rotation, pose.rotation, rtol=0, atol=0)
+    for given in (points.numpy(), points.tolist()):
+        found = pose.transform(given)
+        assert isinstance(found, np.ndarray)
+        np.testing.assert_array_equal(found, moved.numpy())
+    single = pose.transform(points.float())
+    assert isinstance(single, torch.Tensor) and single.dtype == Pose.exp(twist.float()).rotation.dtype == torch.float64
+    torch.testing.assert_close(single, moved, rtol=0, atol=1e-5)
+
+
+def test_a_single_pose_is_no_batch() -> None:
+    pose = Pose.exp(normal(6, seed=32))
+    with pytest.raises(TypeError, match="found a single pose"):
+        len(pose)
+    for index in (0, slice(1), torch.tensor([0, 0, 1])):
+        with pytest.raises(InputError, match="found a single pose; use it as it is"):
+            pose[index]
+    assert len(pose[None]) == 1
+    torch.testing.assert_close(pose[None][0].translation, pose.translation)
 
 
 def test_similarity_alignment_recovers_the_similarity_and_is_the_minimum() -> None:

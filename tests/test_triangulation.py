@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from triangulation_scenes import METHODS, normal, observe, unit
+from triangulation_scenes import METHODS, normal, observe, unit, upright
 
 from camera_models import OpenCVFisheye
 from camera_models.errors import InputError
@@ -183,6 +183,43 @@ def test_a_scene_says_which_lines_are_weak_for_resting_on_one_camera_alone() -> 
     found = reconstruct_lines(segments, poses, {"cam0": camera})
     assert found.lines.status == ("weak", "weak", "ok")
     assert found.rests_on_one.tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_pieces_of_a_line_in_one_photo_are_one_view(method: str, noise: float) -> None:
+    """Track 0 in three pieces in one photo, 1 in three in each of two, 2 in two in each of three."""
+    ends = torch.tensor([[-1.0, 0.0, 5.0], [1.0, 0.2, 5.0]], dtype=torch.float64)
+    centres = torch.tensor([[0.0, 0.0, 0.0], [0.3, 1.0, 0.0], [-0.4, -1.0, 0.2]], dtype=torch.float64)
+    shown = [
+        (track, view, piece) for track, pieces in enumerate((3, 3, 2)) for view in range(track + 1) for piece in range(pieces)
+    ]
+    track, view, piece = torch.tensor(shown).T
+    share = torch.stack([piece, piece + 0.8], -1)[..., None] / 3
+    rays = unit(ends[0] + share * (ends[1] - ends[0]) - centres[view][:, None])
+    rays = unit(rays + noise * normal(*rays.shape, seed=21))
+    found = triangulate(method, PlaneObservations.from_arcs(rays, upright(centres[view]), track, 3))
+    assert found.status_names == ("too_few_views", "weak", "ok")
+    assert found.views.tolist() == [1, 2, 3]
+
+
+def test_views_of_lines_are_photos() -> None:
+    """In two pieces in each of three photos, two of one place, and one piece in each of two."""
+    camera = OpenCVFisheye([300.0, 300.0, 640.0, 480.0, 0.0, 0.0, 0.0, 0.0], (1280, 960))
+    centres = torch.tensor([[0, 0, 0], [0, 0, 0], [0.3, 1, 0.1]], dtype=torch.float64)
+    lines = torch.tensor([[[-1, 0.5, 5], [1, 0.7, 5]], [[-1, 1, 5], [1, 2, 5]]], dtype=torch.float64)
+    rows = [(image, 0, low) for image in range(3) for low in (0.0, 0.6)] + [(image, 1, 0.0) for image in (0, 2)]
+    image, track, low = (np.array(column) for column in zip(*rows, strict=True))
+    share = torch.as_tensor(np.stack([low, low + 0.4], -1))[..., None]
+    pixels, _ = camera.project(
+        lines[track][:, :1] + share * (lines[track][:, 1:] - lines[track][:, :1]) - centres[image][:, None]
+    )
+    poses = ImagePoses(tuple("abc"), Pose(torch.eye(3, dtype=torch.float64).expand(3, 3, 3), -centres))
+    segments = Segments(image, tuple("abc"), track, ("0", "1"), pixels.numpy(), np.full(len(rows), 0.2))
+    for robust in (False, True):
+        found = reconstruct_lines(segments, poses, {"cam0": camera}, robust=robust)
+        assert found.lines.views.tolist() == found.before.views.tolist() == [3, 2]
+        assert found.lines.status == ("weak", "weak")
 
 
 @pytest.mark.parametrize("method", ["dual", "svd", "ml"])

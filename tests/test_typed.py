@@ -175,8 +175,9 @@ def test_a_camera_that_is_none_is_neither_used_nor_saved(tmp_path: Path) -> None
 
 
 AS_USERS_CALL = """
-import math, numpy as np, torch, camera_models as cm, omnilines as ol
+import io, math, numpy as np, torch, camera_models as cm, omnilines as ol
 ends, rows = np.ones((2, 2, 2)), np.arange(2)
+line, pose = np.array([[[1.0, 2.0], [3.0, 4.0]]]), ol.Pose.identity()
 
 def segments(image=rows, endpoints_px=ends):
     return ol.Segments(image, ("0", "1"), rows, ("a", "b"), endpoints_px)
@@ -196,6 +197,13 @@ for call in (
     lambda: segments(endpoints_px=ends.reshape(2, 4)), lambda: segments(image=rows[:1]), lambda: segments(image=rows * 1.0),
     lambda: ol.segments_of_arrays(ends, [0.5, 1.5], [0, 0]), lambda: ol.segments_of_arrays(None, [0], [0]),
     lambda: ol.SceneOptions(min_views=math.nan), lambda: ol.Pose.of("a", "b"),
+    lambda: ol.segments_of_arrays(ends, [0, 1], [0, 0]), lambda: ol.segments_of_arrays(line[[0, 0]], [0, 0], [-1, -1]),
+    lambda: ol.segments_of_arrays(np.concatenate([line, line[:, ::-1]]), [1, 1], [0, 0]),
+    lambda: ol.Pose.exp(np.ones(5)), lambda: pose.transform(np.ones((4, 2))), lambda: pose.transform(None), lambda: pose[0],
+    lambda: list(pose), lambda: ol.read_poses(None), lambda: ol.read_segments(io.StringIO()), lambda: ol.read_corners(b"x"),
+    lambda: ol.read_lines(3), lambda: ol.read_rig_corners(None), lambda: ol.write_segments(None, segments()),
+    lambda: ol.Scene.save(None, None), lambda: ol.Scene.save(None, b"x"), lambda: ol.Scene.report(None, None),
+    lambda: ol.CalibrationResult.save(None, None), lambda: ol.PhotoArcs.save(None, 3),
 ):
     try:
         print(call())
@@ -230,6 +238,25 @@ SAID = (
     "An array of real numbers was expected, found NoneType",
     "`min_views` of SceneOptions was expected as int, found nan",
     "An array of real numbers was expected, found 'a'; correct it.",
+    "`endpoints_px` was expected with two ends for each segment, found [1.0, 1.0] as both of row 0; remove the row.",
+    "`endpoints_px` was expected with each segment once, found that of row 0 in row 1 again; remove one of the two rows.",
+    "`endpoints_px` was expected with each segment once, found that of row 0 in row 1 again; remove one of the two rows.",
+    "Twists were expected as an array (..., 6), found an array (5,); give them so.",
+    "Points were expected as an array (..., 3), found an array (4, 2); give them so.",
+    "Points were expected as an array (..., 3), found NoneType; give them so.",
+    "A batch of poses was expected where one is picked, found a single pose; use it as it is.",
+    "A batch of poses was expected where one is picked, found a single pose; use it as it is.",
+    "`path` of read_poses was expected as str or Path, found NoneType; give one.",
+    "`path` of read_segments was expected as str or Path, found StringIO; give one.",
+    "`path` of read_corners was expected as str or Path, found bytes; give one.",
+    "`path` of read_lines was expected as str or Path, found 3; give one.",
+    "`path` of read_rig_corners was expected as str or Path, found NoneType; give one.",
+    "`path` of write_segments was expected as str or Path, found NoneType; give one.",
+    "`folder` of save was expected as str or Path, found NoneType; give one.",
+    "`folder` of save was expected as str or Path, found bytes; give one.",
+    "`path` of report was expected as str or Path, found NoneType; give one.",
+    "`folder` of save was expected as str or Path, found NoneType; give one.",
+    "`folder` of save was expected as str or Path, found 3; give one.",
 )
 
 

@@ -62,10 +62,16 @@ class RosCameraInfo(CalibrationFormat):
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
         data = mapping(read_yaml(path), "the file")
         matrix = _matrix(data, "camera_matrix", "k", 9)
-        if matrix is None or matrix[0] <= 0:
-            raise InputError("The camera matrix must be that of a calibrated camera, found none; calibrate the camera first.")
+        if matrix is None:
+            raise InputError(
+                f"A ROS file has a camera_matrix (a message K), found none among {listed(data)}; read the file as what it is."
+            )
         check_matrix(matrix, "the file")
         fx, skew, cx, _, fy, cy = matrix[:6]
+        if not fx:
+            raise InputError("The camera matrix must be that of a calibrated camera, found fx = 0; calibrate the camera first.")
+        if min(fx, fy) <= 0:
+            raise InputError(f"The camera matrix must have fx and fy above 0, found {fx:g} and {fy:g}; correct it.")
         name = text(data.get("distortion_model") or data.get("camera_model") or "plumb_bob", "distortion_model")
         form = self.form_named(_ALIASES.get(name, name), "the file")
         count = len(form.order or ()) - 4

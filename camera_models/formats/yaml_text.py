@@ -74,11 +74,12 @@ _Dumper.add_representer(str, _represent_text)
 
 
 def read_yaml(path: str | Path) -> Any:
-    """The data of a YAML file; raises InputError naming the file, and the line where it is malformed."""
+    """The data of a YAML file; raises InputError naming the file, and the line where it is malformed. Empty documents, such as
+    the one behind the last line of what `rostopic echo` prints, are passed over."""
     text = read_text(path)
     try:
         _check_nesting(text, path)
-        return yaml.load(text, Loader=_Loader)  # a subclass of the safe loader
+        documents = [data for data in yaml.load_all(text, Loader=_Loader) if data is not None]  # a subclass of the safe loader
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {mark.line + 1}" if mark else ""
@@ -91,6 +92,9 @@ def read_yaml(path: str | Path) -> Any:
         raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not valid YAML ({error}); correct it or restore the file.") from None
+    if len(documents) > 1:
+        raise InputError(f"{path} was expected to hold one document of YAML, found {len(documents)} set apart by ---; keep one.")
+    return documents[0] if documents else None
 
 
 def _check_nesting(text: str, path: str | Path) -> None:

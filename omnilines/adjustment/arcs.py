@@ -67,6 +67,10 @@ class MatchedArcs:
             observed=observed,
         )
 
+    def photos(self) -> Int[Tensor, " t"]:
+        """Number of photos that show each track, in however many pieces."""
+        return torch.bincount(torch.unique(self.track * self.images + self.image) // self.images, minlength=self.tracks)
+
     def seen_by(self, models: Sequence[CameraModel]) -> "MatchedArcs":
         """The same pixels through cameras with other parameters. Raises InputError where the arcs do not know their pixels."""
         if self.observed is None:

@@ -29,12 +29,14 @@ def line_table(
     first: Triangulation,
     state: LinesAndPoses,
     *,
+    views: Int[Tensor, " t"],
     adjusted: Adjusted | None,
     weak_share: float,
 ) -> tuple[Lines, Float[Tensor, "m 2"]]:
     """The table of all tracks for one state, and the orthogonal distances of the arcs `inner` that the lines rest on.
 
-    `names` are those of all tracks, `tracks` the numbers of those that have a line, to which the tracks of `inner` refer.
+    `names` and `views` (photos) are those of all tracks, `tracks` the numbers of those that have a line, to which the tracks of
+    `inner` refer.
     """
     count = len(names)
     lines = state.chart.lines()
@@ -64,7 +66,7 @@ def line_table(
     table = Lines(
         names,
         ends_by_track.numpy(),
-        first.views.numpy(),
+        views.numpy(),
         rms.numpy(),
         sigma.numpy(),
         status=tuple(status),

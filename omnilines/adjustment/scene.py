@@ -189,9 +189,9 @@ def _described(
     """The scene before (`state`) and after the adjustment, with what does not fit it."""
     inner, tracks, member, first = rests.inner, rests.tracks, rests.member, rests.first
     final = inner.seen_by(adjusted.state.models) if adjusted.state.models else inner
-    weak = options.weak_share
-    before, before_px = line_table(names, inner, tracks, first, state, adjusted=None, weak_share=weak)
-    lines, after_px = line_table(names, final, tracks, first, adjusted.state, adjusted=adjusted, weak_share=weak)
+    weak, views = options.weak_share, table.arcs.rows(member).photos()
+    before, before_px = line_table(names, inner, tracks, first, state, views=views, adjusted=None, weak_share=weak)
+    lines, after_px = line_table(names, final, tracks, first, adjusted.state, views=views, adjusted=adjusted, weak_share=weak)
     used = member.clone()
     used[member] = first.known[table.arcs.track[member]]
     end, seen = adjusted.state, tuple(names[k] for k in tracks.tolist())

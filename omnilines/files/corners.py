@@ -12,8 +12,8 @@ from camera_models.typed import typed
 from omnilines.files.frames import LATEST_S
 from omnilines.files.tables import (
     LARGEST_PX,
-    PARQUET_SUFFIXES,
     Table,
+    is_parquet,
     name_cells,
     number_cells,
     read_table,
@@ -25,6 +25,7 @@ COLUMNS = ("view", "image", "board_x_m", "board_y_m", "u_px", "v_px")
 OPTIONAL = ("camera", "frame", "board", "id", "board_z_m", "sigma_px", "time_s")
 
 
+@typed
 def read_corners(path: str | Path) -> Corners:
     """Corners of one camera, views in the order of first appearance.
 
@@ -40,6 +41,7 @@ def read_corners(path: str | Path) -> Corners:
     return replace(_corners(table, view, view_names), times_s=times_s)
 
 
+@typed
 def read_rig_corners(path: str | Path) -> Corners:
     """Corners of a rig. Rows with the same view, camera and board are one view; `frames` and `times_s` are None where these
     columns are absent. Raises InputError as `read_corners`, and where a view has two frames or times."""
@@ -76,14 +78,16 @@ def _times(table: Table, view: Int[np.ndarray, " n"], first: Int[np.ndarray, " v
     return times
 
 
+@typed
 def is_corners_table(path: str | Path) -> bool:
     """Whether the header of a file has all columns of corners.csv."""
-    if Path(path).suffix.lower() in PARQUET_SUFFIXES:
+    if is_parquet(path):
         return False
     header = read_text(path).split("\n", 1)[0].lstrip("\ufeff")
     return set(COLUMNS) <= {cell.strip().strip('"') for cell in header.split(",")}
 
 
+@typed
 def is_rig_table(path: str | Path) -> bool:
     """Whether the rows are of more than one camera, or of more than one board."""
     table = read_table(path, COLUMNS, OPTIONAL)

@@ -20,6 +20,7 @@ BY_CALIBRATION = "calibration_sigma_m"
 OPTIONAL = (*SHARES, BY_CALIBRATION)
 
 
+@typed
 def read_lines(path: str | Path) -> Lines:
     """Lines in the order of the file; empty cells are NaN, a table without rows is one of no lines.
 
@@ -78,6 +79,7 @@ def write_lines(path: str | Path, lines: Lines) -> None:
     write_table(path, columns)
 
 
+@typed
 def write_covariance(path: str | Path, poses: ImagePoses | None = None, lines: Lines | None = None) -> None:
     """Write `covariance.npz` in one step: what is known of the following arrays, for `numpy.load`.
 

@@ -16,6 +16,9 @@ from jaxtyping import Bool, Float, Int
 from camera_models.errors import InputError
 from omnilines.files.tables import Table
 
+LARGEST_EXACT = 2**53
+"""Whole numbers from here on may be another one in double precision."""
+
 
 @dataclass(frozen=True)
 class ParquetTable(Table):
@@ -64,11 +67,20 @@ class ParquetTable(Table):
 
     def names(self, column: str, may_be_empty: bool = False) -> tuple[Int[np.ndarray, " n"], tuple[str, ...]]:
         """Distinct texts of a column in the order of first appearance, and the index of each row's text; -1 for a missing one."""
-        if column not in self.texts:
-            raise self.error(0, column, "a column of texts", "write it as texts")
         if not may_be_empty:
             self.require(self.filled(column), column, "a name", "fill it in")
-        return self.texts[column]
+        return self.texts[column] if column in self.texts else self._numbered(column)
+
+    def _numbered(self, column: str) -> tuple[Int[np.ndarray, " n"], tuple[str, ...]]:
+        """Names that are whole numbers, as CSV has them; a column with missing ones comes from tools as floating point."""
+        values, filled = self.values[column], self.filled(column)
+        whole = (values == np.rint(values)) & (np.abs(values) < LARGEST_EXACT)
+        self.require(whole | ~filled, column, "texts or whole numbers", "write them as texts")
+        distinct, first, which = np.unique(values[filled], return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        index = np.full(len(self), -1)
+        index[filled] = np.argsort(order)[which]
+        return index, tuple(str(int(value)) for value in distinct[order])
 
 
 def read_parquet_table(path: Path, required: Sequence[str], optional: Sequence[str], may_be_empty: bool) -> ParquetTable:
@@ -127,7 +139,7 @@ class _Column:
         if types.is_integer(kind) or types.is_floating(kind):
             if self.values is None:
                 self.values = np.empty(self.count)
-            self.values[here] = part.cast("float64").to_numpy()
+            self.values[here] = part.cast("float64", safe=False).to_numpy()
         elif types.is_string(kind) or types.is_large_string(kind):
             if self.index is None:
                 self.index = np.empty(self.count, dtype=np.int64)

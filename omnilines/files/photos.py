@@ -15,6 +15,7 @@ from camera_models._arrays import Array
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
 from camera_models.formats.values import is_text, stray
+from camera_models.typed import typed
 from omnilines.machine import available_bytes
 from omnilines.photo_file import MOST_PIXELS, levels_of, read_photo, stretched
 from omnilines.photo_size import may_have_16_bits, size_of_photo
@@ -70,6 +71,7 @@ Photos: TypeAlias = str | Path | Sequence[str | Path] | Sequence[Photo] | Sequen
 or without (photo0, photo1, ...)."""
 
 
+@typed
 def photos_of(photos: Photos) -> list[Photo]:
     """The photos of a folder, of files and folders, of arrays, or of a mapping of names to arrays: (h, w) grey or (h, w, 3) BGR,
     of 8 or 16 bits.
@@ -142,6 +144,7 @@ def photo_folder(photos: Sequence[Photo]) -> Path | None:
     return photo.path.parents[len(Path(photo.name).parts) - 1]
 
 
+@typed
 def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
     """The photos in folders (and their subfolders) and among files, each once, in natural order (2.jpg before 10.jpg).
 
@@ -199,6 +202,13 @@ def _photos_in(folder: Path) -> Iterator[str]:
         )
 
 
+def require_photos(folder: Path, images: Sequence[str]) -> None:
+    """Raises InputError where one of the photos is not in the folder."""
+    missing = next((folder / image for image in images if not (folder / image).is_file()), None)
+    if missing is not None:
+        raise InputError(f"{missing} does not exist; check the path.")
+
+
 def require_distinct_stems(photos: Sequence[PhotoRef]) -> None:
     """Raises InputError where two photos differ in their suffix alone: what is written of each would have one name."""
     seen: dict[Path, str] = {}
@@ -233,6 +243,7 @@ def _pixels(photo: Photo) -> int:
     return 0 if size is None or size[0] * size[1] > MOST_PIXELS else size[0] * size[1]
 
 
+@typed
 def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
     """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
     encoded = cv2.imencode(".png", photo)[1]

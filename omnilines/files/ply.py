@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from camera_models.formats.disk import write_atomically
+from camera_models.typed import typed
 from omnilines.files.tables import number_cells
 from omnilines.records import Lines
 
@@ -40,6 +41,7 @@ end_header
 """
 
 
+@typed
 def write_ply(
     path: str | Path,
     lines: Lines,

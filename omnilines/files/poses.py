@@ -17,6 +17,7 @@ LONGEST = 10.0
 """Of a quaternion, and the inverse of the shortest: tools round them, and some do not normalise."""
 
 
+@typed
 def read_poses(path: str | Path) -> ImagePoses:
     """Poses in the order of the file: X_cam = R(q) X_world + t, t in metres, q = (w, x, y, z), normalised when read.
 

@@ -15,6 +15,7 @@ COVARIANCE = ("suu1", "suv1", "svv1", "suu2", "suv2", "svv2")
 OPTIONAL = ("camera", "sigma_px", *COVARIANCE)
 
 
+@typed
 def read_segments(path: str | Path) -> Segments:
     """Segments; photos and tracks in the order of first appearance, track -1 where the cell is empty.
 
@@ -26,7 +27,10 @@ def read_segments(path: str | Path) -> Segments:
     track, tracks = table.names("track", may_be_empty=True)
     ends = table.within(LARGEST_PX, "u1_px", "v1_px", "u2_px", "v2_px").reshape(-1, 2, 2)
     table.require((ends[:, 0] != ends[:, 1]).any(1), "u2_px", "an end point other than the first", "remove the row")
-    _require_once(table, image, track, ends)
+    if (pair := repeated(image, track, ends)) is not None:
+        first, row = pair
+        expected = f"each segment once, not as in line {table.lines[first]} again"
+        raise table.error(row, "u1_px", expected, "remove one of the two rows")
     sigma = None
     if table.has("sigma_px"):
         sigma = table.sigmas("sigma_px")
@@ -34,18 +38,16 @@ def read_segments(path: str | Path) -> Segments:
     return Segments(image, images, track, tracks, ends, sigma, _covariance(table), cameras)
 
 
-def _require_once(
-    table: Table, image: Int[np.ndarray, " n"], track: Int[np.ndarray, " n"], ends: Float[np.ndarray, "n 2 2"]
-) -> None:
-    """Raises InputError where a track has the same segment of a photo twice, either way round: it would count as two."""
+def repeated(
+    image: Int[np.ndarray, " n"], track: Int[np.ndarray, " n"], ends: Float[np.ndarray, "n 2 2"]
+) -> tuple[int, int] | None:
+    """The first two rows of one segment of a photo in one track, either way round: they would count as two; None without any."""
     swapped = (ends[:, 0] > ends[:, 1]).any(1) & ~(ends[:, 0, 0] < ends[:, 1, 0])
     sorted_ends = np.where(swapped[:, None, None], ends[:, ::-1], ends).reshape(-1, 4)
     _, first, which = np.unique(np.column_stack([image, track, sorted_ends]), axis=0, return_index=True, return_inverse=True)
-    again = np.flatnonzero(first[which.ravel()] != np.arange(len(table)))
-    if len(again):
-        row = int(again[0])
-        other = table.lines[first[which.ravel()[row]]]
-        raise table.error(row, "u1_px", f"each segment once, not as in line {other} again", "remove one of the two rows")
+    earlier = first[which.ravel()]
+    again = np.flatnonzero(earlier != np.arange(len(image)))
+    return (int(earlier[again[0]]), int(again[0])) if len(again) else None
 
 
 def _covariance(table: Table) -> Float[np.ndarray, "n 2 2 2"] | None:

@@ -150,7 +150,7 @@ def read_table(path: str | Path, required: Sequence[str], optional: Sequence[str
     Raises InputError on what is no table, lacks a column or (unless allowed) has no rows.
     """
     file = Path(path)
-    if file.suffix in PARQUET_SUFFIXES:
+    if is_parquet(file):
         from omnilines.files.parquet import read_parquet_table
 
         return read_parquet_table(file, required, optional, may_be_empty)
@@ -198,8 +198,16 @@ def _positions(file: Path, line: int, header: list[str], required: Sequence[str]
     return position
 
 
+def is_parquet(path: str | Path) -> bool:
+    """Whether a file is one of Parquet by its name."""
+    return Path(path).suffix.lower() in PARQUET_SUFFIXES
+
+
 def write_table(path: str | Path, columns: Mapping[str, Iterable[str]]) -> None:
-    """Write columns of finished cells under a header line, in one step; raises InputError where the file cannot be written."""
+    """Write columns of finished cells under a header line, in one step. Raises InputError where the file cannot be written, or is
+    one of Parquet by its name, which is read only."""
+    if is_parquet(path):
+        raise InputError(f"{path}: tables are written as CSV, found a name of Parquet; give one that ends in .csv.")
     rows = map(",".join, zip(*columns.values(), strict=True))
     write_atomically(path, "\n".join([",".join(columns), *rows]) + "\n")
 

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from camera_models import CameraModel, InputError, Pinhole
 from camera_models.formats.disk import read_text
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.records import ImagePoses, Segments
 
 IMAGE_SIZE = (768, 576)
@@ -32,6 +33,7 @@ class MatchedLines:
     cameras: dict[str, CameraModel]
 
 
+@typed
 def read_vgg_lines(folder: str | Path) -> MatchedLines:
     """The segments of all tracks; photos are `000.png`, ... with cameras `cam000`, ..., tracks are numbered by row.
 
@@ -57,6 +59,7 @@ class MatchedPoints:
     pixels: Float[np.ndarray, "n 2"]
 
 
+@typed
 def read_vgg_points(folder: str | Path) -> MatchedPoints:
     """The point matches beside the lines of `read_vgg_lines`, points numbered by row; raises InputError as it does."""
     name, matrices = _named(Path(folder))

@@ -16,6 +16,7 @@ from camera_models.pose import Pose
 from camera_models.typed import found, typed
 from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
+from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.calibration_errors import (
@@ -238,14 +239,15 @@ def segments_of_arrays(
 ) -> Segments:
     """A table of segments from arrays: both ends of each, the number of its photo, and that of its line (-1 for none).
 
-    Raises InputError where their lengths differ, or they are no segments (`Segments`).
+    Raises InputError where their lengths differ, they are no segments (`Segments`), the two ends of one are one pixel, or a line
+    has the same segment of a photo twice, either way round.
 
         >>> ends_px = np.array([[[10.0, 10.0], [50.0, 12.0]], [[8.0, 30.0], [9.0, 70.0]]])
         >>> ol.segments_of_arrays(ends_px, [0, 1], [0, 0]).images
         ('0', '1')
     """
     photo, line = _indices(image, "image"), _indices(track, "track")
-    return Segments(
+    segments = Segments(
         photo,
         tuple(str(k) for k in range(int(photo.max(initial=-1)) + 1)),
         line,
@@ -254,6 +256,19 @@ def segments_of_arrays(
         None if sigma_px is None else as_tensor(sigma_px).numpy(),
         None if covariance_px2 is None else as_tensor(covariance_px2).numpy(),
     )
+    ends = segments.endpoints_px
+    points = np.flatnonzero((ends[:, 0] == ends[:, 1]).all(1))
+    if len(points):
+        raise InputError(
+            f"`endpoints_px` was expected with two ends for each segment, found {ends[points[0], 0].tolist()} as both of row "
+            f"{points[0]}; remove the row."
+        )
+    if (pair := repeated(photo, line, ends)) is not None:
+        raise InputError(
+            f"`endpoints_px` was expected with each segment once, found that of row {pair[0]} in row {pair[1]} again; remove one "
+            "of the two rows."
+        )
+    return segments
 
 
 def _indices(given: np.ndarray | torch.Tensor | Sequence[int], name: str) -> Int[np.ndarray, " n"]:
@@ -270,6 +285,7 @@ def _table_of(poses: PhotoPoses | ImagePoses | Pose, segments: Segments) -> Imag
         return poses.poses
     if isinstance(poses, ImagePoses):
         return poses
-    if len(poses) != len(segments.images):
-        raise InputError(f"A pose of each of {len(segments.images)} photos was expected, found {len(poses)}; give as many.")
-    return ImagePoses(segments.images, poses)
+    each = poses[None] if poses.is_single else poses
+    if len(each) != len(segments.images):
+        raise InputError(f"A pose of each of {len(segments.images)} photos was expected, found {len(each)}; give as many.")
+    return ImagePoses(segments.images, each)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError, save
+from camera_models.typed import typed
 from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
@@ -106,6 +107,7 @@ class CalibrationResult:
         """Root mean square of the residuals' lengths (px)."""
         return self.fit.rms_px_per_point
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `calibration.yaml` and `corners.csv` into a folder, which is made if absent; returns the files."""
         with claimed(folder, self.file_names, by="calibrate") as out:
@@ -118,6 +120,7 @@ class CalibrationResult:
         """Of what `save` writes."""
         return CALIBRATION_FILES
 
+    @typed
     def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
         """Write the page that shows all of it, with the photos where they are files, and return its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError, model_class, save
 from camera_models.formats.calibration_data import ViewRecord
+from camera_models.typed import typed
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, in_mirror, line_camera
 from omnilines.calibration.lines.select import LineSelection, LineTrial, candidates_of, chosen_camera, chosen_trial, trial_of
 from omnilines.calibration.options import AUTO, CalibrationOptions
@@ -95,12 +96,14 @@ class LineResult:
         """Of what `save` writes."""
         return (CALIBRATION,)
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `calibration.yaml` into a folder, which is made if absent; returns the files."""
         with claimed(folder, self.file_names, by="calibrate") as out:
             save(out / CALIBRATION, self.calibration)
         return (out / CALIBRATION,)
 
+    @typed
     def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
         """Write the page that shows all of it, and return its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

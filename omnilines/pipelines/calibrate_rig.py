@@ -170,6 +170,7 @@ class RigResult:
         """Root mean square of the residuals' lengths (px)."""
         return self.fit.rms_px_per_point
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `calibration.yaml`, `corners.csv`, `covariance.npz` and, for each camera that is not of the rig but could be
         calibrated alone, `calibration-NAME.yaml` into a folder, which is made if absent; returns the files."""
@@ -189,6 +190,7 @@ class RigResult:
         """Of what `save` writes."""
         return (*RIG_FILES, *(f"calibration-{name}.yaml" for name in self.fit.left_out_alone))
 
+    @typed
     def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
         """Write the page that shows all of it, with photos where they are files, and return its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

@@ -71,6 +71,7 @@ class CheckResult:
         """Of what `save` writes."""
         return (CHECK,)
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write check.csv, a row for each ninth of the image, into a folder, which is made; the files written."""
         regions = self.found.regions

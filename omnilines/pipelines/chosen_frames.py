@@ -9,6 +9,7 @@ import numpy as np
 
 from calib_patterns import Pattern
 from camera_models import GeometryError, InputError
+from camera_models.typed import typed
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.telling import ViewInformation, telling_instants, view_information
 from omnilines.files import PhotoArray, write_png
@@ -62,6 +63,7 @@ class ChosenFrames:
         """`read`, all in memory: for `detect`, `extract` and the like."""
         return list(self.read())
 
+    @typed
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
         """Write the frames as PNG, of several cameras a folder for each, and `frames.csv`, which says why; returns the files."""
         inputs = [lens.video.path for lens in self.lenses]

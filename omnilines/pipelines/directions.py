@@ -108,6 +108,7 @@ class PhotoDirections:
         """Of what `save` writes."""
         return (DIRECTIONS, ARCS, *((POSES, COVARIANCE) if self.poses is not None else ()))
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write directions.csv, arcs.csv and, where rotations are known, poses.csv and covariance.npz into a folder, which is
         made; the files written."""
@@ -132,6 +133,7 @@ class PhotoDirections:
                 write_covariance(out / COVARIANCE, self.poses)
         return tuple(out / name for name in self.file_names)
 
+    @typed
     def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
         """Write the report, one self-contained HTML file; its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

@@ -14,6 +14,7 @@ from omnilines.files.geojson import write_geojson
 from omnilines.files.glb import write_glb
 from omnilines.files.limap import LIMAP_FILES, write_limap
 from omnilines.files.nerfstudio_scene import write_nerfstudio
+from omnilines.files.photos import require_photos
 from omnilines.files.scene_folder import SCENE_TABLES, SceneTables, read_scene
 from omnilines.files.sets import claimed
 from omnilines.geometry.geodetic import Origin
@@ -94,7 +95,8 @@ def export(
     relative to `out`, and colmap has masks of the image circles that they show. `origin` is for geojson, and needed there:
     latitude and longitude (degrees) and height above WGS84's ellipsoid (m) of the scene's origin, whose x, y and z are metres
     east, north and up.
-    Raises InputError where there is no such format, the folder holds no scene, or there is no such folder of photos.
+    Raises InputError where there is no such format, the folder holds no scene, there is no such folder of photos, or a photo with
+    a pose is not in it.
 
         >>> files, lost = ol.export("scene", "lines.dxf").save()
         >>> [path.name for path in files]
@@ -109,11 +111,14 @@ def export(
     if photos is not None and not Path(photos).is_dir():
         raise InputError(f"`photos` was expected to be the folder of the photos, found {photos}, which is none.")
     place = _origin(origin, writer)
+    read: tuple[Path, ...] = ()
     if isinstance(scene, Scene):
         tables = SceneTables(scene.cameras, scene.poses, scene.segments, scene.lines)
-        return SceneExport(tables, writer, path, _path(photos), place, ())
-    folder = Path(scene)
-    return SceneExport(read_scene(folder), writer, path, _path(photos), place, tuple(folder / name for name in SCENE_TABLES))
+    else:
+        tables, read = read_scene(Path(scene)), tuple(Path(scene) / name for name in SCENE_TABLES)
+    if photos is not None:
+        require_photos(Path(photos), tables.poses.images)
+    return SceneExport(tables, writer, path, _path(photos), place, read)
 
 
 def _origin(given: tuple[float, float, float] | None, writer: SceneFormat) -> Origin | None:

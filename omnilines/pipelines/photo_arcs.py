@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 
 from camera_models import Calibration, GeometryError
+from camera_models.typed import typed
 from omnilines.files import Photo, write_segments
 from omnilines.files.sets import claimed
 from omnilines.matching.arcs import ViewedArcs
@@ -85,6 +86,7 @@ class PhotoArcs:
         """Software, and what the arcs were made from."""
         return provenance(self.inputs)
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write segments.csv into a folder, which is made; the files written."""
         with claimed(folder, [SEGMENTS], by="extract") as out:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from calib_patterns import Detection, DetectionOptions, Pattern
 from calib_patterns.sharpness import blur_remarks
 from camera_models import InputError
+from camera_models.typed import typed
 from omnilines.files import Photo, write_corners
 from omnilines.files.sets import claimed
 from omnilines.records import Corners, ViewResult
@@ -125,6 +126,7 @@ class PhotoCorners:
             blur_px=blur_of_corners(kept),
         )
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `corners.csv` into a folder, which is made if absent; returns the files."""
         with claimed(folder, [CORNERS], by="detect") as out:

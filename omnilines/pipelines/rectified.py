@@ -13,6 +13,7 @@ from camera_models import Calibration, CameraModel, InputError, load, save
 from camera_models.blending import BlendedGrid, axis_from_rig, blended, blended_grid
 from camera_models.pose import Pose
 from camera_models.resampling import SamplingGrid, sampling_grid
+from camera_models.typed import typed
 from camera_models.views import View, axis_from_camera
 from omnilines.files import Photo, PhotoRef, write_png, write_poses
 from omnilines.files.colmap_scene import COLMAP_FILES, check_colmap_folder, write_colmap_scene
@@ -87,6 +88,7 @@ class RectifiedViews:
             yield one.name, blended(images, self.grids.of(one))
             progress("resampling photos", k + 1, len(self.views))
 
+    @typed
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
         """Write the views (PNG), calibration.yaml, of upright views upright.csv and, where poses are known, poses.csv and for
         perspective views a COLMAP model into a folder, which is made; the files written. Raises InputError where the folder holds

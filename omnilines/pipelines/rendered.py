@@ -13,6 +13,7 @@ from calib_patterns import Pattern
 from camera_models import Calibration, CameraEstimate, CameraModel, save
 from camera_models.formats.calibration_data import ViewRecord
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.files import write_corners, write_png, write_poses
 from omnilines.files.sets import claimed
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
@@ -66,6 +67,7 @@ class Rendered:
         estimate = CameraEstimate(max_angle_deg=math.degrees(self._shown_rad()))
         return Calibration({"cam0": self.camera}, {"cam0": estimate}, provenance=provenance(self.inputs, self.seed))
 
+    @typed
     def save(self, folder: str | Path, progress: ProgressCallback = silent) -> tuple[Path, ...]:
         """Write the photos (PNG), calibration.yaml, poses.csv and the tables of the truth; returns the files.
 

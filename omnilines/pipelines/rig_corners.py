@@ -11,6 +11,7 @@ import numpy as np
 
 from calib_patterns import Pattern
 from camera_models import InputError
+from camera_models.typed import typed
 from camera_models.wording import listed
 from omnilines.calibration.numbering import Numbering
 from omnilines.files import write_corners
@@ -93,6 +94,7 @@ class RigCorners:
         views = [(item.found.corners.view_names, item.found.remarks) for item in self.cameras]
         return {name: remark for names, own in views for name, remark in zip(names, own, strict=True) if remark}
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write `corners.csv` into a folder, which is made if absent; returns the files."""
         with claimed(folder, [CORNERS], by="detect") as out:

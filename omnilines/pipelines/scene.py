@@ -9,6 +9,7 @@ import numpy as np
 
 from camera_models import Calibration, CameraEstimate, save
 from camera_models.formats.calibration_data import RigCamera
+from camera_models.typed import typed
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
@@ -136,6 +137,7 @@ class Scene:
         known = np.zeros(0) if sigma is None else sigma[np.isfinite(sigma)]
         return float(np.median(known)) if len(known) else 0.0
 
+    @typed
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the scene folder (docs/reconstruction.md) but for the report; the files written. Raises InputError where one
         cannot be."""
@@ -156,6 +158,7 @@ class Scene:
         """Of what `save` writes."""
         return SCENE_FILES if self.from_photos is None else (*SCENE_FILES, "lines.obj")
 
+    @typed
     def report(self, path: str | Path, *, plots: str | Path | None = None) -> Path:
         """Write the report, one self-contained HTML file; its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from camera_models import Calibration, GeometryError, load
 from camera_models.formats.disk import read_bytes
+from camera_models.typed import typed
 from omnilines.adjustment.lines import motion_across
 from omnilines.evaluation.arcs import MIN_PX, ArcScores, arc_scores
 from omnilines.evaluation.scene import MIN_VIEWS, THRESHOLDS_M, SceneScores, scene_scores
@@ -128,6 +129,7 @@ class SceneValidation:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
 
+    @typed
     def report(self, path: str | Path, photo_folder: str | Path | None = None, *, plots: str | Path | None = None) -> Path:
         """Write the page that shows all of it, with the photos where they are files in a folder; its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

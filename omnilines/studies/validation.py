@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from calib_patterns import Pattern
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose
+from camera_models.typed import typed
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.calibration.board_lines import SAME_LINE_M, BoardLines, board_lines
 from omnilines.calibration.thresholds import NoiseThresholds, RobustThresholds
@@ -71,6 +72,7 @@ class Validation:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
 
+    @typed
     def save(self, folder: str | Path, inputs: Mapping[str, Any] = MappingProxyType({})) -> tuple[Path, ...]:
         """Write corners.csv and the line scene of the board, its calibration.yaml with `inputs` as what it was made from."""
         with claimed(folder, VALIDATION_FILES, by="validate") as out:
@@ -78,6 +80,7 @@ class Validation:
             cameras = refined_calibration(self.scene, self.calibration)
             return (out / "corners.csv", *Scene(self.scene, self.board.segments, cameras, inputs).save(out))
 
+    @typed
     def report(self, path: str | Path, photo_folder: str | Path | None = None, *, plots: str | Path | None = None) -> Path:
         """Write the page that shows all of it, with the photos where they are files in a folder; its path. Its figures
         are written as PNG and SVG into the folder `plots`, where one is given."""

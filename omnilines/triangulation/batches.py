@@ -29,7 +29,7 @@ def triangulate_on(
     free = free_bytes(device)
     most = at_once or (len(observations.track) if free is None else int(MAX_MEMORY_SHARE * free / BYTES_AN_OBSERVATION))
     home = observations.normal.device
-    batch = (observations.views().cumsum(0) - 1).div(max(1, most), rounding_mode="floor")
+    batch = (observations.counts().cumsum(0) - 1).div(max(1, most), rounding_mode="floor")
     parts: list[Triangulation] = []
     for number in batch.unique().tolist():
         some, _ = observations.of_tracks(torch.nonzero(batch == number).squeeze(-1))

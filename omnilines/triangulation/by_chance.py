@@ -64,7 +64,7 @@ def misfit(observations: PlaneObservations, seed: int = 0) -> Float[Tensor, " t"
     Few wrong members of a track leave a small one; of segments that were put together at random few are near by chance.
     """
     least = torch.full((observations.tracks,), torch.inf, dtype=torch.float64)
-    for tracks, rows in observations.by_view_count():
+    for tracks, rows in observations.by_count():
         views = rows.shape[1]
         if views < 3:
             continue

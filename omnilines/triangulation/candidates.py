@@ -53,7 +53,7 @@ def candidate_batches(
 
 def pair_table(observations: PlaneObservations, budget: int, seed: int) -> PairTable:
     """The pairs of the candidates of all tracks, for the compiled passes."""
-    counts = [count for count in observations.views().unique().tolist() if count >= 2]
+    counts = [count for count in observations.counts().unique().tolist() if count >= 2]
     own = [subsets(count, 2, budget, seed).numpy() for count in counts]
     start = np.zeros(max(counts, default=0) + 3, dtype=np.int64)
     start[[count + 1 for count in counts]] = [len(pairs) for pairs in own]

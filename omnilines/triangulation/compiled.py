@@ -72,9 +72,9 @@ def solved(rows: TrackRows, smallest_angle: float, shortest: float, null_space: 
 
 def status_sums(
     rows: TrackRows, noise: Float[Tensor, "n 2 3 2"] | None, lines: PlueckerLines, mean_normal: Float[Tensor, "t 3"]
-) -> Float[Tensor, "t 11"]:
+) -> Float[Tensor, "t 12"]:
     """The columns of `kernels/sums.py` but CLEAR and TOUCHED."""
-    sums = np.zeros((len(rows.start) - 1, 11))
+    sums = np.zeros((len(rows.start) - 1, 12))
     spread = NO_NOISE if noise is None else array(noise)
     given = array(lines.direction), array(lines.moment), array(mean_normal)
     in_shares(lambda _, low, high: sums_kernel.sum_tracks(low, high, rows, spread, *given, sums), shares(rows))
@@ -82,7 +82,7 @@ def status_sums(
 
 
 def camera_sums(
-    rows: TrackRows, lines: PlueckerLines, limit: Float[Tensor, " t"], touching: float, sums: Float[Tensor, "t 11"]
+    rows: TrackRows, lines: PlueckerLines, limit: Float[Tensor, " t"], touching: float, sums: Float[Tensor, "t 12"]
 ) -> None:
     """Fill CLEAR and TOUCHED."""
     given = array(lines.direction), array(lines.moment), array(limit)

@@ -57,7 +57,7 @@ def least_majority_square(observations: PlaneObservations, budget: int, seed: in
     if observations.arcs is not None and on_processor(observations.normal):
         return least_majority(observations.by_track, observations.noise, pair_table(observations, budget, seed), PARALLEL)
     least = torch.full((observations.tracks,), torch.inf, dtype=torch.float64, device=observations.normal.device)
-    for tracks, rows in observations.by_view_count():
+    for tracks, rows in observations.by_count():
         need = majority(rows.shape[1])
         batches = candidate_batches(observations, rows, budget, seed)
         least[tracks] = torch.cat([square.kthvalue(need, dim=-1).values.amin(-1) for _, _, _, square in batches])
@@ -89,7 +89,7 @@ def _portions(observations: PlaneObservations) -> Iterator[list[tuple[Tensor, Te
     """The groups of tracks with equally many rows, large ones cut, put together to at most ROWS_AT_ONCE rows."""
     portion: list[tuple[Tensor, Tensor]] = []
     held = 0
-    for tracks, rows in observations.by_view_count():
+    for tracks, rows in observations.by_count():
         at_once = max(1, ROWS_AT_ONCE // rows.shape[1])
         for own, part in zip(tracks.split(at_once), rows.split(at_once), strict=True):
             if portion and held + part.numel() > ROWS_AT_ONCE:

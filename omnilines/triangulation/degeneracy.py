@@ -32,6 +32,7 @@ from omnilines.triangulation.kernels.sums import (
     CLEAR,
     MIXED,
     OFF_MEAN,
+    PLACES,
     RESIDUAL,
     ROUNDING,
     SPREAD,
@@ -46,7 +47,7 @@ ON_LINE = 1e-6
 """Distance of a camera from the line, over that of the farthest, at which its plane is arbitrary."""
 
 
-def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 11"]:
+def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerLines) -> Float[Tensor, "t 12"]:
     """What a status is decided from, in the columns of `kernels/sums.py`, but CLEAR and TOUCHED.
 
     The residual is the distance of both end bearings from the projection plane of the line or, without arcs, the two components
@@ -56,10 +57,10 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
         return status_sums(observations.by_track, observations.noise, lines, frames.mean_normal)
     normal = lines[observations.track].moment_about(observations.centre)
     normal = normal / normal.norm(dim=-1, keepdim=True)
-    mean = observations.sum_by_track(observations.centre) / observations.views().clamp_min(1)[:, None]
+    mean = observations.sum_by_track(observations.centre) / observations.counts().clamp_min(1)[:, None]
     from_mean = observations.centre - mean[observations.track]
     height = (from_mean * frames.mean_normal[observations.track]).sum(-1)
-    rows = normal.new_zeros(len(normal), 11)
+    rows = normal.new_zeros(len(normal), 12)
     rows[:, SPREAD], rows[:, ACROSS] = from_mean.square().sum(-1), height.square()
     if observations.arcs is None:
         rows[:, RESIDUAL] = torch.linalg.cross(normal, observations.normal).square().sum(-1)
@@ -79,6 +80,7 @@ def _sums(observations: PlaneObservations, frames: TrackFrames, lines: PlueckerL
     rows[:, places] = precision[:, None] * torch.stack([along.square(), along * off, off.square()], -1)
     sums = observations.sum_by_track(rows)
     sums[:, ALONE] = _least_without_one(observations, rows[:, places], sums[:, places])
+    sums[:, PLACES] = torch.bincount(observations.places[0], minlength=observations.tracks).to(sums.dtype)
     return sums
 
 
@@ -86,12 +88,9 @@ def _least_without_one(
     observations: PlaneObservations, own: Float[Tensor, "n 3"], total: Float[Tensor, "t 3"]
 ) -> Float[Tensor, " t"]:
     """Least second eigenvalue of the normals of a track, a normal, without all that were seen from one place."""
-    track = observations.track
-    labels = torch.cat([track[:, None].to(observations.centre.dtype), observations.centre], 1)
-    places, place = torch.unique(labels, dim=0, return_inverse=True)
-    at_place = own.new_zeros(len(places), 3).index_add(0, place, own)
-    of_track = places[:, 0].long()
-    others = observations.views()[of_track] - torch.bincount(place, minlength=len(places))
+    of_track, place = observations.places
+    at_place = own.new_zeros(len(of_track), 3).index_add(0, place, own)
+    others = observations.counts()[of_track] - torch.bincount(place, minlength=len(of_track))
     rest = _second_eigenvalue(total[of_track] - at_place) / others.clamp_min(1)
     least = torch.full_like(total[:, 0], torch.inf)
     return least.scatter_reduce(0, of_track, torch.where(others > 0, rest, 0.0), "amin")
@@ -104,16 +103,16 @@ def _second_eigenvalue(places: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     return torch.where(largest > 0, (along * off - mixed.square()) / largest, 0.0)
 
 
-def _residual_deviation(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
-    """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 views; NaN otherwise."""
-    freedom = 2 * views - 4
+def _residual_deviation(sums: Float[Tensor, "t 12"], counts: Int[Tensor, " t"]) -> Float[Tensor, " t"]:
+    """Standard deviation (rad) of an observation across its line, sqrt(sum r^2 / (2 k - 4)) over k > 2 of them; NaN otherwise."""
+    freedom = 2 * counts - 4
     variance = sums[:, RESIDUAL] / freedom.clamp_min(1)
     return torch.where(freedom > 0, variance.sqrt(), torch.full_like(variance, torch.nan))
 
 
 def _normal_noise(
     observations: PlaneObservations,
-    sums: Float[Tensor, "t 11"],
+    sums: Float[Tensor, "t 12"],
     residual: Tensor,
     angle: Float[Tensor, " t"],
     sigma_rad: float | None,
@@ -124,48 +123,50 @@ def _normal_noise(
     The noise of the end bearings across the planes is given, stated, or shown by the residuals, `most_rad` at most. Where each
     has a noise of its own, it is the one that all would have for the angle between the planes to say as much.
     """
-    views = observations.views()
+    counts = observations.counts()
     if sigma_rad is None and observations.noise is not None and observations.noise_stated:
-        return _stated_noise(sums, views, angle)
+        return _stated_noise(sums, counts, angle)
     if sigma_rad is not None:
         sigma = torch.full_like(residual, sigma_rad)
     else:
         sigma = torch.nan_to_num(residual, nan=most_rad).clamp(ROUNDING_RAD, most_rad)
     if observations.arcs is None:
         return sigma
-    return sigma * 2**0.5 / (sums[:, CHORD] / views.clamp_min(1)).clamp_min(1e-9)
+    return sigma * 2**0.5 / (sums[:, CHORD] / counts.clamp_min(1)).clamp_min(1e-9)
 
 
-def _stated_noise(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
+def _stated_noise(sums: Float[Tensor, "t 12"], counts: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
     """With M the sum of p n n' over the normals n of precision p, its second eigenvalue is chi-square of all planes being one.
 
     k planes of one noise sigma at the angle alpha (2 asin of their root mean square sine) have k alpha^2 / (2 sigma)^2.
     """
     along, off = sums[:, ALONG_MEAN], sums[:, OFF_MEAN]
     square = _second_eigenvalue(sums[:, [ALONG_MEAN, MIXED, OFF_MEAN]]).clamp_max(0.5 * (along + off))
-    alone = (views / along.clamp_min(1e-300)).sqrt()
-    return torch.where(square > 0, 0.5 * angle * (views / square.clamp_min(1e-300)).sqrt(), alone)
+    alone = (counts / along.clamp_min(1e-300)).sqrt()
+    return torch.where(square > 0, 0.5 * angle * (counts / square.clamp_min(1e-300)).sqrt(), alone)
 
 
-def _without_one(sums: Float[Tensor, "t 11"], views: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
+def _without_one(sums: Float[Tensor, "t 12"], counts: Int[Tensor, " t"], angle: Float[Tensor, " t"]) -> Float[Tensor, " t"]:
     """The angle between the planes of each track without the camera place that turns them most; a second eigenvalue, a normal,
     goes with its square."""
-    square = _second_eigenvalue(sums[:, [ALONG_MEAN, MIXED, OFF_MEAN]]) / views.clamp_min(1)
+    square = _second_eigenvalue(sums[:, [ALONG_MEAN, MIXED, OFF_MEAN]]) / counts.clamp_min(1)
     return angle * (sums[:, ALONE].clamp_min(0) / square.clamp_min(1e-300)).sqrt()
 
 
 def _count_cameras(
-    observations: PlaneObservations, lines: PlueckerLines, limit: Float[Tensor, " t"], sums: Float[Tensor, "t 11"]
+    observations: PlaneObservations, lines: PlueckerLines, limit: Float[Tensor, " t"], sums: Float[Tensor, "t 12"]
 ) -> None:
-    """Fill CLEAR and TOUCHED: a camera on the line, nearer than `limit` of the farthest, sees a point of it; without such cameras
-    two others still determine it, unless one is exactly on it."""
+    """Fill CLEAR, a count of places, and TOUCHED: a camera on the line, nearer than `limit` of the farthest, sees a point of it;
+    without such cameras two others still determine it, unless one is exactly on it."""
     if on_processor(observations.normal):
         camera_sums(observations.by_track, lines, limit, ON_LINE, sums)
         return
     track = observations.track
     distance = lines[track].distance_to(observations.centre)
     farthest = torch.zeros_like(limit).scatter_reduce(0, track, distance, "amax")[track]
-    sums[:, CLEAR] = observations.sum_by_track((distance > limit[track] * farthest).to(limit.dtype))
+    of_track, place = observations.places
+    clear = limit.new_zeros(len(of_track)).index_copy(0, place, (distance > limit[track] * farthest).to(limit.dtype))
+    sums[:, CLEAR] = torch.zeros_like(limit).index_add(0, of_track, clear)
     sums[:, TOUCHED] = observations.sum_by_track((distance <= ON_LINE * farthest).to(limit.dtype))
 
 
@@ -179,12 +180,12 @@ def faces_away(observations: PlaneObservations, lines: PlueckerLines) -> Bool[Te
 
 
 def _undetermined(
-    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 11"], limit: Tensor, far_spreads: float
+    observations: PlaneObservations, frames: TrackFrames, sums: Float[Tensor, "t 12"], limit: Tensor, far_spreads: float
 ) -> dict[str, Bool[Tensor, " t"]]:
     """The three names for planes without a common line, each with its tracks."""
-    views = observations.views().clamp_min(1)
-    mean = observations.sum_by_track(observations.centre) / views[:, None]
-    spread, across = (sums[:, SPREAD] / views).sqrt(), (sums[:, ACROSS] / views).sqrt()
+    counts = observations.counts().clamp_min(1)
+    mean = observations.sum_by_track(observations.centre) / counts[:, None]
+    spread, across = (sums[:, SPREAD] / counts).sqrt(), (sums[:, ACROSS] / counts).sqrt()
     parallel = frames.plane_angle_rad < limit.clamp_min(1e-12)
     one_centre = spread <= 1e-12 * (1 + mean.norm(dim=-1))
     epipolar = parallel & (across <= limit * spread) & ~one_centre
@@ -208,18 +209,19 @@ def assess(
     stated noise of the end points or, where none is stated, estimated from the residuals of each track, at most `arc_sigma_rad`,
     which is also what is assumed for two views.
     """
-    sums, views = _sums(observations, frames, lines), observations.views()
-    residual = _residual_deviation(sums, views)
+    sums, counts = _sums(observations, frames, lines), observations.counts()
+    views = sums[:, PLACES].long()
+    residual = _residual_deviation(sums, counts)
     noise = _normal_noise(observations, sums, residual, frames.plane_angle_rad, sigma_rad, options.arc_sigma_rad)
     limit = options.undetermined_sigmas * noise
     _count_cameras(observations, lines, limit, sums)
     clear_views = sums[:, CLEAR]
-    behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= views
+    behind = torch.zeros_like(noise, dtype=torch.bool) if observations.arcs is None else 2 * sums[:, AWAY] >= counts
     angle = frames.plane_angle_rad
     # k planes tell their angle as two of a noise smaller by the root of k / 2 do.
-    barely = angle < (options.weak_sigmas * noise * (2 / views.clamp_min(2)).sqrt()).clamp_min(options.weak_angle_rad)
+    barely = angle < (options.weak_sigmas * noise * (2 / counts.clamp_min(2)).sqrt()).clamp_min(options.weak_angle_rad)
     # Where all planes but those of one camera coincide, nothing tells whether its arc belongs to the line.
-    on_one = _without_one(sums, views, angle) < limit
+    on_one = _without_one(sums, counts, angle) < limit
     # Later names win over earlier ones.
     names = {
         "weak": (clear_views <= 2) | barely | on_one,

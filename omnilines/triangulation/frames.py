@@ -95,7 +95,7 @@ def track_frames(observations: PlaneObservations) -> TrackFrames:
     tracks = observations.tracks
     blank = torch.full((tracks, 3), torch.nan, dtype=torch.float64, device=observations.normal.device)
     direction, point, away, mean_normal, angle = blank.clone(), blank.clone(), blank.clone(), blank.clone(), blank[:, 0].clone()
-    for index, rows in observations.by_view_count():
+    for index, rows in observations.by_count():
         normal = observations.normal[rows]
         axes, foot, angle[index] = preliminary_lines(normal, observations.centre[rows])
         mean_normal[index] = axes[:, 0]
@@ -130,7 +130,7 @@ def solvable_groups(observations: PlaneObservations, frames: TrackFrames) -> lis
     """The tracks that can be solved for, grouped by their number of views."""
     groups = []
     usable = torch.isfinite(frames.origin).all(-1) & (frames.unit > 0)
-    for index, rows in observations.by_view_count():
+    for index, rows in observations.by_count():
         keep = usable[index]
         kept, rows_kept = index[keep], rows[keep]
         groups.append(

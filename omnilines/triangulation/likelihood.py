@@ -83,7 +83,7 @@ def _best_pairs(observations: PlaneObservations, most: float) -> PlueckerLines:
         return nearest_pairs(observations.by_track, observations.noise, pair_table(observations, PAIRS, 0), PARALLEL, most)
     direction = torch.full((observations.tracks, 3), torch.nan, dtype=torch.float64, device=observations.normal.device)
     moment = direction.clone()
-    for tracks, rows in observations.by_view_count():
+    for tracks, rows in observations.by_count():
         found = []
         for _, some, candidates, square in candidate_batches(observations, rows, PAIRS, 0):
             best = square.clamp(max=most).sum(-1).argmin(-1)

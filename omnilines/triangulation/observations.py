@@ -107,7 +107,15 @@ class PlaneObservations:
         """For the compiled passes."""
         return track_rows(self.track, self.tracks, self.normal, self.centre, self.arcs)
 
-    def views(self) -> Int[Tensor, " t"]:
+    @cached_property
+    def places(self) -> tuple[Int[Tensor, " p"], Int[Tensor, " n"]]:
+        """The track of each place that a track was observed from, and the place of each observation. Pieces of a line in one
+        photo are of one place, and photos of one place tell no more of it than one."""
+        labels = torch.cat([self.track[:, None].to(self.centre.dtype), self.centre], 1)
+        places, place = torch.unique(labels, dim=0, return_inverse=True)
+        return places[:, 0].long(), place
+
+    def counts(self) -> Int[Tensor, " t"]:
         """Number of observations of each track."""
         return torch.bincount(self.track, minlength=self.tracks)
 
@@ -116,15 +124,15 @@ class PlaneObservations:
         total = torch.zeros(self.tracks, *values.shape[1:], dtype=values.dtype, device=values.device)
         return total.index_add(0, self.track, values)
 
-    def by_view_count(self) -> list[tuple[Int[Tensor, " g"], Int[Tensor, "g k"]]]:
+    def by_count(self) -> list[tuple[Int[Tensor, " g"], Int[Tensor, "g k"]]]:
         """Tracks of k >= 2 observations together, for each k: (the tracks, the rows of their observations)."""
-        views = self.views()
+        counts = self.counts()
         order = self.track.argsort(stable=True)
-        start = views.cumsum(0) - views
+        start = counts.cumsum(0) - counts
         groups = []
-        for count in views.unique().tolist():
+        for count in counts.unique().tolist():
             if count >= 2:
-                tracks = torch.nonzero(views == count).squeeze(-1)
+                tracks = torch.nonzero(counts == count).squeeze(-1)
                 groups.append((tracks, order[start[tracks, None] + torch.arange(count, device=tracks.device)]))
         return groups
 

@@ -118,7 +118,7 @@ def inverse(matrix: Float[Tensor, "t 4 4"]) -> Float[Tensor, "t 4 4"]:
 
 def freedom(observations: PlaneObservations) -> Float[Tensor, " t"]:
     """Residuals of each track beyond the four that fix its line."""
-    return (2 * observations.views() - 4).clamp_min(0).to(observations.normal.dtype)
+    return (2 * observations.counts() - 4).clamp_min(0).to(observations.normal.dtype)
 
 
 def chi_square_limit(degrees: Float[Tensor, " t"], deviate: float = EXTREME_999) -> Float[Tensor, " t"]:

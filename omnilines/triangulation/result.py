@@ -24,6 +24,7 @@ class Triangulation:
     status: Int[Tensor, " t"]
     """Index into `records.LINE_STATUSES`."""
     views: Int[Tensor, " t"]
+    """Places that each is seen from: pieces in one photo, and photos of one place, count once."""
     plane_angle_rad: Float[Tensor, " t"]
     """Spread of the planes about the line: 2 asin(sigma_2 / sqrt(k)), sigma_2 the second singular value of the k unit normals.
     It is the angle between the planes of two views; the errors of a line grow with its inverse. NaN below two views."""

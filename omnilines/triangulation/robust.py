@@ -96,7 +96,7 @@ def noise_level(
     It comes from the majorities of up to SAMPLED_TRACKS tracks, and is right if most tracks have one. Options as in
     `robust_triangulate`.
     """
-    eligible = torch.nonzero(observations.views() >= 3).squeeze(-1)
+    eligible = torch.nonzero(observations.counts() >= 3).squeeze(-1)
     if not len(eligible):
         return float("nan")
     order = torch.randperm(len(eligible), generator=torch.Generator().manual_seed(seed))[:SAMPLED_TRACKS]
@@ -131,7 +131,7 @@ def _suspects(observations: PlaneObservations, variance: float, options: Consens
     lines = refine(observations, start)
     square = judge_by_all(observations, lines, variance)
     away = faces_away(observations, lines)
-    share = observations.sum_by_track(away.to(square.dtype)) / observations.views().clamp_min(1)
+    share = observations.sum_by_track(away.to(square.dtype)) / observations.counts().clamp_min(1)
     # A track seen from behind by most of its cameras is named so by the method itself.
     wrong = observations.sum_by_track(((square > options.row_chi_square) & ~away).to(square.dtype)) > 0
     distance = end_distances(observations, lines[observations.track].moment_about(observations.centre))

@@ -8,10 +8,10 @@ from numba import njit
 
 from omnilines.triangulation.kernels.small import cross, weighted_median
 
-RESIDUAL, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED, ALONG_MEAN, MIXED, OFF_MEAN, ALONE = range(11)
+RESIDUAL, CHORD, AWAY, SPREAD, ACROSS, CLEAR, TOUCHED, ALONG_MEAN, MIXED, OFF_MEAN, ALONE, PLACES = range(12)
 """Columns of the sums that a status is decided from. ALONG_MEAN, MIXED and OFF_MEAN are a a', a b and b b over all normals, each
 with its precision: a along the mean normal and b off it, across the line. ALONE is the least second eigenvalue, a view, that they
-have without one place of the cameras."""
+have without one place of the cameras. PLACES are those that the cameras have, CLEAR those of them that are not on the line."""
 ROUNDING = 1e-9
 """Least standard deviation of a bearing (rad)."""
 
@@ -82,6 +82,26 @@ def sum_row(track, row, d0, d1, d2, q0, q1, q2, t, sums):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
+def same_place(track, row, other):
+    """Whether two observations are of one place."""
+    apart = 0.0
+    for x in range(3):
+        apart += abs(track.centre[row, x] - track.centre[other, x])
+    return apart == 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def first_of_place(track, begin, k):
+    """Whether no observation from `begin` to k is of the place of k."""
+    for j in range(begin, k):
+        if same_place(track, track.rows[j], track.rows[k]):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
 def least_without_one(track, noise, begin, end, d0, d1, d2, mean_normal, t, sums):
     """Least second eigenvalue of the normals of a track, a normal, without all that were seen from one place."""
     least = math.inf
@@ -90,10 +110,7 @@ def least_without_one(track, noise, begin, end, d0, d1, d2, mean_normal, t, sums
         along, mixed, off, others = sums[t, ALONG_MEAN], sums[t, MIXED], sums[t, OFF_MEAN], 0
         for j in range(begin, end):
             row = track.rows[j]
-            apart = 0.0
-            for x in range(3):
-                apart += abs(track.centre[row, x] - track.centre[one, x])
-            if apart > 0.0:
+            if not same_place(track, row, one):
                 others += 1
                 continue
             aa, ab, bb = normal_place(track, noise, row, d0, d1, d2, mean_normal, t)
@@ -117,6 +134,7 @@ def sum_tracks(low, high, track, noise, direction, moment, mean_normal, sums):
             c0, c1, c2 = c0 + track.centre[row, 0], c1 + track.centre[row, 1], c2 + track.centre[row, 2]
             q0, q1, q2 = line_moment(track, row, d0, d1, d2, m0, m1, m2)
             sum_row(track, row, d0, d1, d2, q0, q1, q2, t, sums)
+            sums[t, PLACES] += 1.0 if first_of_place(track, begin, k) else 0.0
             aa, ab, bb = normal_place(track, noise, row, d0, d1, d2, mean_normal, t)
             sums[t, ALONG_MEAN] += aa
             sums[t, MIXED] += ab
@@ -135,7 +153,7 @@ def sum_tracks(low, high, track, noise, direction, moment, mean_normal, sums):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def sum_cameras(low, high, track, direction, moment, limit, touching, sums):
-    """Cameras of the tracks low to high that are farther from the line than limit[t] times the farthest, and those on it."""
+    """Places of the tracks low to high farther from the line than limit[t] times the farthest camera, and cameras on it."""
     for t in range(low, high):
         d0, d1, d2 = direction[t, 0], direction[t, 1], direction[t, 2]
         m0, m1, m2 = moment[t, 0], moment[t, 1], moment[t, 2]
@@ -147,7 +165,8 @@ def sum_cameras(low, high, track, direction, moment, limit, touching, sums):
                 if turn == 0:
                     farthest = distance if distance > farthest or distance != distance else farthest
                     continue
-                sums[t, CLEAR] += 1.0 if distance > limit[t] * farthest else 0.0
+                clear = distance > limit[t] * farthest and first_of_place(track, track.start[t], k)
+                sums[t, CLEAR] += 1.0 if clear else 0.0
                 sums[t, TOUCHED] += 1.0 if distance <= touching * farthest else 0.0
 
 
