@@ -69,6 +69,24 @@ def test_nothing_is_asked_of_what_has_no_parameters_or_was_refined() -> None:
     assert CAMERAS == len(scene.poses)
 
 
+def test_an_adjustment_of_segments_says_that_they_contradict_its_calibration() -> None:
+    """Poses take up two percent of the focal length: residuals are those of noise, and nothing but this tells."""
+    segments, poses, _ = world()
+    noise = np.random.default_rng(3).normal(0.0, NOISE_PX, segments.endpoints_px.shape)
+    segments = replace(segments, endpoints_px=segments.endpoints_px + noise, sigma_px=np.full(len(noise), NOISE_PX))
+    right = ol.adjust(segments, poses, CAMERA)
+    assert len(right.asked) == 1 and not right.contradicted
+    off = CAMERA.parameters.clone()
+    off[:2] *= 1.02
+    wrong = ol.adjust(segments, poses, CAMERA.with_parameters(off))
+    (found,) = wrong.contradicted
+    assert found.least_px > 3 * wrong.options.advice.detector_error_px
+    assert "contradict the calibration" in scene_advice(wrong)[0].limit
+    # Where photos or poses are at fault nothing is asked, nor of photos that show too few segments each.
+    few = segments.rows(np.arange(0, len(segments), 4))
+    assert not ol.adjust(few, poses, CAMERA).asked
+
+
 def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     segments, poses, _ = world()
     scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)

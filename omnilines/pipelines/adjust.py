@@ -14,11 +14,12 @@ from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models._arrays import as_tensor
 from camera_models.pose import Pose
 from camera_models.typed import found, typed
-from omnilines.adjustment.arcs import arcs_from_segments, cameras_of_images
+from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments, cameras_of_images
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
+from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
 from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
@@ -90,6 +91,13 @@ def adjust(
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += size_notes(scene.lines, scene.poses, options.judge)
     made_from = {"options": options} if inputs is None else inputs
+    checks = _checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1])
+    strange = far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed)
+    asked: tuple[AskedCamera, ...] = ()
+    # Photos and poses that are wrong ask anything of a camera.
+    if not strange and all(check.holds for check in checks):
+        progress("asking lines for the calibration", 0, 0)
+        asked = asked_cameras(scene.lines, *_fitting(scene), scene.poses, cameras, options)
     return Scene(
         scene,
         segments,
@@ -97,8 +105,9 @@ def adjust(
         made_from,
         told,
         options=options,
-        checks=_checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1]),
-        advice=far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed),
+        checks=checks,
+        advice=strange,
+        asked=asked,
     )
 
 
@@ -160,13 +169,18 @@ def _with_calibration_errors(
     pose_sigma: tuple[float, float] | None,
 ) -> AdjustedScene:
     """With what errors of the calibration leave uncertain of lines and poses."""
-    used = torch.as_tensor(np.isfinite(scene.residual_px).all(1))
-    arcs, every = scene.table.arcs.rows(used), np.arange(len(scene.lines))
+    arcs, every = _fitting(scene)
     errors = errors_by_calibration(
         scene.lines, arcs, every, scene.poses, cameras, options, points, pose_sigma=pose_sigma, given=given
     )
     lines = lines_with_calibration_errors(scene.lines, errors, options.adjustment.weak_share)
     return replace(scene, lines=lines, poses=poses_with_calibration_errors(scene.poses, errors))
+
+
+def _fitting(scene: AdjustedScene) -> tuple[MatchedArcs, Int[np.ndarray, " n"]]:
+    """The arcs that lines rest on, and the line of each row of the table: each has one."""
+    used = torch.as_tensor(np.isfinite(scene.residual_px).all(1))
+    return scene.table.arcs.rows(used), np.arange(len(scene.lines))
 
 
 def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:

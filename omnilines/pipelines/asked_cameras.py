@@ -38,6 +38,8 @@ from omnilines.records import ImagePoses, Lines
 
 MOST_ARCS = 2500
 """Of the lines that are adjusted: so many tell a camera well enough."""
+LEAST_OF_PHOTO = 20
+"""Of these arcs, a photo: fewer do not tell its pose beside the cameras, which only takes time."""
 ITERATIONS = 30
 """Of lines and poses at most, before cameras are free."""
 STEPS = 5
@@ -67,13 +69,16 @@ def asked_cameras(
 ) -> tuple[AskedCamera, ...]:
     """Of every camera that has parameters and is seen to be used; none where cameras were refined.
 
-    The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line.
+    The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. Of so many photos that MOST_ARCS are
+    too few for them nothing is asked.
     """
     if "intrinsics" in options.refine or not any(model.calibration_basis().shape[1] for model in cameras.values()):
         return ()
     if not lines.known.any():
         return ()
     inner, rows = _some_lines(lines, arcs, track)
+    if len(inner) < LEAST_OF_PHOTO * len(torch.unique(inner.image)):
+        return ()
     known, frames = known_calibration(poses, cameras, options)
     chart = charts_of(lines, rows)
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, chart), options.adjustment)

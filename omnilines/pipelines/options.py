@@ -103,6 +103,9 @@ class AdviceOptions(NamedTuple):
     calibration_slack: float = 3.0
     """Lines contradict the calibration where every possible camera moves the image by more than so many times the slack that was
     taken for errors of poses and calibration."""
+    detector_error_px: float = 0.125
+    """In place of that slack where segments were matched by others: an error that all segments of a detector have in common
+    (OpenCV's LSD places edges so far to the left and up)."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
     still: float = 0.3
@@ -208,6 +211,6 @@ OF_TABLES = SceneOptions(refine=("lines", "poses"), loss="none")
 """Of matched segments that a user brings: they are taken as they are."""
 OF_PHOTOS = (
     "min_views", "tolerance_px", "bow_share", "seed", "posing", "matching", "structure", "rough_poses", "rounds", "kept_lines",
-    "same_place", "frame", "advice",
+    "same_place", "frame",
 )  # fmt: skip
 """Options that decide nothing of such segments: what is looked for in photos, and in the arcs of photos."""

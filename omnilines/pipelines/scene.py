@@ -79,8 +79,9 @@ class Scene:
     @property
     def contradicted(self) -> tuple[AskedCamera, ...]:
         """Cameras that the lines contradict."""
-        slack_px = 0.0 if self.from_photos is None else self.from_photos.tolerance_px
-        return tuple(one for one in self.asked if one.least_px > self.options.advice.calibration_slack * slack_px)
+        own = self.options.advice
+        slack_px = own.detector_error_px if self.from_photos is None else self.from_photos.tolerance_px
+        return tuple(one for one in self.asked if one.least_px > own.calibration_slack * slack_px)
 
     @property
     def lines(self) -> Lines:
