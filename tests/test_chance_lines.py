@@ -88,7 +88,7 @@ def cluttered(clutter: int = CLUTTER, edges: bool = True) -> tuple[MatchingScene
 def lines_found(max_chance_share: float, clutter: int = CLUTTER, edges: bool = True) -> KeptLines:
     """The test of each line alone is lenient, so that there are some by chance."""
     exact, found = cluttered(clutter, edges)
-    limits = LIMITS._replace(max_chance_share=max_chance_share, max_chance=0.2, min_meeting=1.0)
+    limits = LIMITS._replace(max_chance_share=max_chance_share, max_chance=0.2, min_meeting=1.0, min_lying=1.0)
     options = SceneOptions(refine=("lines",), tolerance_px=0.05, kept_lines=limits)
     poses = ImagePoses(NAMES, exact.poses, ("cam0",) * VIEWS)
     return lines_of_arcs(found, poses, Calibration({"cam0": exact.camera}), options, silent)

@@ -14,7 +14,7 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.match import Matched, match_arcs, with_long_edges
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
-from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.options import KeptLineOptions, SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.pipelines.reconstruct import check_options
 from omnilines.progress import silent
@@ -98,7 +98,9 @@ def lines_of(bow_share: float | None) -> tuple[KeptLines, np.ndarray]:
         own = arcs.image == k
         photo = PhotoRef(Path(name), name)
         found.append(FoundArcs(photo, "cam0", pixels[own], arcs.covariance_px2[own], arcs.length_px[own], arcs.colours[own]))
-    options = SceneOptions(refine=("lines",), tolerance_px=0.05, bow_share=bow_share)
+    # Arcs that no line takes may be confirmed by planes in either run.
+    limits = KeptLineOptions(min_lying=1.0)
+    options = SceneOptions(refine=("lines",), tolerance_px=0.05, bow_share=bow_share, kept_lines=limits)
     poses = ImagePoses(tuple(names), scene.poses, ("cam0",) * len(names))
     kept = lines_of_arcs(found, poses, Calibration({"cam0": scene.camera}), options, silent)
     direction, moment = scene.truth().direction.numpy(), scene.truth().moment.numpy()

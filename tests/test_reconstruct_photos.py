@@ -82,9 +82,9 @@ def test_what_is_stated_of_a_line_explains_its_error(room, rebuilt):
     assert (across[on_edge] < 3.0 * lines.sigma_m[on_edge]).mean() > 0.75
 
 
-def test_uncertain_lines_are_guided_by_their_families_and_corners_unless_told_otherwise(room, rebuilt, tmp_path):
+def test_uncertain_lines_are_guided_by_families_planes_and_corners_unless_told_otherwise(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
-    no_corners = ("--set", "scene.kept_lines.guided_by_corners=false")
+    no_corners = [word for what in ("corners", "planes") for word in ("--set", f"scene.kept_lines.guided_by_{what}=false")]
     assert call(room / "photos", room, tmp_path / "scene", *no_corners) == 0
     guided = read_lines(tmp_path / "scene" / "lines.csv")
     assert call(room / "photos", room, tmp_path / "scene", *no_corners, "--set", "scene.kept_lines.guided_by_families=false") == 0
@@ -155,7 +155,8 @@ def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, reb
 
 def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebuilt, tmp_path, capsys):
     """The others stay as they are; those that are added follow them, and are right."""
-    measured = [f"scene.kept_lines.guided_by_{what}=false" for what in ("families", "corners")]
+    held = [*(f"guided_by_{what}=false" for what in ("families", "planes", "corners")), "min_lying=1"]
+    measured = [f"scene.kept_lines.{what}" for what in held]
     found = []
     for least in (1.0, 0.8):
         out = tmp_path / f"{least}"
@@ -174,7 +175,8 @@ def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebui
 
 def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room, rebuilt, tmp_path, capsys):
     """All others stay as they are; without guidance, which lines that are left out would change."""
-    held = [f"scene.kept_lines.{what}" for what in ("guided_by_families=false", "guided_by_corners=false", "min_meeting=1")]
+    guided = [f"guided_by_{what}=false" for what in ("families", "planes", "corners")]
+    held = [f"scene.kept_lines.{what}" for what in (*guided, "min_meeting=1", "min_lying=1")]
     found = []
     for least in (0.0, 0.6):
         out = tmp_path / f"{least}"
@@ -198,7 +200,8 @@ def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_p
     confirmed = np.isnan(lines.chance_share)
     assert (lines.views[confirmed] == 3).all()
     assert 0.0 < np.nansum(lines.chance_share) < 0.15 * len(lines)
-    held = [f"scene.kept_lines.{what}" for what in ("guided_by_families=false", "guided_by_corners=false", "min_meeting=1")]
+    guided = [f"guided_by_{what}=false" for what in ("families", "planes", "corners")]
+    held = [f"scene.kept_lines.{what}" for what in (*guided, "min_meeting=1", "min_lying=1")]
     found = []
     least = float(np.nanquantile(lines.chance_share, 0.9))
     for most in (1.0, least):

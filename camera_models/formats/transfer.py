@@ -23,6 +23,7 @@ from camera_models.formats.calibration_data import Calibration, CameraEstimate, 
 from camera_models.formats.contract import CalibrationFormat, is_folder
 from camera_models.formats.forms import Form
 from camera_models.formats.turn import turn_rad, turned
+from camera_models.pose import Pose
 from camera_models.scaramuzza import Scaramuzza
 from camera_models.wording import listed
 
@@ -219,9 +220,9 @@ def _dropped(given: Calibration, fitted: Calibration, target: CalibrationFormat,
 
 def _empty(value: Any, default: Any) -> bool:
     """Whether a field says nothing."""
-    return value is None or (
-        value == default if isinstance(value, int | float | str) else hasattr(value, "__len__") and not len(value)
-    )
+    if value is None or isinstance(value, Pose):
+        return value is None
+    return value == default if isinstance(value, int | float | str) else hasattr(value, "__len__") and not len(value)
 
 
 def seen_deg(model: CameraModel) -> float:
