@@ -198,7 +198,7 @@ def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_p
     lines = read_lines(rebuilt / "lines.csv")
     assert "Chance (%)" in (rebuilt / "report.html").read_text()
     confirmed = np.isnan(lines.chance_share)
-    assert (lines.views[confirmed] == 3).all()
+    assert (lines.views[confirmed] >= 3).all() and np.median(lines.views[confirmed]) == 3
     assert 0.0 < np.nansum(lines.chance_share) < 0.15 * len(lines)
     guided = [f"guided_by_{what}=false" for what in ("families", "planes", "corners")]
     held = [f"scene.kept_lines.{what}" for what in (*guided, "min_meeting=1", "min_lying=1")]
@@ -232,8 +232,8 @@ def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     distance = np.abs(first.ends_m[:, None] - second.ends_m[None]).max((-2, -1))
     turned = np.abs(first.ends_m[:, None] - second.ends_m[None, :, ::-1]).max((-2, -1))
     nearest = np.minimum(distance, turned)
-    # They change the covariance of a line by up to a few percent, and with it how far its corners move it.
-    assert (nearest.min(1) < 1e-6 + 0.02 * first.sigma_m).all() and np.median(nearest.min(1)) < 1e-6
+    # They change the covariance of a line by up to a few percent, and with it how far its planes and corners move it.
+    assert (nearest.min(1) < 1e-6 + 0.05 * first.sigma_m).all() and np.median(nearest.min(1)) < 1e-6
     assert sorted(nearest.argmin(1).tolist()) == list(range(len(first)))
 
 
