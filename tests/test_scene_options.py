@@ -32,9 +32,9 @@ STAGES = {
 def test_every_option_has_a_sentence_and_is_used(package: str) -> None:
     root = Path(omnilines.__file__).parent
     folder = root / package
-    # What lines learn from planes is asked of them in the pipelines.
-    places = (folder, root / "pipelines")
-    paths = [path for place in places for path in sorted(place.rglob("*.py")) if path.name != "options.py"]
+    paths = [path for path in sorted(folder.rglob("*.py")) if path.name != "options.py"]
+    # Which lines run along planes is asked of them there.
+    paths += [root / "pipelines" / "coplanar_lines.py"] if package == "structure" else []
     code = "\n".join(path.read_text() for path in paths) + (folder / "options.py").read_text().replace("self.", "options.")
     given, least = STAGES[package]
     options = list(walk(given))

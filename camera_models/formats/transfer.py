@@ -8,7 +8,7 @@ What the format has no place for, and where its own tool ends, is in `notes`: no
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -220,9 +220,9 @@ def _dropped(given: Calibration, fitted: Calibration, target: CalibrationFormat,
 
 def _empty(value: Any, default: Any) -> bool:
     """Whether a field says nothing."""
-    if value is None or isinstance(value, Pose):
-        return value is None
-    return value == default if isinstance(value, int | float | str) else hasattr(value, "__len__") and not len(value)
+    if isinstance(value, int | float | str):
+        return bool(value == default)
+    return value is None or (isinstance(value, Sized) and not isinstance(value, Pose) and not len(value))
 
 
 def seen_deg(model: CameraModel) -> float:

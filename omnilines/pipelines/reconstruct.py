@@ -52,8 +52,8 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Check, Detail, ImagePoses, Segments
-from omnilines.structure.families import line_families
+from omnilines.records import Check, Detail, ImagePoses, Lines, Segments
+from omnilines.structure.families import Families, line_families
 from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
 
@@ -199,14 +199,7 @@ def _scene(
     poses = poses_with_calibration_errors(poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)
-    if options.kept_lines.guided_by_families:
-        lines = guided_lines(lines, families)
-    if options.kept_lines.guided_by_planes:
-        lines = coplanar_lines(lines, found.track, families, options.structure)
-    if options.kept_lines.guided_by_corners:
-        at, track = found.matched.arcs.with_poses(poses.cam_from_world), found.track
-        own = np.append(track, -1)[found.segments.track]
-        lines = cornered_lines(lines, track, corners_of(at, own, options.structure.corners), options.structure.corners)
+    lines = _guided(found, families, options)
     if lines is not found.scene.lines:
         lines = with_rms(lines, found.segments, poses, refined_calibration(found.scene, cameras).cameras)
     sought = DirectionsOptions(upright=options.structure.upright)
@@ -250,6 +243,20 @@ def _scene(
         advice(found, still, options, progress),
         asked,
     )
+
+
+def _guided(found: KeptLines, families: Families, options: SceneOptions) -> Lines:
+    """The lines as families, planes and corners tell them, one after the other, as far as they are less certain."""
+    lines, track, asked = found.scene.lines, found.track, options.kept_lines
+    if asked.guided_by_families:
+        lines = guided_lines(lines, families)
+    if asked.guided_by_planes:
+        lines = coplanar_lines(lines, track, families, options.structure)
+    if asked.guided_by_corners:
+        arcs = found.matched.arcs.with_poses(found.scene.poses.cam_from_world)
+        corners = corners_of(arcs, np.append(track, -1)[found.segments.track], options.structure.corners)
+        lines = cornered_lines(lines, track, corners, options.structure.corners)
+    return lines
 
 
 def _checks(found: KeptLines) -> tuple[Check, ...]:
