@@ -1,5 +1,6 @@
 """`ol.calibrate`: what the command line calibrates from a pattern, Python does in the same words, to the last bit."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,9 @@ def test_lines_are_those_of_their_pipeline(photos: Path) -> None:
     result = ol.calibrate(str(photos / "room"), "lines", model=LENS, lines=quick)
     assert isinstance(result, LineResult) and result.boards is None
     assert same(result, calibrate_lines(photos / "room", model=LENS, lines=quick))
+    lens, half = ol.load(photos / "room" / "calibration.yaml")["cam0"], math.radians(85.0)
+    rim, _ = lens.project([[math.sin(half), 0.0, math.cos(half)]])
+    assert result.rim_px == pytest.approx(float(np.linalg.norm(rim - lens.centre_px.detach().numpy())), abs=2.0)
 
 
 def test_a_target_and_lines_are_one_adjustment(photos: Path, tmp_path: Path) -> None:

@@ -86,6 +86,9 @@ def test_lines_say_what_tells_the_focal_length_and_how_far_they_reach() -> None:
     assert focal.limit.startswith("The focal length is known to 2 percent only: 2 of 4 photos")
     assert focal.do.endswith(f"10 more like these would bring it to about {2 * math.sqrt(2 / 12):.2g} percent.")
     assert reach.limit.startswith("No edge lies beyond 60 degrees off axis, where the image reaches to 11")
+    assert line_advice(line_camera(0.5, 4, 60.0), rim_px=220.0) == (), "what lies beyond the rim of the lens is dark"
+    (to_the_rim,) = line_advice(line_camera(0.5, 4, 40.0), rim_px=220.0)
+    assert to_the_rim.limit == "No edge lies beyond 40 degrees off axis, where the image reaches to 63."
     assert line_advice(line_camera(4.0, 0, 120.0))[0].do.endswith("or of a board.")
     (left_open,) = line_advice(replace(line_camera(40.0, 0, 120.0), open_terms=("fx fy",)))
     assert left_open.limit == "Lines leave open fx fy."

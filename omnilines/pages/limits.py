@@ -30,7 +30,7 @@ UNEXPLAINED = 2.0
 ROUGH_FOCAL = 0.005
 """Relative standard deviation of a focal length from which on it is spoken of."""
 SHORT_REACH = 0.9
-"""Of the way to the corners of the image, in angle: edges that reach less far are spoken of."""
+"""Of the way to the rim of the lens or the corners of the image, in angle: edges that reach less far are spoken of."""
 
 
 def named(names: Sequence[str]) -> str:
@@ -132,8 +132,9 @@ def _found_and_remedy(reason: str) -> tuple[str, str]:
     return (found, remedy) if found else (remedy, "shoot again")
 
 
-def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
-    """Of a camera that was calibrated from straight lines: what they leave open, its focal length, and how far they reach."""
+def line_advice(fit: LineCamera, rim_px: float | None = None) -> tuple[Advice, ...]:
+    """Of a camera that was calibrated from straight lines: what they leave open, its focal length, and how far they reach. Beyond
+    `rim_px` from the centre pixel its photos are dark; None: they show the world up to the border."""
     count, frames = len(fit.photos), sum(photo.frame for photo in fit.photos)
     corner = "three sets of edges at right angles, as the corner of a room or a building has them"
     found = []
@@ -151,7 +152,7 @@ def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
         else:
             do = f"Add photos that show {corner}, or of a board."
         found.append(Advice(known, do))
-    edge_deg = math.degrees(float(torch.max(angles_off_axis(fit.model, ImageField(fit.model, None, 0.0).edge_px))))
+    edge_deg = math.degrees(float(torch.max(angles_off_axis(fit.model, ImageField(fit.model, rim_px).edge_px))))
     if fit.max_angle_deg < SHORT_REACH * edge_deg:
         far = f"No edge lies beyond {fit.max_angle_deg:.0f} degrees off axis, where the image reaches to {edge_deg:.0f}."
         found.append(Advice(far, "Add photos with long edges along the rim of the image."))
