@@ -14,9 +14,11 @@ from camera_models.pose import Pose
 from omnilines.commands.experiment_book import experiment_book
 from omnilines.commands.reconstruct import reconstruct_photos, reconstruct_segments
 from omnilines.files import read_corners, read_poses
+from omnilines.pages.limits_of_lines import scene_advice
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.poses import estimate_poses, sides_of
+from omnilines.pipelines.reconstruct import reconstruct
 from omnilines.pipelines.render import RenderOptions, render_scene
 from omnilines.pipelines.rendered import RenderedScene
 from omnilines.posing.features import Features
@@ -217,6 +219,20 @@ def test_a_rendered_sheet_gives_the_poses_of_its_photos(
     for size_m in ((0.279, 0.14), (0.3, 0.1), (0.25, 0.235)):
         wrong = find_rectangle(sides_of(arcs.photos[0], cameras), Rectangle(*size_m))
         assert isinstance(wrong, str) or wrong.outshone
+
+
+def test_a_sheet_of_another_size_is_the_first_advice(tmp_path: Path) -> None:
+    """A scene whose poses hang on a book that has the shape of A4 does not pass for one that is known to millimetres."""
+    render_scene("books", "pinhole", RenderOptions(60.0, 4, (640, 480), seed=0)).save(tmp_path / "photos")
+    cameras = load(tmp_path / "photos" / "calibration.yaml")
+    arcs = extract(tmp_path / "photos", cameras)
+    for _ in range(2):  # the second time as they were kept
+        posed = estimate_poses(arcs, cameras, "rectangle:297x210mm", work=tmp_path / "work")
+        (doubt,) = posed.advice
+        assert "brighter and larger than the sheet that was taken" in doubt.limit
+        assert doubt.do.startswith("Measure the sheet: 297 x 210 mm was given")
+    assert scene_advice(reconstruct(arcs, posed, cameras))[0] == doubt
+    assert estimate_poses(arcs, cameras, "rectangle:279x216mm").advice == ()
 
 
 def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
 from omnilines.posing.sfm import LEAST_PHOTOS, sfm_poses
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses
+from omnilines.records import Advice, ImagePoses
 
 SOURCES = ("sfm", "rig", "boards")
 SHEET = f"{PREFIX}WIDTHxHEIGHT"
@@ -263,12 +263,14 @@ def _read(path: Path, inputs: str) -> PhotoPoses | None:
     pose = Pose(torch.as_tensor(kept["rotation"]), torch.as_tensor(kept["translation"]))
     named = {name: None if words[name] is None else tuple(words[name]) for name in ("cameras", "frames")}
     poses = ImagePoses(tuple(words["images"]), pose, named["cameras"], kept.get("covariance"), named["frames"])
-    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]))
+    advice = tuple(Advice(limit, do) for limit, do in words["advice"])
+    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]), advice=advice)
 
 
 def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
     poses = found.poses
     words: dict[str, Any] = {"left_out": dict(found.left_out), "notes": found.notes}
+    words["advice"] = [(one.limit, one.do) for one in found.advice]
     words |= {"images": poses.images, "cameras": poses.cameras, "frames": poses.frames}
     arrays = {"rotation": poses.cam_from_world.rotation.numpy(), "translation": poses.cam_from_world.translation.numpy()}
     if poses.covariance is not None:

@@ -240,7 +240,7 @@ def _scene(
         of_photos,
         options,
         _checks(found),
-        advice(found, still, options, progress),
+        (*posed.advice, *advice(found, still, options, progress)),
         asked,
     )
 

@@ -22,7 +22,7 @@ from omnilines.posing.options import PosingOptions, RectangleOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import Rectangle
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses
+from omnilines.records import Advice, ImagePoses
 
 
 def poses_from_rectangles(
@@ -70,7 +70,11 @@ def poses_from_rectangles(
         tuple(camera_of[name] for name in names),
         max(1.0, shown) * np.stack([found[name].covariance for name in names]),
     )
-    return PhotoPoses(table, lost, _notes(names, found))
+    world = (
+        "The world is the sheet: its origin is a corner, x runs along its first side, to the right in "
+        f"{names[0]}, z into it. Half a turn more would fit as well."
+    )
+    return PhotoPoses(table, lost, (world,), advice=_doubts([found[name] for name in names], rectangle))
 
 
 def _sheets(
@@ -98,19 +102,17 @@ def _sheets(
     return found, lost
 
 
-def _notes(names: Sequence[str], found: Mapping[str, FoundRectangle]) -> tuple[str, ...]:
-    """What the user should know of the world and of the sheets that were taken."""
-    notes = [
-        "The world is the sheet: its origin is a corner, x runs along its first side, to the right in "
-        f"{names[0]}, z into it. Half a turn more would fit as well."
-    ]
-    outshone = sum(found[name].outshone for name in names)
-    if outshone:
-        notes.append(
-            f"In {outshone} of {len(names)} photos something brighter and larger than the sheet that was taken has four corners "
-            "but another shape; check that the size is right."
-        )
-    return tuple(notes)
+def _doubts(found: Sequence[FoundRectangle], rectangle: Rectangle) -> tuple[Advice, ...]:
+    """Whether something else than these may be the sheet, of another size."""
+    outshone = sum(one.outshone for one in found)
+    if not outshone:
+        return ()
+    limit = (
+        f"In {outshone} of {len(found)} photos something brighter and larger than the sheet that was taken has four corners but "
+        "another shape. That may be the sheet: then poses and lengths are wrong."
+    )
+    asked = f"{1e3 * rectangle.width_m:g} x {1e3 * rectangle.height_m:g} mm"
+    return (Advice(limit, f"Measure the sheet: {asked} was given, letter paper has 279.4 x 215.9, A4 297 x 210."),)
 
 
 def half_turns(

@@ -9,7 +9,7 @@ import torch
 from camera_models import GeometryError
 from camera_models.pose import Pose
 from camera_models.rotations import nearest_rotation
-from omnilines.records import ImagePoses, LengthUnit, PosePoints
+from omnilines.records import Advice, ImagePoses, LengthUnit, PosePoints
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,8 @@ class PhotoPoses:
     unit: LengthUnit = LengthUnit.METRES
     points: Mapping[str, PosePoints] = field(default_factory=dict)
     """Of photos whose pose was found from points of known place: with another camera it would be another one."""
+    advice: tuple[Advice, ...] = ()
+    """What puts the poses in doubt, and what to do about it."""
 
 
 def image_poses(
