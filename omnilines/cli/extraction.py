@@ -33,10 +33,10 @@ def extract(
     from omnilines.commands.cluster import workers
     from omnilines.commands.extract import extract as command
     from omnilines.commands.frames import with_frames
-    from omnilines.extraction import ExtractionOptions
     from omnilines.options import with_settings
+    from omnilines.pipelines.arcs import SHORT_ARCS
 
-    options = with_settings(ExtractionOptions(), settings or (), "extraction.")
+    options = with_settings(SHORT_ARCS, settings or (), "extraction.")
 
     def extracted(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

@@ -16,8 +16,9 @@ from omnilines.files.folders import check_results
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pages.arcs import arcs_data, arcs_summary, picture_name, write_pictures
-from omnilines.pipelines.arcs import cameras_of_photos
+from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos
 from omnilines.pipelines.arcs import extract as pipeline
+from omnilines.posing.sfm import LEAST_PHOTOS
 from omnilines.progress import ProgressCallback, silent
 
 TABLE, PICTURES = "segments.csv", "pictures"
@@ -30,7 +31,7 @@ def extract(
     out: Path,
     *,
     mask: Path | None = None,
-    options: ExtractionOptions = ExtractionOptions(),
+    options: ExtractionOptions = SHORT_ARCS,
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:
@@ -56,7 +57,9 @@ def extract(
         warnings=arcs.notes,
         details=arcs.skipped_details,
         photos=len(refs),
-        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), *SCENE) if len(arcs) else (),
+        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), *SCENE)
+        if len(arcs) and len(refs) >= LEAST_PHOTOS
+        else (),
     )
 
 

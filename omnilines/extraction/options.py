@@ -228,7 +228,7 @@ class ExtractionOptions(Typed):
     """Of `extract_arcs`."""
 
     min_length_px: float = 25.0
-    """Shorter arcs are not given back."""
+    """Shorter arcs are not given back; `extract`, `directions`, `rectify` and `reconstruct` take 10."""
     min_support: float = 0.65
     """Share of an arc beside which there are edge points."""
     along_sigma_px: float = 1.0
