@@ -129,7 +129,10 @@ def test_geojson_asks_for_an_origin_and_metres(folder: Path, tmp_path: Path, cap
         main(["export", str(near), str(out), "--origin", "-33.8,151.2,30"])
     assert not stopped.value.code and out.is_file()
     save(near / "calibration.yaml", Calibration({"cam0": LENS}, provenance={"length_unit": "units"}))
-    with pytest.raises(InputError, match="a scene in metres was expected, found units whose length"):
+    with pytest.raises(
+        InputError,
+        match=r"a scene in metres was expected, found units whose length .* reconstruct --scale-from",
+    ):
         ol.export(near, out, origin=(48.0, 11.0, 0.0)).save()
 
 

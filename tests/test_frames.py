@@ -74,6 +74,17 @@ def test_frames_of_several_targets_are_those_of_each(video: Path) -> None:
         ol.frames(video, f"{other},aprilgrid:6x6:35mm:0.3:36h11", options=OPTIONS)
 
 
+def test_the_command_says_in_full_why_frames_are_left_out(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["frames", str(video), "--pattern", BOARD, "--out", str(tmp_path / "out")])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    reasons = {row["reason"] for row in csv.DictReader((tmp_path / "out/frames.csv").read_text().splitlines())} - {""}
+    assert reasons and any(f" frames: {reason}" in said for reason in reasons)
+
+
 def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", str(video), "--pattern", BOARD, "--model", "opencv-fisheye", "--out", str(tmp_path / "out")])

@@ -59,7 +59,7 @@ def test_a_recording_goes_to_rerun(folder: Path, monkeypatch: pytest.MonkeyPatch
 def test_what_there_is_not_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"A folder with report\.html was expected, found .*; run calibrate"):
         module.view(tmp_path)
-    with pytest.raises(InputError, match=r"with scene\.rrd was expected, .* reconstruct with `recording`"):
+    with pytest.raises(InputError, match=r"with scene\.rrd was expected, .* reconstruct with --recording"):
         module.view(tmp_path / "nowhere", rerun=True)
     (tmp_path / "notes.txt").write_text("no report")
     with pytest.raises(InputError, match=r"holds none"):

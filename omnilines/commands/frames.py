@@ -109,7 +109,7 @@ def _summaries(chosen: ChosenFrames, out: Path) -> list[Summary]:
             ("video", f"{lens.video.duration_s:.1f} s, {lens.video.count} frames of {'x'.join(map(str, lens.image_size))} px"),
             ("looked at closely", f"{len(rows)} frames"),
             ("taken", f"{len(taken)} frames"),
-            *((reason, f"{count} frames") for reason, count in left.most_common(4)),
+            *(("left out", f"{count} frames: {reason}") for reason, count in left.most_common(4)),
         ]
         title = f"Frames of {lens.video.title}" + (f", {lens.name}" if lens.split else "")
         found.append(Summary(title, tuple(lines), (f"written to {out}",)))

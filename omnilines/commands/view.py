@@ -25,7 +25,7 @@ def view(folder: Path, *, rerun: bool = False) -> CommandResult:
     wanted = RECORDING if rerun else PAGE
     path = folder / wanted if folder.is_dir() else folder
     if not path.is_file() or path.suffix != Path(wanted).suffix:
-        way = "reconstruct with `recording`" if rerun else "calibrate, reconstruct or another command that writes one"
+        way = "reconstruct with --recording" if rerun else "calibrate, reconstruct or another command that writes one"
         raise InputError(f"A folder with {wanted} was expected, found {folder}, which holds none; run {way}.")
     read_bytes(path, most=1)
     if rerun:

@@ -28,7 +28,10 @@ def write_geojson(path: Path, scene: SceneTables, origin: Origin) -> tuple[str, 
     """
     lines, segments = scene.lines, scene.segments
     if lines.unit is not LengthUnit.METRES:
-        raise InputError(f"{path}: a scene in metres was expected, found {lines.unit.words}; give its scale when it is made.")
+        raise InputError(
+            f"{path}: a scene in metres was expected, found {lines.unit.words}; give its scale when it is made, with reconstruct "
+            "--scale-from."
+        )
     rows = np.flatnonzero(lines.known)
     ends = lines.ends_m[rows]
     farthest = float(np.linalg.norm(ends, axis=-1).max()) if len(rows) else 0.0

@@ -55,7 +55,7 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
     stated = (
         ("lines on an edge", f"{int(validation.own.sum())} of {scores.lines}"),
         (f"their ends within {end_radius_sigmas():.3g} sigma_m, 95 percent where that holds", _percent(validation.inside_share)),
-        ("these lines inside the 95 percent ellipsoid of their covariance", _percent(validation.covariance_share)),
+        ("inside the 95 percent ellipsoid of their covariance", _percent(validation.covariance_share)),
         (f"lines within {1e3 * validation.tolerance_m:.3g} mm, as sigma_m predicts", _percent(validation.expected_precision)),
     )
     note = (
