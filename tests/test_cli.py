@@ -265,6 +265,16 @@ def test_what_a_scene_can_get_wrong(tmp_path, capsys):
     assert "poses.csv" in refused(capsys, "adjust", *options)
 
 
+def test_a_tilde_is_the_home_where_shells_leave_it(photos, tmp_path, capsys, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(here)
+    assert run(capsys, "detect", photos / "view0.png", "--pattern", SPEC, "--out=~/corners")[0] == 0
+    assert (home / "corners/corners.csv").is_file() and not list(here.iterdir())
+    assert f"found {home}/corners, which" in refused(capsys, "view", "~/corners")
+
+
 def test_help_names_every_command_and_loads_nothing_heavy():
     code = (
         "import sys\n"
