@@ -86,6 +86,9 @@ def test_lines_say_what_tells_the_focal_length_and_how_far_they_reach() -> None:
     assert focal.limit.startswith("The focal length is known to 2 percent only: 2 of 4 photos")
     assert focal.do.endswith(f"10 more like these would bring it to about {2 * math.sqrt(2 / 12):.2g} percent.")
     assert reach.limit.startswith("No edge lies beyond 60 degrees off axis, where the image reaches to 11")
+    # An image that is dark beyond 70 degrees has no edges there.
+    assert line_advice(line_camera(0.5, 4, 66.0), rim_px=200.0 * math.radians(70.0)) == ()
+    assert line_advice(line_camera(0.5, 4, 66.0))[0].limit == reach.limit.replace("60", "66")
     assert line_advice(line_camera(4.0, 0, 120.0))[0].do.endswith("or of a board.")
     (left_open,) = line_advice(replace(line_camera(40.0, 0, 120.0), open_terms=("fx fy",)))
     assert left_open.limit == "Lines leave open fx fy."

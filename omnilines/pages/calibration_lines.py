@@ -40,7 +40,7 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         for p in used
     )
     summaries = [
-        Summary("Calibration from straight lines", rows, result.notes, verdict=verdict, advice=line_advice(fit)),
+        Summary("Calibration from straight lines", rows, result.notes, verdict=verdict, advice=line_advice(fit, result.rim_px)),
         Summary("Parameters ± one standard deviation", parameters),
         Summary("Photos", photos, of_photos=True),
     ]

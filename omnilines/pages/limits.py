@@ -132,8 +132,9 @@ def _found_and_remedy(reason: str) -> tuple[str, str]:
     return (found, remedy) if found else (remedy, "shoot again")
 
 
-def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
-    """Of a camera that was calibrated from straight lines: what they leave open, its focal length, and how far they reach."""
+def line_advice(fit: LineCamera, rim_px: float | None = None) -> tuple[Advice, ...]:
+    """Of a camera that was calibrated from straight lines: what they leave open, its focal length, and how far they reach in the
+    image, which is dark beyond `rim_px` from its centre pixel."""
     count, frames = len(fit.photos), sum(photo.frame for photo in fit.photos)
     corner = "three sets of edges at right angles, as the corner of a room or a building has them"
     found = []
@@ -151,7 +152,7 @@ def line_advice(fit: LineCamera) -> tuple[Advice, ...]:
         else:
             do = f"Add photos that show {corner}, or of a board."
         found.append(Advice(known, do))
-    edge_deg = math.degrees(float(torch.max(angles_off_axis(fit.model, ImageField(fit.model, None, 0.0).edge_px))))
+    edge_deg = math.degrees(float(torch.max(angles_off_axis(fit.model, ImageField(fit.model, rim_px).edge_px))))
     if fit.max_angle_deg < SHORT_REACH * edge_deg:
         far = f"No edge lies beyond {fit.max_angle_deg:.0f} degrees off axis, where the image reaches to {edge_deg:.0f}."
         found.append(Advice(far, "Add photos with long edges along the rim of the image."))

@@ -26,6 +26,7 @@ from omnilines.pipelines.chains import PhotoChains, chains_of
 from omnilines.pipelines.line_camera import adjusted_camera, is_camera, readjusted_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import with_scale_of_all, without_doubtful_angles
+from omnilines.pipelines.next_views import rim_in_photos
 from omnilines.pipelines.pages import claimed_report
 from omnilines.progress import ProgressCallback, silent
 from omnilines.provenance import provenance
@@ -63,6 +64,8 @@ class LineResult:
     photo_folder: Path | None = None
     boards: CalibrationResult | None = None
     """What was known of the camera from boards, where it counts."""
+    rim_px: float | None = None
+    """Distance from the centre pixel beyond which photos are dark; None where they are not."""
 
     @property
     def camera(self) -> CameraModel:
@@ -178,7 +181,8 @@ def calibrate_lines(
     if options.mirror:
         fit = in_mirror(fit)
     inputs = {"photos": photo_folder(refs), "pattern": "lines", "model": options.model}
-    return LineResult(fit, line_record(fit, inputs, options.mirror), selection, skipped, _folder(refs))
+    rim = rim_in_photos(refs, fit.model, fit.pixels)
+    return LineResult(fit, line_record(fit, inputs, options.mirror), selection, skipped, _folder(refs), rim_px=rim)
 
 
 def _guide(candidates: Sequence[Candidate], model: str) -> Candidate:
@@ -220,7 +224,8 @@ def _with_boards(
     low, high = min(fit.min_angle_deg, boards.fit.min_angle_deg), max(fit.max_angle_deg, boards.fit.max_angle_deg)
     fit = replace(fit, min_angle_deg=low, max_angle_deg=high, notes=(*boards.notes, *doubts, *fit.notes))
     inputs = {**boards.found.inputs, "photos": photo_folder(refs), "lines": True, "model": model.NAME}
-    return LineResult(fit, line_record(fit, inputs), chosen_trial([trial], options.held_out), skipped, _folder(refs), boards)
+    chosen, rim = chosen_trial([trial], options.held_out), rim_in_photos(refs, fit.model, fit.pixels)
+    return LineResult(fit, line_record(fit, inputs), chosen, skipped, _folder(refs), boards, rim)
 
 
 def _folder(refs: Any) -> Path | None:

@@ -35,10 +35,8 @@ def next_views_of(
     if not fit.covariance.any():
         return None
     model = fit.model
-    centre = model.centre_px.detach().numpy()
-    reach = float(np.linalg.norm(corners.pixels[fit.kept] - centre, axis=-1).max())
-    some = np.unique(np.linspace(0, len(photos) - 1, LOOKED_AT).astype(int)) if photos else ()
-    rings = _brightest_rings([photos[k] for k in some], model)
+    centre, reach = model.centre_px.detach().numpy(), _reach_px(model, corners.pixels[fit.kept])
+    rings = _brightest_rings(photos, model)
     if rings is None:
         to_border = min(*(centre + 0.5), *(np.array(model.image_size) - 0.5 - centre))
         rim: float | None = max(reach, float(to_border))
@@ -46,6 +44,21 @@ def next_views_of(
         rim = lens_rim_px(*rings, reach, thresholds.rim_share)
     board = None if pattern is None else pattern.points_m
     return next_views(fit, corners, rim_px=rim, rim_seen=rings is not None, board_m=board, thresholds=thresholds)
+
+
+def rim_in_photos(
+    photos: Sequence[Photo],
+    model: CameraModel,
+    seen_px: Float[np.ndarray, "n 2"],
+    rim_share: float = ShootingThresholds().rim_share,
+) -> float | None:
+    """`lens_rim_px` of a camera in its photos, which saw the world at some pixels; None also where no photo can be read."""
+    rings = _brightest_rings(photos, model)
+    return None if rings is None else lens_rim_px(*rings, _reach_px(model, seen_px), rim_share)
+
+
+def _reach_px(model: CameraModel, seen_px: Float[np.ndarray, "n 2"]) -> float:
+    return float(np.linalg.norm(seen_px - model.centre_px.detach().numpy(), axis=-1).max())
 
 
 def lens_rim_px(
@@ -57,9 +70,11 @@ def lens_rim_px(
     return float(radii_px[dark.argmax()]) if dark.any() else None
 
 
-def _brightest_rings(photos: list[Photo], model: CameraModel) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]] | None:
-    """Distances from the centre and, at each, the median over all directions of the largest value in any of the photos: what is
-    dark in all of them is no part of the world. None where no photo can be read."""
+def _brightest_rings(
+    photos: Sequence[Photo], model: CameraModel
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]] | None:
+    """Distances from the centre and, at each, the median over all directions of the largest value in any of some photos: what is
+    dark in all of them is no part of the world. None where none of them can be read."""
     width, height = model.image_size
     radii = np.linspace(0, model.image_radius_px, STEPS + 1)[1:]
     turn = 2 * np.pi * np.arange(RAYS) / RAYS
@@ -67,9 +82,9 @@ def _brightest_rings(photos: list[Photo], model: CameraModel) -> tuple[Float[np.
     inside = ((places >= 0) & (places <= np.array([width, height]) - 1)).all(-1)
     column, row = (np.where(inside, places[..., k], 0).round().astype(int) for k in (0, 1))
     brightest = None
-    for photo in photos:
+    for k in np.unique(np.linspace(0, len(photos) - 1, LOOKED_AT).astype(int)) if photos else ():
         try:
-            pixels: UInt[np.ndarray, "h w *channels"] = photo.read()
+            pixels: UInt[np.ndarray, "h w *channels"] = photos[k].read()
         except InputError:
             continue
         if pixels.shape[1::-1] == model.image_size:
