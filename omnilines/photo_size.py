@@ -32,6 +32,16 @@ def size_of_photo(data: bytes) -> tuple[int, int] | None:
         return None
 
 
+def wrong_size(what: str, size: tuple[int, int], camera_size: tuple[int, int]) -> str | None:
+    """Why a photo, or what lies over it, is none of a camera: its width and height (px) are others; None where they are not."""
+    if size == camera_size:
+        return None
+    asked = f"A {what} of {camera_size[0]}x{camera_size[1]} px was expected, as the camera has, found {size[0]}x{size[1]} px"
+    if size == camera_size[::-1]:
+        return f"{asked}, which looks turned; turn it, or its EXIF orientation, as the photos that the calibration is of are."
+    return f"{asked}; give the one that the calibration is of."
+
+
 def may_have_16_bits(data: bytes) -> bool:
     """Whether the first 25 bytes of a photo leave it open that it has 16 bits a channel: a PNG says it, a TIFF or PNM later."""
     return data[24:25] == b"\x10" if data.startswith(b"\x89PNG") else data[:2] in (b"II", b"MM", b"P2", b"P3", b"P5", b"P6")

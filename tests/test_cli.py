@@ -14,11 +14,13 @@ import torch
 import yaml
 
 import camera_models
-from calib_patterns import pattern
+from calib_patterns import Detection, pattern
 from calib_patterns.rendering import render_target
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines import cli
 from omnilines.cli._shared import LENS_MODELS
+from omnilines.pipelines.photo_corners import corner_table, counts_remark
+from omnilines.records import Corners
 
 LENS = camera_models.OpenCVFisheye([170.0, 170.5, 325.0, 236.0, -0.01, 0.003, -0.001, 0.0001], (640, 480))
 SPEC = "checkerboard:7x5:30mm"
@@ -170,6 +172,20 @@ def test_detect_tells_of_a_wrong_count_of_corners(photos, tmp_path, capsys):
     assert status == 0 and "inner corners of a board" not in err
 
 
+def test_a_corner_beside_the_board_hides_no_wrong_count():
+    """Of nine photos eight show 4x3 corners, one a corner more; where as many show more, the board is larger."""
+    board = pattern("checkerboard:8x6:30mm")
+    part = [8 * row + column for row in (1, 2, 3) for column in (2, 3, 4, 5)]
+
+    def table(more: int) -> Corners:
+        ids = [np.array([4] * (k < more) + part) for k in range(9)]
+        seen = [(f"{k}.png", Detection(own, np.zeros((len(own), 2)), np.ones(len(own)))) for k, own in enumerate(ids)]
+        return corner_table(seen, board)
+
+    assert "8 of 9 photos show 4x3 inner corners of a board of 8x6" in str(counts_remark(board, table(1)))
+    assert counts_remark(board, table(4)) is None
+
+
 def test_what_a_table_of_corners_can_get_wrong(tmp_path, capsys):
     rows = corner_rows()
     good = ("--image-size", "640x480", "--model", "opencv-fisheye", "--out", tmp_path / "o")
@@ -263,6 +279,16 @@ def test_what_a_scene_can_get_wrong(tmp_path, capsys):
     assert "No segment can be used" in refused(capsys, "adjust", *options)
     (tmp_path / "poses.csv").unlink()
     assert "poses.csv" in refused(capsys, "adjust", *options)
+
+
+def test_a_tilde_is_the_home_where_shells_leave_it(photos, tmp_path, capsys, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(here)
+    assert run(capsys, "detect", photos / "view0.png", "--pattern", SPEC, "--out=~/corners")[0] == 0
+    assert (home / "corners/corners.csv").is_file() and not list(here.iterdir())
+    assert f"found {home}/corners, which" in refused(capsys, "view", "~/corners")
 
 
 def test_help_names_every_command_and_loads_nothing_heavy():

@@ -260,6 +260,14 @@ def test_mistakes_are_one_sentence(tmp_path: Path, capsys) -> None:
     assert "is no folder" in refused(capsys, source, tmp_path / "file" / "a.yml")
 
 
+def test_a_folder_holds_several_formats(tmp_path: Path, capsys) -> None:
+    camera_models.save(tmp_path / "rig.yaml", Calibration({"left": LENS, "right": LENS}))
+    for name in ("kalibr", "nerfstudio", "mc-calib"):
+        assert run(capsys, tmp_path / "rig.yaml", tmp_path / "many", "--to", name)[0] == 0
+    names = {path.name for path in (tmp_path / "many").iterdir()}
+    assert names == {f"{name}.{suffix}" for name in ("left", "right") for suffix in ("yaml", "json", "yml")}
+
+
 def test_the_size_of_the_image_may_be_given(tmp_path: Path, capsys) -> None:
     matrix = "!!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: {}\n"
     k, d = matrix.format(3, 3, [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]), matrix.format(1, 5, [0.0] * 5)

@@ -18,9 +18,10 @@ from omnilines.calibration.pose_candidates import view_information
 from omnilines.calibration.shooting_words import px_words
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import ShootingThresholds
+from omnilines.files import photos_of
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.pages.uncertainty_map import UncertaintyMap
-from omnilines.pipelines.next_views import lens_rim_px
+from omnilines.pipelines.next_views import lens_rim_px, seen_rim_px
 
 SIZE = (1280, 960)
 LENSES = {
@@ -169,6 +170,17 @@ def test_the_rim_is_where_photos_are_dark():
     # A blind centre is dark too, and light returns outside a mirror.
     mirror = np.where(radii < 60, 3.0, np.where((radii > 390) & (radii < 410), 10.0, 150.0))
     assert lens_rim_px(radii, mirror, 300.0, 0.25) == pytest.approx(391)
+
+
+def test_the_rim_is_found_in_photos() -> None:
+    camera = LENSES["opencv-fisheye"]
+    centre = camera.centre_px.numpy()
+    column, row = np.meshgrid(*(np.arange(side) for side in camera.image_size))
+    photo = np.where(np.hypot(column - centre[0], row - centre[1]) < 330, 180, 4).astype(np.uint8)
+    seen = centre + np.array([[250.0, 0.0], [0.0, -200.0]])
+    assert seen_rim_px(photos_of([photo] * 3), camera, seen) == pytest.approx(330, abs=2)
+    assert seen_rim_px(photos_of([np.full_like(photo, 180)]), camera, seen) is None
+    assert seen_rim_px([], camera, seen) is None
 
 
 def test_part_of_the_result_its_table_and_its_data(tmp_path):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from camera_models import Calibration, load, save
@@ -113,6 +114,45 @@ def test_without_poses_and_in_subfolders(rendered, tmp_path) -> None:
     assert (tmp_path / "out/left/view01.png").exists()
     assert not (tmp_path / "out/poses.csv").exists() and not (tmp_path / "out/colmap").exists()
     assert load(tmp_path / "out/calibration.yaml")["perspective"].image_size == (100, 80)
+
+
+def test_photos_of_16_bits_give_views_of_16_bits(rendered, tmp_path) -> None:
+    _, folder = rendered
+    (tmp_path / "in").mkdir()
+    photo = cv2.imread(f"{folder}/view00.png")
+    cv2.imwrite(f"{tmp_path}/in/shallow.png", photo)
+    cv2.imwrite(f"{tmp_path}/in/deep.tif", photo.astype(np.uint16) * 257)
+    inputs = ["--calibration", f"{folder}/calibration.yaml", "--size", "100x80", "--out", str(tmp_path / "out")]
+    assert run("rectify", str(tmp_path / "in"), *inputs) == 0
+    shallow, deep = (cv2.imread(str(tmp_path / "out" / name), cv2.IMREAD_UNCHANGED) for name in ("shallow.png", "deep.png"))
+    assert deep.dtype == np.uint16
+    assert np.abs(deep / 257 - shallow).max() <= 1
+
+
+def test_photos_that_cannot_be_used_are_skipped(rendered, tmp_path, capsys) -> None:
+    """Also one that its EXIF orientation turns by half a turn: it has the right size, and other pixels of the sensor."""
+    _, folder = rendered
+    (tmp_path / "in").mkdir()
+    photo = cv2.imread(f"{folder}/view00.png")
+    for name, pixels in (("a", photo), ("b", photo[::-1]), ("small", photo[:300]), ("tall", photo.transpose(1, 0, 2))):
+        cv2.imwrite(f"{tmp_path}/in/{name}.png", pixels)
+    (tmp_path / "in/empty.jpg").write_bytes(b"")
+    turned = Image.Exif()
+    turned[0x0112] = 3
+    Image.fromarray(photo[..., ::-1]).save(tmp_path / "in/turned.jpg", exif=turned.tobytes())
+    inputs = ["--calibration", f"{folder}/calibration.yaml", "--size", "100x80", "--out", str(tmp_path / "out")]
+    assert run("rectify", str(tmp_path / "in"), *inputs, "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["views"] == ["a.png", "b.png"] and data["photos"] == 2
+    for sentence in (
+        "small.png is skipped: A photo of 800x600 px was expected, as the camera has, found 800x300 px; give the one that the",
+        "tall.png is skipped: A photo of 800x600 px was expected, as the camera has, found 600x800 px, which looks turned; turn",
+        "empty.jpg is skipped: The image",
+        "turned.jpg is skipped: its EXIF orientation turns it by 180 degrees",
+    ):
+        assert sum(sentence in note for note in data["notes"]) == 1, sentence
+    assert run("rectify", str(tmp_path / "in/small.png"), *inputs) == 2
+    assert "No photo of 1 can be used (first reason: A photo of 800x600 px was expected" in capsys.readouterr().err
 
 
 def test_black_views_are_named_in_one_sentence(tmp_path, capsys) -> None:

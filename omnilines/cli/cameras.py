@@ -274,7 +274,7 @@ def doctor(
     ] = True,
     as_json: Json = False,
 ) -> None:
-    """What is installed, cores, caches, and a self-check of ten seconds."""
+    """What is installed, cores, caches, and a self-check of half a minute."""
 
     def command(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

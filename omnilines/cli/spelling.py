@@ -1,5 +1,6 @@
 """Parameters as the command line spells them: messages of the library name `min_views`, the command line says --min-views."""
 
+import os.path
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -53,11 +54,19 @@ def with_flags(text: str) -> str:
     return re.sub("`([a-z_]+)`", lambda name: _flags.get(name[1], _flags.get(ALIASES.get(name[1], ""), name[0])), text)
 
 
+def from_home(argument: str) -> str:
+    """An argument with the home of the user for a ~ at the beginning of a path, also in --out=~/results, where most shells leave
+    it: results would go to a folder of the name ~."""
+    option, equals, path = argument.partition("=") if argument.startswith("--") else ("", "", argument)
+    return option + equals + (os.path.expanduser(path) if path.partition("/")[0] == "~" else path)
+
+
 class _Command(typer.core.TyperCommand):
     """A command whose options are known while it runs, and within reason before."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Raises InputError where an argument is empty, an option stands in the place of a value, or is given twice."""
+        args = [from_home(argument) for argument in args]
         if ctx.resilient_parsing:  # a shell asks how a command that is being written may go on
             return super().parse_args(ctx, args)
         takers = {name for option in self.params if _takes_value(option) for name in option.opts}

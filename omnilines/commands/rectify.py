@@ -15,7 +15,6 @@ from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
 from omnilines.files.colmap_scene import check_colmap_folder
 from omnilines.files.folders import check_output_folder, check_results
-from omnilines.files.orientation import turned_otherwise
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import SHORT_ARCS
@@ -23,7 +22,7 @@ from omnilines.pipelines.rectified import COLMAP_VIEWS, LEVELS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.pipelines.upright import Level
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Detail, Summary
+from omnilines.records import Summary
 from omnilines.structure.options import DirectionsOptions
 
 
@@ -70,8 +69,7 @@ def rectify(
     )  # fmt: skip
     with claimed(folder, made.names_in(folder), read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)
-    turned = tuple(Detail.of(name, reason) for name, reason in turned_otherwise(refs).items()) if len(cameras) == 1 else ()
-    return replace(result, details=(*turned, *made.left_out), photos=len(refs))
+    return replace(result, details=made.left_out, photos=len(refs))
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:

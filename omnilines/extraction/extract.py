@@ -28,6 +28,7 @@ from omnilines.extraction.mirror import off_mount, within_rim
 from omnilines.extraction.neighbours import fit_together, photo_blur
 from omnilines.extraction.options import ExtractionOptions
 from omnilines.extraction.refit import Photo, Refitted, joined, refit
+from omnilines.photo_size import wrong_size
 
 EVERYWHERE = (0.0, math.inf)
 """Angles between which a calibration is known that says nothing of that."""
@@ -90,11 +91,8 @@ def extracted(
     """`extract_arcs`, with all that they come from."""
     height, width = image.shape[:2]
     for name, size in (("photo", (width, height)), ("mask", (width, height) if mask is None else mask.shape[::-1])):
-        if size != model.image_size:
-            raise InputError(
-                f"A {name} of {model.image_size[0]}x{model.image_size[1]} px was expected, as the camera has, found "
-                f"{size[0]}x{size[1]} px; give the one that the calibration is of."
-            )
+        if (why := wrong_size(name, size, model.image_size)) is not None:
+            raise InputError(why)
     photo, arcs, noise = _begun(np.ascontiguousarray(image), model, mask, known_rad, options)
     pieces, join = options.pieces, functools.partial(merged, photo, options=options.merging, support=options.support)
     arcs = join(arcs)

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import UInt, UInt8
+from jaxtyping import UInt, UInt8, UInt16
 
 from camera_models._arrays import Array
 from camera_models.errors import InputError
@@ -24,7 +24,7 @@ from omnilines.progress import ProgressCallback, on_all_cores, silent
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
 _HEADER_BYTES = 1 << 16
 """Of a photo, that mostly hold its size."""
-_READ_BYTES_PER_PIXEL = 6
+READ_BYTES_PER_PIXEL = 6
 """Of a photo of 16 bits in colour."""
 _SHARE = 0.5
 """Of the memory that can be taken, for photos being worked on."""
@@ -119,7 +119,7 @@ def of_one_range(photos: Sequence[Photo], progress: ProgressCallback = silent) -
         return levels_of(pixels) if pixels.dtype == np.uint16 else None
 
     deep = [photo for photo in photos if _may_have_16_bits(photo)]
-    found = on_all_cores(look, deep, "reading grey levels", progress, photos_at_once(deep, _READ_BYTES_PER_PIXEL))
+    found = on_all_cores(look, deep, "reading grey levels", progress, photos_at_once(deep, READ_BYTES_PER_PIXEL))
     known = [levels for levels in found if levels is not None]
     if not known:
         return list(photos)
@@ -244,7 +244,8 @@ def _pixels(photo: Photo) -> int:
 
 
 @typed
-def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"]) -> None:
-    """Write a photo; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not ASCII."""
+def write_png(path: Path, photo: UInt8[np.ndarray, "h w *channels"] | UInt16[np.ndarray, "h w *channels"]) -> None:
+    """Write a photo of 8 or 16 bits; encoded in memory, since cv2.imwrite only says false where a disk is full or a name is not
+    ASCII."""
     encoded = cv2.imencode(".png", photo)[1]
     write_atomically(path, encoded.tobytes())

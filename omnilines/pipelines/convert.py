@@ -59,10 +59,12 @@ class ConversionResult:
         # A folder that is a link is written where it leads.
         out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
         files = list(self.writer.documents(out, self.calibration))
+        # A folder may hold the cameras in one format beside another.
+        which = out.name if out in files else f"{out.name} to {self.writer.NAME}"
         if self.errors:
             files.append(out.with_name(f"{out.stem}_conversion.csv"))
         names = [path.relative_to(out.parent).as_posix() for path in files]
-        with claimed(out.parent, names, self.read, by=f"convert {out.name}"):
+        with claimed(out.parent, names, self.read, by=f"convert {which}"):
             self.writer.write(out, self.calibration)
             if self.errors:
                 write_atomically(files[-1], self._table())

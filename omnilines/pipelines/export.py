@@ -74,6 +74,8 @@ class SceneExport:
             with claimed(out, parts, self.read, by=f"export {self.writer.name}") as folder:
                 lost = self.writer.write(folder, self.scene, *beside)
             return tuple(out / name for name in parts if (out / name).is_file()), lost
+        if self.out.is_dir():
+            raise InputError(f"A file was expected for {self.writer.title}, found the folder {self.out}; name a file in it.")
         with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
             lost = self.writer.write(out, self.scene, *beside)
         return (out,), lost

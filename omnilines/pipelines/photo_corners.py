@@ -135,7 +135,8 @@ class PhotoCorners:
 
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
-    """What tells of a wrong count of corners: three photos or more of which most show the same smaller grid, the others less."""
+    """What tells of a wrong count of corners: three photos or more of which most show the same smaller grid, the others less; or
+    nearly all show it, as a corner beside the board may be taken for one of it."""
     grid = pattern.plain_grid
     if grid is None or corners.ids is None or len(corners.images) < 3:
         return None
@@ -143,9 +144,10 @@ def counts_remark(pattern: Pattern, corners: Corners) -> str | None:
         (int(np.ptp(ids % grid.columns)) + 1, int(np.ptp(ids // grid.columns)) + 1)
         for ids in np.split(corners.ids, np.flatnonzero(np.diff(corners.view)) + 1)
     )
-    most = max(extents, key=lambda extent: (max(extent) * min(extent), extents[extent]))
+    photos, usual = len(corners.images), max(extents, key=lambda extent: extents[extent])
+    largest = max(extents, key=lambda extent: (max(extent) * min(extent), extents[extent]))
+    most = usual if 4 * extents[usual] > 3 * photos else largest
     count = sum(number for extent, number in extents.items() if sorted(extent) == sorted(most))
-    photos = len(corners.images)
     if 2 * count <= photos or sorted(most) == sorted((grid.columns, grid.rows)):
         return None
     seen, asked = "{}x{}".format(*most), f"{grid.columns}x{grid.rows}"

@@ -62,7 +62,7 @@ class RectifiedViews:
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What the views were made from."""
     left_out: tuple[Detail, ...] = ()
-    """Photos that show no vertical, or cannot be used, where upright views were asked for."""
+    """Photos that cannot be used, and those that show no vertical where upright views were asked for."""
 
     def __len__(self) -> int:
         return len(self.views)

@@ -20,14 +20,17 @@ from camera_models.typed import typed
 from camera_models.views import View, axis_from_camera, views
 from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions
-from omnilines.files import Photo, Photos, photos_of
-from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos
+from omnilines.files import Photo, Photos, photos_at_once, photos_of
+from omnilines.files.orientation import by_camera
+from omnilines.files.photos import READ_BYTES_PER_PIXEL
+from omnilines.photo_size import wrong_size
+from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos, none_usable
 from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, view_from_camera
 from omnilines.pipelines.rig_corners import frame_of
 from omnilines.pipelines.upright import Level, Levels, levels_of
 from omnilines.posing.photo_poses import PhotoPoses
-from omnilines.progress import ProgressCallback, silent
-from omnilines.records import ImagePoses
+from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.records import Detail, ImagePoses
 from omnilines.structure.options import DirectionsOptions
 
 
@@ -57,12 +60,12 @@ def rectify(
     look equally much that way; what lies at `distance_m` (default: far away) is without parallax there.
 
     With `upright` the vertical is found in the lines of each photo, or of the photos of a rig at one instant, and views look
-    along the ground, upright, before they are turned by `yaw_deg` and `pitch_deg`. Photos in which no vertical stands out are in
-    `left_out`. `extraction` and `options` are how arcs and directions are found. `inputs` is what the views say that they were
-    made from.
+    along the ground, upright, before they are turned by `yaw_deg` and `pitch_deg`. `extraction` and `options` are how arcs and
+    directions are found. `inputs` is what the views say that they were made from. In `left_out` are photos that cannot be read,
+    have not the size of their camera or another EXIF orientation than its others, or show no vertical where that counts.
 
-    Raises InputError on photos, poses and options that are not what they have to be, GeometryError where upright views are asked
-    for and no photo shows the vertical.
+    Raises InputError on poses and options that are not what they have to be and where no photo can be used, GeometryError where
+    upright views are asked for and no photo shows the vertical.
 
         >>> views = ol.rectify("room/", ol.load("room/calibration.yaml"), "cube", size=(100, 100))
         >>> len(views), {pixels.shape for _, pixels in views.pixels()}
@@ -74,11 +77,9 @@ def rectify(
     together = table is None and len(cameras.rig) > 1
     if distance_m is not None and not together:
         raise InputError("`distance_m` counts with the photos of a rig, without `poses`; found it otherwise: leave it out.")
-    if together:
-        groups = _instants(found, cameras_of_photos(found, cameras))
-    else:
-        of_photo = _cameras_of_photos(found, cameras, table)
-        groups = {photo.name: {of_photo[photo.name]: photo} for photo in found}
+    of_photo = cameras_of_photos(found, cameras) if together else _cameras_of_photos(found, cameras, table)
+    found, unusable = _usable(found, cameras, of_photo, progress)
+    groups = _instants(found, of_photo) if together else {photo.name: {of_photo[photo.name]: photo} for photo in found}
     levels = Levels({}, ())
     if upright:
         axes = {name: _axis_from_rig_camera(cameras, name) if together else axis_from_camera(cameras[name]) for name in cameras}
@@ -105,7 +106,31 @@ def rectify(
     if upright:
         asked |= {"upright": True, "extraction": extraction, "directions": options}
     given = asked if inputs is None else inputs
-    return RectifiedViews(view, tuple(found), made, targets[0].camera, grids, its, given, levels.left_out)
+    return RectifiedViews(view, tuple(found), made, targets[0].camera, grids, its, given, (*unusable, *levels.left_out))
+
+
+def _usable(
+    photos: Sequence[Photo], cameras: Calibration, camera_of: Mapping[str, str], progress: ProgressCallback
+) -> tuple[list[Photo], tuple[Detail, ...]]:
+    """The photos of which views can be made, and the others, each with its reason. Raises InputError where there is none."""
+    turned = by_camera(photos, camera_of)
+
+    def look(photo: Photo) -> str | None:
+        """Why a photo cannot be used."""
+        if photo.name in turned:
+            return turned[photo.name]
+        try:
+            height, width = photo.read().shape[:2]
+        except InputError as error:
+            return str(error)
+        return wrong_size("photo", (width, height), cameras[camera_of[photo.name]].image_size)
+
+    found = on_all_cores(look, photos, "reading photos", progress, photos_at_once(photos, READ_BYTES_PER_PIXEL))
+    reasons = {photo.name: reason for photo, reason in zip(photos, found, strict=True) if reason is not None}
+    if len(reasons) == len(photos):
+        raise none_usable(list(reasons.values()), "photos and calibration")
+    left_out = tuple(Detail(name, f"{name} is skipped: {reason}") for name, reason in reasons.items())
+    return [photo for photo in photos if photo.name not in reasons], left_out
 
 
 def _levelled(target: View, level: Level | None) -> View:
