@@ -231,6 +231,7 @@ def test_limap_itself_reads_them(folder: Path, tmp_path: Path) -> None:
         ("{scene} {out}/t.json --photos {out}/nowhere", "which is none"),
         ("{scene} {scene}/lines.csv --to dxf", "lines.csv"),
         ("{scene} {out} --to nerfstudio", "A file was expected for Nerfstudio, found the folder"),
+        ("{scene} {out}/ns --to nerfstudio", "A file name ending in .json was expected for Nerfstudio, found"),
     ],
 )
 def test_what_cannot_be_exported_is_said(

@@ -31,6 +31,7 @@ from omnilines import report
 from omnilines.records import Check, ImagePoses, Lines, Polyline, ViewResult
 from omnilines.report import page as report_page
 from omnilines.report import plots, tables
+from omnilines.spelling import spelled_as
 
 
 def markup(section: report.Section, allowed_bytes: int = 8_000_000) -> str:
@@ -44,6 +45,16 @@ def specs(section: report.Section) -> list[dict]:
 
 def text_of(fragment: str) -> str:
     return " ".join(html.unescape(re.sub(r"<script.*?</script>|<[^>]+>", " ", fragment, flags=re.S)).split())
+
+
+def test_a_page_names_parameters_as_whoever_asked_for_it() -> None:
+    """In Python as there, of a command by its options; what is no parameter stays as it is."""
+    text = "give `scale_from` and `a_name`"
+    assert "<code>scale_from</code>" in report_page.fragment("notes", notes=[text])
+    with spelled_as(lambda name: {"scale_from": "--scale-from"}.get(name, name)):
+        page = report_page.fragment("notes", notes=[text])
+    assert "<code>--scale-from</code>" in page and "<code>a_name</code>" in page
+    assert "<code>scale_from</code>" in report_page.fragment("notes", notes=[text])
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,10 @@ import typer
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.notes import rows_shown, shortened, told
-from omnilines.cli.spelling import Application, with_flags
+from omnilines.cli.spelling import Application, flag_of, with_flags
 from omnilines.compiled_cache import is_first_use, note_on_cache
 from omnilines.machine import agree_on_threads
+from omnilines.spelling import spelled_as
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -181,7 +182,7 @@ def run(
     say_when_stopped(printable(f"stopped{goes_on}."))
     if (note := note_on_cache()) is not None:
         typer.echo(f"note: {note}", err=True)
-    with progress() as tell:
+    with progress() as tell, spelled_as(flag_of):
         result = command(tell)
         if plots is not None:
             result = with_plots(result, plots, tell)

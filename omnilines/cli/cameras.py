@@ -140,7 +140,9 @@ def guide(
     until: Annotated[
         str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
     ] = None,
-    model: Annotated[str, typer.Option("--model", help=f"{LENS_MODELS}.", autocompletion=model_names)] = DEFAULT.model,
+    model: Annotated[
+        str, typer.Option("--model", help=f"{LENS_MODELS}; or auto: all are compared at the end.", autocompletion=model_names)
+    ] = DEFAULT.model,
     mirror: Mirror = DEFAULT.mirror,
     port: Annotated[int, typer.Option("--port", help="Of the page on this machine; 0: one that is free.")] = 0,
     settings: Settings = None,

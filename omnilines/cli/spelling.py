@@ -51,7 +51,12 @@ _flags: dict[str, str] = {}
 
 def with_flags(text: str) -> str:
     """A text with the options, of the command that runs, for the parameters that it names in backticks."""
-    return re.sub("`([a-z_]+)`", lambda name: _flags.get(name[1], _flags.get(ALIASES.get(name[1], ""), name[0])), text)
+    return re.sub("`([a-z_]+)`", lambda name: name[0] if (flag := flag_of(name[1])) == name[1] else flag, text)
+
+
+def flag_of(name: str) -> str:
+    """The option of the command that runs for a parameter; the parameter where there is none."""
+    return _flags.get(name, _flags.get(ALIASES.get(name, ""), name))
 
 
 def from_home(argument: str) -> str:

@@ -76,6 +76,11 @@ class SceneExport:
             return tuple(out / name for name in parts if (out / name).is_file()), lost
         if self.out.is_dir():
             raise InputError(f"A file was expected for {self.writer.title}, found the folder {self.out}; name a file in it.")
+        if not self.out.suffix:
+            ending = self.writer.files[0].removeprefix("*")
+            raise InputError(
+                f"A file name ending in {ending} was expected for {self.writer.title}, found {self.out}; name it so."
+            )
         with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
             lost = self.writer.write(out, self.scene, *beside)
         return (out,), lost

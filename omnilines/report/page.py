@@ -13,6 +13,7 @@ from markupsafe import Markup, escape
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import write_atomically
+from omnilines.spelling import spelled
 
 PAGE_LIMIT_BYTES = 15_000_000
 """No report is larger; photos are scaled down or left out to keep below it."""
@@ -26,7 +27,9 @@ _TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
 )
 # A name in backticks, of a parameter or an option, is set as code.
-_TEMPLATES.filters["spelled"] = lambda text: Markup(re.sub("`([^`<>]+)`", r"<code>\1</code>", str(escape(text))))
+_TEMPLATES.filters["spelled"] = lambda text: Markup(
+    re.sub("`([^`<>]+)`", lambda name: f"<code>{spelled(name[1])}</code>", str(escape(text)))
+)
 # JSON has no NaN: one in a figure must fail here and not in the browser.
 _TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 

@@ -1,0 +1,22 @@
+"""How pages name the parameters that texts have in backticks: as in Python, or as the command that runs does."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
+
+
+def spelled(name: str) -> str:
+    """A parameter as whoever asked for the page names it."""
+    return _spelled.get()(name)
+
+
+@contextmanager
+def spelled_as(spell: Callable[[str], str]) -> Iterator[None]:
+    """Pages that are made meanwhile name parameters so."""
+    before = _spelled.set(spell)
+    try:
+        yield
+    finally:
+        _spelled.reset(before)
