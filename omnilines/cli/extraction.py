@@ -29,14 +29,14 @@ def extract(
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
-    """Find arcs of straight lines in photos -> segments.csv and pictures."""
+    """Find arcs of straight lines, 25 px and longer, in photos -> segments.csv and pictures."""
     from omnilines.commands.cluster import workers
     from omnilines.commands.extract import extract as command
     from omnilines.commands.frames import with_frames
+    from omnilines.extraction import ExtractionOptions
     from omnilines.options import with_settings
-    from omnilines.pipelines.arcs import SHORT_ARCS
 
-    options = with_settings(SHORT_ARCS, settings or (), "extraction.")
+    options = with_settings(ExtractionOptions(), settings or (), "extraction.")
 
     def extracted(progress: "ProgressCallback") -> "CommandResult":
         """What these options ask for."""

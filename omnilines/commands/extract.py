@@ -16,7 +16,7 @@ from omnilines.files.folders import check_results
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pages.arcs import arcs_data, arcs_summary, picture_name, write_pictures
-from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos
+from omnilines.pipelines.arcs import cameras_of_photos
 from omnilines.pipelines.arcs import extract as pipeline
 from omnilines.posing.sfm import LEAST_PHOTOS
 from omnilines.progress import ProgressCallback, silent
@@ -31,7 +31,7 @@ def extract(
     out: Path,
     *,
     mask: Path | None = None,
-    options: ExtractionOptions = SHORT_ARCS,
+    options: ExtractionOptions = ExtractionOptions(),
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> CommandResult:

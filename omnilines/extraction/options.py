@@ -228,7 +228,8 @@ class ExtractionOptions(Typed):
     """Of `extract_arcs`."""
 
     min_length_px: float = 25.0
-    """Shorter arcs are not given back; `extract`, `directions`, `rectify` and `reconstruct` take 10."""
+    """Shorter arcs are not given back. `reconstruct`, `directions`, `rectify` and, in Python, `extract` take 10: other photos
+    confirm arcs or not."""
     min_support: float = 0.65
     """Share of an arc beside which there are edge points."""
     along_sigma_px: float = 1.0
