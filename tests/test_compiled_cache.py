@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from omnilines import compiled_cache
+from omnilines.cli import _shared
 
 ROOT = Path(compiled_cache.__file__).parents[1]
 NOWHERE = "/proc/nowhere"
@@ -107,3 +108,14 @@ def test_the_first_use_is_told_from_later_ones(tmp_path: Path, monkeypatch: pyte
     (tmp_path / "named/a").mkdir(parents=True)
     (tmp_path / "named/a/a.nbi").write_text("")
     assert not compiled_cache.is_first_use()
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_minutes_of_compiling_are_told_of_where_no_line_moves(
+    first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(_shared, "is_first_use", lambda: first)
+    with _shared.progress() as tell:
+        tell("finding arcs", 0, 2)
+        tell("matching arcs", 0, 0)
+    assert capsys.readouterr().err.count("first use: functions are compiled") == int(first)

@@ -116,7 +116,8 @@ def bounded(sentence: str) -> str:
 
 @contextmanager
 def progress() -> "Iterator[ProgressCallback]":
-    """A progress line on standard error; on the first use of an installation it says that functions are compiled."""
+    """A progress line on standard error of a terminal. On the first use of an installation it says that functions are compiled,
+    elsewhere too."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -142,11 +143,15 @@ def progress() -> "Iterator[ProgressCallback]":
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
         now = ""
-        compiling = " (first use: compiling, some minutes more)" if is_first_use() else ""
+        first = is_first_use()
+        compiling = " (first use: compiling, some minutes more)" if first else ""
 
         def tell(stage: str, done: int, total: int) -> None:
             """Show how far a stage is."""
             nonlocal now
+            if first and not now and not console.is_terminal:
+                # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
+                typer.echo("first use: functions are compiled, which takes some minutes more.", err=True)
             if stage != now:
                 # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
                 if now:
