@@ -10,11 +10,14 @@ from test_calibration_errors import CAMERA, CAMERAS, LINES, calibration, covaria
 import omnilines as ol
 from camera_models import Calibration, CameraModel, Equirectangular
 from camera_models.formats.calibration_data import CameraEstimate
+from camera_models.pose import Pose
 from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.pages.limits_of_lines import scene_advice
 from omnilines.pages.scene import scene_data, scene_summary
+from omnilines.pipelines import asked_cameras as asking
 from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
+from omnilines.records import ImagePoses, Segments
 
 NOISE_PX = 0.03
 
@@ -28,6 +31,43 @@ def asked(cameras: Calibration, seed: int, options: SceneOptions = OF_TABLES) ->
     scene = ol.adjust(segments, poses, cameras, options)
     arcs = arcs_from_segments(segments, scene.poses, cameras.cameras).arcs
     return asked_cameras(scene.lines, arcs, np.arange(len(scene.lines)), scene.poses, cameras, options)
+
+
+def two_worlds() -> tuple[Segments, ImagePoses]:
+    """The photos of a world, and as many of one beside it that share no line with them, with noise."""
+    segments, poses, _ = world()
+    beside = poses.cam_from_world
+    beside = Pose(beside.rotation, beside.translation - beside.rotation @ torch.tensor([100.0, 0.0, 0.0]).double())
+    both = tuple(f"{place}/{name}" for place in "ab" for name in poses.images)
+    pixels = np.tile(segments.endpoints_px, (2, 1, 1))
+    pixels += np.random.default_rng(1).normal(0.0, NOISE_PX, pixels.shape)
+    image, track = (np.append(one, one + count) for one, count in ((segments.image, CAMERAS), (segments.track, LINES)))
+    tracks = tuple(f"t{k}" for k in range(2 * LINES))
+    every = Segments(image, both, track, tracks, pixels, sigma_px=np.full(len(pixels), NOISE_PX))
+    return every, ImagePoses(both, joined([poses.cam_from_world, beside]), ("cam0",) * len(both))
+
+
+def joined(poses: list[Pose]) -> Pose:
+    return Pose(torch.cat([one.rotation for one in poses]), torch.cat([one.translation for one in poses]))
+
+
+@pytest.mark.parametrize(("scale", "contradicted"), [(1.0, False), (1.02, True)])
+def test_of_many_photos_some_are_asked_that_share_lines(
+    scale: float, contradicted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Too few segments for all of them are enough for these; they tell a wrong camera as all would."""
+    monkeypatch.setattr(asking, "MOST_ARCS", 200)
+    monkeypatch.setattr(asking, "MOST_PHOTOS", 6)
+    chosen, own = [], asking._of_photos_together
+    monkeypatch.setattr(asking, "_of_photos_together", lambda arcs: chosen.append(own(arcs)) or chosen[-1])
+    parameters = CAMERA.parameters.clone()
+    parameters[:2] *= scale
+    scene = ol.adjust(*two_worlds(), CAMERA.with_parameters(parameters))
+    (arcs,) = chosen
+    photos = torch.unique(arcs.image)
+    assert len(photos) == 6 and len(torch.unique(photos // CAMERAS)) == 1, "all of one place"
+    assert len(torch.unique(arcs.track)) == LINES and len(arcs) == 6 * LINES
+    assert len(scene.asked) == 1 and bool(scene.contradicted) is contradicted
 
 
 def test_nothing_is_asked_of_the_right_camera_but_what_noise_makes() -> None:

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy import sparse, stats
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
@@ -40,6 +40,10 @@ MOST_ARCS = 2500
 """Of the lines that are adjusted: so many tell a camera well enough."""
 LEAST_OF_PHOTO = 20
 """Of these arcs, a photo: fewer do not tell its pose beside the cameras, which only takes time."""
+MOST_PHOTOS = 60
+"""That are asked, of more than MOST_ARCS are enough for: the cameras are the same in all."""
+LEAST_PHOTOS = 3
+"""Of these that show a line: two planes always meet in one."""
 ITERATIONS = 30
 """Of lines and poses at most, before cameras are free."""
 STEPS = 5
@@ -70,7 +74,7 @@ def asked_cameras(
     """Of every camera that has parameters and is seen to be used; none where cameras were refined.
 
     The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. Of so many photos that MOST_ARCS are
-    too few for them nothing is asked.
+    too few for them some are asked that share lines. Nothing is asked where photos show fewer than LEAST_OF_PHOTO.
     """
     if "intrinsics" in options.refine or not any(model.calibration_basis().shape[1] for model in cameras.values()):
         return ()
@@ -120,12 +124,30 @@ def _determined(adjust: Callable[..., Adjusted], arcs: MatchedArcs, lines: Pluec
 def _some_lines(lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]) -> tuple[MatchedArcs, Int[np.ndarray, " k"]]:
     """Arcs of some of the lines, all stretches of a line in one, and a row of each line."""
     inner, rows, first, _ = whole_lines(lines, arcs, track)
+    if LEAST_OF_PHOTO * len(torch.unique(inner.image)) > MOST_ARCS:
+        inner = _of_photos_together(inner)
     # Every so manieth of the lines, by how many arcs they have: those with the most show some of the photos only.
     counts = torch.bincount(inner.track, minlength=inner.tracks)
     some = torch.zeros(inner.tracks, dtype=torch.bool)
-    some[torch.argsort(-counts, stable=True)[:: 1 + len(inner) // MOST_ARCS]] = True
+    some[torch.argsort(-counts, stable=True)[: int((counts > 0).sum()) : 1 + len(inner) // MOST_ARCS]] = True
     kept, tracks = drop_unknown(inner, some)
     return kept, rows[first[tracks.numpy()]]
+
+
+def _of_photos_together(arcs: MatchedArcs) -> MatchedArcs:
+    """The arcs of MOST_PHOTOS photos, one after the other that which shares most lines with those before, of lines that enough of
+    them show."""
+    pairs = torch.unique(torch.stack([arcs.image, arcs.track]), dim=1).numpy()
+    shows = sparse.csr_array((np.ones(pairs.shape[1]), pairs))
+    shared = (shows @ shows.T).tocsr()
+    chosen = np.zeros(shared.shape[0], dtype=bool)
+    with_chosen = shared.diagonal()
+    for _ in range(min(MOST_PHOTOS, len(chosen))):
+        photo = int(np.where(chosen, -1.0, with_chosen).argmax())
+        with_chosen = shared[[photo]].toarray()[0] + (with_chosen if chosen.any() else 0.0)
+        chosen[photo] = True
+    seen = np.bincount(pairs[1], weights=chosen[pairs[0]], minlength=arcs.tracks)
+    return arcs.rows(torch.as_tensor(chosen[arcs.image.numpy()] & (seen >= LEAST_PHOTOS)[arcs.track.numpy()]))
 
 
 def _asked(
