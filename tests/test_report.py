@@ -366,6 +366,8 @@ def test_scene_limits_far_lines_and_many_lines() -> None:
     assert len(spec["data"][0]["x"]) == 10_000 * 4 and "A random 10,000 of 30,000 lines are drawn" in markup(section)
     assert max(abs(limit) for k in "xyz" for limit in spec["layout"]["scene"][f"{k}axis"]["range"]) < 1.2
     assert "2 far points lie outside the view" in markup(section)
+    ends[0, 1] = 0.0
+    assert "1 far point lies outside the view" in markup(report.scene_section(lines=lines))
     assert len(markup(section)) < 3_500_000
     assert "nothing to show" in markup(report.scene_section())
 

@@ -86,7 +86,7 @@ def scene_section(
         "alone."
     )
     hint += " Hover over a line for its track, status and standard deviation." if lines is not None else ""
-    hint += f" {outside:,} far points lie outside the view." if outside else ""
+    hint += f" {outside:,} far {'point lies' if outside == 1 else 'points lie'} outside the view." if outside else ""
     figure = plot(traces, layout, label="3D view", caption=f"{caption} {_counts(lines)}{hint}".strip(), wide=True, aspect=ASPECT)
     return Section(title, fragment("plots", intro="", plots=[figure]))
 
