@@ -1,18 +1,17 @@
-"""`omnilines reconstruct PHOTOS`: a rendered room from photos to lines, what is kept between runs, and bad input."""
+"""`omnilines reconstruct PHOTOS`: a rendered room from photos to lines and what is kept between runs."""
 
 import json
 import re
 import shutil
-import sys
 
 import numpy as np
 import pytest
 import torch
+from reconstruct_call import call
 
 from camera_models.pose import Pose
 from camera_models.rotations import similarity_alignment
 from omnilines.cli import main
-from omnilines.commands import reconstruct as command
 from omnilines.commands.render_scene import render_scene
 from omnilines.evaluation.scene import scene_scores
 from omnilines.files import read_lines, read_poses, read_segments, write_poses
@@ -39,14 +38,6 @@ def rebuilt(room):
     status = call(room / "photos", room, room / "scene", "--colmap", "--recording")
     assert status == 0
     return room / "scene"
-
-
-def call(photos, room, out, *options, poses="poses.csv"):
-    source = room / poses if poses.endswith(".csv") or poses == "colmap" else poses
-    arguments = ["reconstruct", photos, "--calibration", room / "calibration.yaml", "--poses", source, "--out", out, *options]
-    with pytest.raises(SystemExit) as stopped:
-        main([str(item) for item in arguments])
-    return stopped.value.code
 
 
 def scores(room, lines):
@@ -357,63 +348,3 @@ def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, c
     assert f"Of {VIEWS} photos, 3 have poses:" in said
     assert set(read_poses(tmp_path / "scene" / "work" / "poses.csv").images) == set(swapped)
     assert not (tmp_path / "scene" / "lines.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "poses", "sentence"),
-    [
-        (("--min-views", "2"), "poses.csv", "--min-views was expected to be a number from 3"),
-        (("--tolerance-px", "0"), "poses.csv", "--tolerance-px above 0"),
-        (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern counts only with --poses boards"),
-        ((), "nowhere", "--poses was expected to be"),
-        ((), "rig", "rig"),
-        (("--refine", "walls"), "poses.csv", "--refine was expected"),
-        (("--pose-sigma-deg", "1"), "poses.csv", "counts only with --segments in place of photos"),
-        (("--robust",), "poses.csv", "counts only with --segments in place of photos"),
-        (("--refine", "lines,rig"), "poses.csv", "--refine rig was expected"),
-        ((), "boards", "--pattern was expected"),
-        (("--pattern", "chessboard:8x6"), "boards", "pattern"),
-        (("--triangulation", "best"), "poses.csv", "a triangulation method among"),
-        (("--cost", "least"), "poses.csv", "A cost is one of"),
-        (("--loss", "soft"), "poses.csv", "A loss is one of"),
-        (("--device", "tpu"), "poses.csv", "A device is one of"),
-        ((), "calibration.yaml", "calibration.yaml"),
-        ((), "colmap", "COLMAP model were expected"),
-    ],
-)
-def test_bad_requests_are_refused_in_one_sentence_before_any_photo_is_looked_at(
-    room, rebuilt, tmp_path, capsys, monkeypatch, options, poses, sentence
-):
-    monkeypatch.setattr(command, "extract", None)
-    if poses == "colmap":
-        (tmp_path / "colmap").mkdir()
-        poses = str(tmp_path / "colmap")
-    elif poses == "calibration.yaml":
-        poses = str(room / "calibration.yaml")
-    assert call(room / "photos", room, tmp_path, *options, poses=poses) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and "Traceback" not in said
-
-
-def test_what_the_end_would_refuse_is_refused_at_the_beginning(room, tmp_path, capsys, monkeypatch):
-    """A viewer that is not installed, a name that COLMAP's files do not hold, and photos too few for structure from motion."""
-    monkeypatch.setattr(command, "extract", None)
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    assert call(room / "photos", room, tmp_path / "scene", "--recording") == 2
-    assert "omnilines[viewer]" in capsys.readouterr().err
-    (tmp_path / "photos").mkdir()
-    for name in ("view00.png", "view01.png"):
-        shutil.copy(room / "photos" / name, tmp_path / "photos")
-    assert call(tmp_path / "photos", room, tmp_path / "scene", poses="sfm") == 2
-    assert "3 photos or more, found 2" in capsys.readouterr().err
-    (tmp_path / "photos" / "view00.png").rename(tmp_path / "photos" / "view 00.png")
-    assert call(tmp_path / "photos", room, tmp_path / "scene", "--colmap") == 2
-    assert "names without blanks" in capsys.readouterr().err
-
-
-def test_photos_or_segments_are_asked_for(room, tmp_path, capsys):
-    arguments = ["reconstruct", "--calibration", room / "calibration.yaml", "--poses", room / "poses.csv", "--out", tmp_path]
-    with pytest.raises(SystemExit) as stopped:
-        main([str(item) for item in arguments])
-    assert stopped.value.code == 2
-    assert "found neither" in capsys.readouterr().err

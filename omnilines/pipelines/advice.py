@@ -15,7 +15,7 @@ from omnilines.matching.options import MatchingOptions
 from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
-from omnilines.pipelines.kept_lines import KeptLines, shared_lines, weakest_link
+from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, PhotoCount
@@ -165,7 +165,9 @@ def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptio
     if scene.tolerance_px >= options.poor_tolerance_px:
         do = "Calibrate the camera again." if refined else f"{TO_REFINE} mends poses."
         return (Advice(f"{told} Poses or calibration are off by {scene.tolerance_px:g} px.", do),)
-    a, b, shared = weakest_link(shared_lines(scene.segments, len(scene.scene.lines)))
+    segments = scene.segments
+    shows = shown_lines(segments.image, segments.track, len(segments.images), len(scene.scene.lines))
+    a, b, shared = weakest_link(shared_lines(shows))
     fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
     images = scene.segments.images
     return (Advice(told, f"Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}."),)

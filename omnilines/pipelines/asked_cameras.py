@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy import sparse, stats
+from scipy import stats
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
@@ -33,6 +33,7 @@ from omnilines.calibration.uncertainty import projection_jacobian, supported_gri
 from omnilines.geometry.line import PlueckerLines
 from omnilines.least_squares import Outcome
 from omnilines.pipelines.calibration_errors import charts_of, known_calibration, whole_lines
+from omnilines.pipelines.kept_lines import shared_lines, shown_lines
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.records import ImagePoses, Lines
 
@@ -137,17 +138,18 @@ def _some_lines(lines: Lines, arcs: MatchedArcs, track: Int[np.ndarray, " n"]) -
 def _of_photos_together(arcs: MatchedArcs) -> MatchedArcs:
     """The arcs of MOST_PHOTOS photos, one after the other that which shares most lines with those before, of lines that enough of
     them show."""
-    pairs = torch.unique(torch.stack([arcs.image, arcs.track]), dim=1).numpy()
-    shows = sparse.csr_array((np.ones(pairs.shape[1]), pairs))
-    shared = (shows @ shows.T).tocsr()
-    chosen = np.zeros(shared.shape[0], dtype=bool)
-    with_chosen = shared.diagonal()
-    for _ in range(min(MOST_PHOTOS, len(chosen))):
-        photo = int(np.where(chosen, -1.0, with_chosen).argmax())
-        with_chosen = shared[[photo]].toarray()[0] + (with_chosen if chosen.any() else 0.0)
+    image, track = arcs.image.numpy(), arcs.track.numpy()
+    shows = shown_lines(image, track, int(image.max()) + 1, arcs.tracks)
+    shared = shared_lines(shows)
+    photos = shared.shape[0]
+    chosen, with_chosen = np.zeros(photos, dtype=bool), np.zeros(photos)
+    photo = int(shared.diagonal().argmax())
+    for _ in range(min(MOST_PHOTOS, photos)):
         chosen[photo] = True
-    seen = np.bincount(pairs[1], weights=chosen[pairs[0]], minlength=arcs.tracks)
-    return arcs.rows(torch.as_tensor(chosen[arcs.image.numpy()] & (seen >= LEAST_PHOTOS)[arcs.track.numpy()]))
+        with_chosen += shared[[photo]].toarray()[0]
+        photo = int(np.where(chosen, -1.0, with_chosen).argmax())
+    enough = shows.T @ chosen >= LEAST_PHOTOS
+    return arcs.rows(torch.as_tensor(chosen[image] & enough[track]))
 
 
 def _asked(

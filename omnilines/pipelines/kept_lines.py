@@ -140,11 +140,15 @@ def _agreement(matched: Matched, min_views: int) -> tuple[Bool[np.ndarray, " n"]
     return partner, partner & (others >= 2), partner & (others + 1 >= min_views)
 
 
-def shared_lines(segments: Segments, lines: int) -> sparse.csr_array:
+def shown_lines(image: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"], photos: int, lines: int) -> sparse.csr_array:
+    """(photos, lines): 1 where a photo has arcs of a line; `image` and `line` (-1 for none) are those of every arc."""
+    member = line >= 0
+    pairs = np.unique(np.stack([image[member], line[member]]), axis=1)
+    return sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int64), pairs), shape=(photos, lines))
+
+
+def shared_lines(shows: sparse.csr_array) -> sparse.csr_array:
     """How many lines each two photos have arcs of; on the diagonal, how many a photo has."""
-    member = segments.track >= 0
-    pairs = np.unique(np.stack([segments.image[member], segments.track[member]]), axis=1)
-    shows = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int64), pairs), shape=(len(segments.images), lines))
     return (shows @ shows.T).tocsr()
 
 
