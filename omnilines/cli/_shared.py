@@ -151,7 +151,7 @@ def progress() -> "Iterator[ProgressCallback]":
             nonlocal now
             if first and not now and not console.is_terminal:
                 # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
-                typer.echo("first use: functions are compiled, which takes some minutes more.", err=True)
+                typer.echo("first use: functions are compiled as they are needed, which may take some minutes.", err=True)
             if stage != now:
                 # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
                 if now:
