@@ -1,5 +1,5 @@
 # omnilines with its compiled functions in place: docker build -t omnilines . && docker run --rm -v "$PWD:/data" omnilines --help
-# What `make demo` does is run while the image is built: an image that is there has calibrated a camera and rebuilt lines.
+# `make demo` and `doctor` are run while the image is built: an image that is there has calibrated a camera and rebuilt lines.
 FROM python:3.12-slim
 
 # make for `make demo`; OpenMP's library for wheels that do not bring their own.
@@ -15,7 +15,7 @@ COPY omnilines omnilines
 ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
     PIP_NO_CACHE_DIR=1 \
     NUMBA_CACHE_DIR=/opt/omnilines/compiled
-RUN make demo && rm -rf demo && chmod -R a+rwX /opt/omnilines/compiled
+RUN make demo && .venv/bin/omnilines doctor && rm -rf demo && chmod -R a+rwX /opt/omnilines/compiled
 
 ENV PATH=/opt/omnilines/.venv/bin:$PATH
 WORKDIR /data

@@ -50,10 +50,13 @@ demo: setup
 	@echo "The calibration is in demo/calibration/report.html, the lines are in demo/lines/report.html."
 	@echo "Open $(CURDIR)/demo/lines/report.html"
 
+# Two workers would each compile the same functions.
 test: $(VENV)/.installed-test
+	@$(BIN)/python -m omnilines.compiling
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not full" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test
+	@$(BIN)/python -m omnilines.compiling
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-lint

@@ -41,11 +41,13 @@ def note_on_cache() -> str | None:
     )
 
 
-def is_first_use() -> bool:
-    """Whether nothing of this installation has been compiled yet, as far as the folders show in which numba keeps it."""
-    named = os.environ.get(VARIABLE)
-    folders = [Path(named)] if named else [Path(__file__).parent, _cache_of_user()]
-    return not any(next(folder.rglob("*.nbi"), None) for folder in folders)
+def cache_folders(source: Path) -> tuple[Path, ...]:
+    """Where numba may keep what it compiles of a source file (`numba.core.caching`)."""
+    folder = os.path.abspath(source.parent)
+    own = f"{source.parent.name}_{hashlib.sha1(folder.encode(), usedforsecurity=False).hexdigest()}"
+    if named := os.environ.get(VARIABLE):
+        return (Path(named, own),)
+    return (source.parent / "__pycache__", _cache_of_user() / own)
 
 
 def _is_ours(folder: Path) -> bool:

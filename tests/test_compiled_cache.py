@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from omnilines import compiled_cache
-from omnilines.cli import _shared
 
 ROOT = Path(compiled_cache.__file__).parents[1]
 NOWHERE = "/proc/nowhere"
@@ -90,32 +89,3 @@ def test_a_temporary_cache_is_said_once(tmp_path: Path, monkeypatch: pytest.Monk
     assert compiled_cache.note_on_cache() is None
     monkeypatch.delenv(compiled_cache.VARIABLE)
     assert compiled_cache.note_on_cache() is None
-
-
-def test_the_first_use_is_told_from_later_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(compiled_cache.VARIABLE, raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(compiled_cache, "__file__", str(tmp_path / "package" / "compiled_cache.py"))
-    kept = (tmp_path / "package/kernels/__pycache__/a.nbi", tmp_path / "cache/numba/kernels_0/a.nbi")
-    for path in kept if sys.platform.startswith("linux") else kept[:1]:
-        assert compiled_cache.is_first_use()
-        path.parent.mkdir(parents=True)
-        path.write_text("")
-        assert not compiled_cache.is_first_use()
-        path.unlink()
-    monkeypatch.setenv(compiled_cache.VARIABLE, str(tmp_path / "named"))
-    assert compiled_cache.is_first_use()
-    (tmp_path / "named/a").mkdir(parents=True)
-    (tmp_path / "named/a/a.nbi").write_text("")
-    assert not compiled_cache.is_first_use()
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_minutes_of_compiling_are_told_of_where_no_line_moves(
-    first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(_shared, "is_first_use", lambda: first)
-    with _shared.progress() as tell:
-        tell("finding arcs", 0, 2)
-        tell("matching arcs", 0, 0)
-    assert capsys.readouterr().err.count("first use: functions are compiled") == int(first)

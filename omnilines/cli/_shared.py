@@ -1,6 +1,7 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -16,12 +17,14 @@ import typer
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.notes import rows_shown, shortened, told
-from omnilines.cli.spelling import Application, flag_of, with_flags
-from omnilines.compiled_cache import is_first_use, note_on_cache
+from omnilines.cli.spelling import Application, flag_of, running_jobs, with_flags
+from omnilines.compiled_cache import note_on_cache
 from omnilines.machine import agree_on_threads
 from omnilines.spelling import spelled_as
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
@@ -116,8 +119,7 @@ def bounded(sentence: str) -> str:
 
 @contextmanager
 def progress() -> "Iterator[ProgressCallback]":
-    """A progress line on standard error of a terminal. On the first use of an installation it says that functions are compiled,
-    elsewhere too."""
+    """A progress line on standard error of a terminal. Where the work begins, what it needs is compiled if it is not yet."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -143,15 +145,12 @@ def progress() -> "Iterator[ProgressCallback]":
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
         now = ""
-        first = is_first_use()
-        compiling = " (first use: compiling, some minutes more)" if first else ""
 
         def tell(stage: str, done: int, total: int) -> None:
             """Show how far a stage is."""
             nonlocal now
-            if first and not now and not console.is_terminal:
-                # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
-                typer.echo("first use: functions are compiled as they are needed, which may take some minutes.", err=True)
+            if not now:
+                _compile_what_is_needed(bar, console.is_terminal)
             if stage != now:
                 # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
                 if now:
@@ -159,11 +158,31 @@ def progress() -> "Iterator[ProgressCallback]":
                 if stage in tasks:
                     bar.reset(tasks[stage], total=total or None, visible=True)
                 else:
-                    tasks[stage] = bar.add_task(stage + compiling, total=total or None)
+                    tasks[stage] = bar.add_task(stage, total=total or None)
                 now = stage
             bar.update(tasks[stage], completed=done, total=total or None)
 
         yield tell
+
+
+def _compile_what_is_needed(bar: "Progress", on_a_terminal: bool) -> None:
+    """The first use of an installation, or of a command, compiles functions: on all cores, and with a word about it."""
+    from omnilines.compiling import compile_ahead, not_compiled, seconds_for
+
+    wanted = not_compiled(*running_jobs())
+    if not wanted:
+        return
+    if not on_a_terminal:
+        # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
+        about = math.ceil(seconds_for(wanted) / 10) * 10
+        typer.echo(f"first use: {len(wanted)} functions are compiled, which takes about {about} s.", err=True)
+    task = bar.add_task("compiling, for the first use", total=len(wanted))
+    left = compile_ahead(wanted, lambda done, _: bar.update(task, completed=done))
+    bar.update(task, visible=False)
+    if left:
+        typer.echo(
+            f"note: {len(left)} functions could not be compiled beforehand, and are when they are called: {left[0]}", err=True
+        )
 
 
 def run(

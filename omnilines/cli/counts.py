@@ -46,7 +46,8 @@ def _of_segments(call: Call) -> bool:
     return not _of_photos(call)
 
 
-def _of_table(call: Call) -> bool:
+def of_table(call: Call) -> bool:
+    """Whether corners are given in place of photos."""
     return any(Path(path).suffix.lower() == ".csv" for path in call.values["photos"])
 
 
@@ -75,11 +76,13 @@ def _targets(call: Call) -> list[str]:
     return [spec for spec in _patterns(call) if spec != "lines"]
 
 
-def _of_lines(call: Call) -> bool:
+def of_lines(call: Call) -> bool:
+    """Whether a camera is calibrated from lines."""
     return "lines" in _patterns(call)
 
 
-def _of_target(call: Call) -> bool:
+def of_target(call: Call) -> bool:
+    """Whether a target is looked for."""
     return bool(_targets(call))
 
 
@@ -123,22 +126,22 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),
     "calibrate": (
-        Rule(("lines.",), _of_lines, "with `pattern` lines"),
+        Rule(("lines.",), of_lines, "with `pattern` lines"),
         Rule(
             ("loss", "refine_board", "rolling_shutter", "cluster", "detection.", *OF_TARGET),
-            _of_target,
+            of_target,
             "with a target, found `pattern` lines",
         ),
         Rule(
             ("mirror", "calibration.mirror", "rolling_shutter"),
-            lambda call: not (_of_lines(call) and _of_target(call)),
+            lambda call: not (of_lines(call) and of_target(call)),
             "with a target alone, found lines beside it",
         ),
-        Rule(("pattern", "detection.", "calibration.searches"), lambda call: not _of_table(call), "with photos, found a table"),
+        Rule(("pattern", "detection.", "calibration.searches"), lambda call: not of_table(call), "with photos, found a table"),
         Rule(("frames.",), _of_video, "with a video"),
-        Rule(("split", "cluster"), lambda call: not _of_table(call), "with photos, found a table"),
+        Rule(("split", "cluster"), lambda call: not of_table(call), "with photos, found a table"),
         Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
-        Rule(("image_size",), _of_table, "with a corners.csv, found photos, which have a size"),
+        Rule(("image_size",), of_table, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "time_offsets", "calibration.rig.", "calibration.clocks."), _of_rig, IN_RIG),
         Rule(("calibration.duplicates.",), lambda call: not _of_rig(call), "with one camera, found a rig"),
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),

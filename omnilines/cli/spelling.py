@@ -11,6 +11,7 @@ import typer.core
 
 from camera_models.errors import InputError
 from omnilines.cli.counts import call_of, require_counting
+from omnilines.cli.jobs import jobs
 
 MOST = 2**63 - 1
 RANGES: dict[str, tuple[float, float]] = {
@@ -47,6 +48,12 @@ ALIASES = {
 """Parameters of the library that an option of another name gives."""
 _flags: dict[str, str] = {}
 """The options of the command that runs, by the names of their parameters."""
+_jobs: list[str] = []
+
+
+def running_jobs() -> tuple[str, ...]:
+    """The jobs of the command that runs."""
+    return tuple(_jobs)
 
 
 def with_flags(text: str) -> str:
@@ -97,7 +104,9 @@ class _Command(typer.core.TyperCommand):
             if isinstance(value, int | float) and not isinstance(value, bool) and not low <= value <= high:
                 raise InputError(f"{parameter.opts[0]} was expected to be a number from {low:g} to {high:g}, found {value:.12g}.")
         given = [name for name in ctx.params if ctx.get_parameter_source(name).name == "COMMANDLINE"]
-        require_counting(self.name or "", call_of(ctx.params, given))
+        call = call_of(ctx.params, given)
+        require_counting(self.name or "", call)
+        _jobs[:] = jobs(self.name or "", call)
         return super().invoke(ctx)
 
 
