@@ -74,6 +74,9 @@ class Corners(Typed):
             _require_finite(getattr(self, name), f"`{name}` of Corners")
         _require_sigmas(self.sigma_px, "`sigma_px` of Corners")
 
+    def __repr__(self) -> str:
+        return f"Corners(corners={len(self)}, views={len(self.view_names)})"
+
     def __len__(self) -> int:
         return len(self.view)
 
@@ -148,6 +151,9 @@ class Segments(Typed):
             wrong = self.covariance_px2[~one.reshape(-1, 2).all(1)][:1]
             _require(one.all(), "`covariance_px2` of Segments", "symmetric, with variances above 0", wrong.tolist())
 
+    def __repr__(self) -> str:
+        return f"Segments(segments={len(self)}, images={len(self.images)}, tracks={len(self.tracks)})"
+
     def __len__(self) -> int:
         return len(self.image)
 
@@ -181,6 +187,9 @@ class ImagePoses(Typed):
             values = getattr(self, name)
             count = len(self if values is None else values)
             _require(count == len(self), f"`{name}` of ImagePoses", f"of {len(self)} photos", count)
+
+    def __repr__(self) -> str:
+        return f"ImagePoses(images={len(self)})"
 
     def __len__(self) -> int:
         return len(self.images)
@@ -267,6 +276,9 @@ class Lines(Typed):
     calibration_sigma_m: Float[np.ndarray, " n"] | None = None
     """What of `sigma_m` is for errors of the calibration, as its file states them: lines have these in common. None where the
     file states none, or the cameras were refined."""
+
+    def __repr__(self) -> str:
+        return f"Lines(lines={int(self.known.sum())} of {len(self)}, unit={self.unit.sign!r})"
 
     def __len__(self) -> int:
         return len(self.tracks)

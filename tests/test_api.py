@@ -136,6 +136,30 @@ def test_verbs_print_nothing_and_write_nothing_unasked(
     assert set(told) <= {"detecting corners", "refining the camera", "searching with the camera"}
 
 
+def test_results_say_in_one_line_what_they_hold(rendered: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As an interpreter or a notebook shows them."""
+    monkeypatch.chdir(tmp_path)
+    found = ol.detect(rendered / "board", BOARD)
+    one = ol.calibrate(found, model="opencv-fisheye")
+    several = ol.calibrate_rig(ol.detect_rig(rendered / "rig", BOARD), model="opencv-fisheye")
+    arcs = ol.extract(rendered / "board", one.calibration)
+    ways, views = ol.directions(arcs), ol.rectify(rendered / "board", one.calibration)
+    results = {
+        "PhotoCorners(Corners(corners=384, views=8), skipped=0)": found,
+        f"CalibrationResult({one.camera}, views=8 of 8, rms_px_per_axis={one.rms_px_per_axis:.3g})": one,
+        f"Calibration(cam0={one.camera}, rig=0, views=8)": one.calibration,
+        f"ConversionResult({one.calibration}, format='kalibr', out='cam.yaml')": ol.convert(one.calibration, "cam.yaml", "kalibr"),
+        f"RigResult(left, right, views=16 of 16, rms_px_per_axis={several.rms_px_per_axis:.3g})": several,
+        "RigCorners(left, right, Corners(corners=768, views=16), skipped=0)": several.found,
+        f"PhotoArcs(photos=8 of 8, arcs={len(arcs)})": arcs,
+        f"PhotoDirections(photos=8, directions={len(ways)})": ways,
+        f"RectifiedViews('perspective', views=8, photos=8, {views.camera})": views,
+        f"FoundArcs('view00.png', arcs={len(arcs.photos[0])})": arcs.photos[0],
+    }
+    for shown, result in results.items():
+        assert repr(result) == shown and "\n" not in shown
+
+
 def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     """Photos, corners and board points as arrays of NumPy and torch; the report is of the same sections but for the photos."""
     names = [f"view{k:02d}.png" for k in range(8)]

@@ -116,6 +116,9 @@ def test_an_adjustment_of_segments_says_that_they_contradict_its_calibration() -
     segments = replace(segments, endpoints_px=segments.endpoints_px + noise, sigma_px=np.full(len(noise), NOISE_PX))
     right = ol.adjust(segments, poses, CAMERA)
     assert len(right.asked) == 1 and not right.contradicted
+    tables = f"Lines(lines={right.lines.known.sum()} of {len(right.lines)}, unit='m'), {poses}, {right.segments}"
+    assert repr(right) == f"Scene({tables})"
+    assert repr(segments) == f"Segments(segments={len(segments)}, images={len(poses)}, tracks={len(segments.tracks)})"
     off = CAMERA.parameters.clone()
     off[:2] *= 1.02
     wrong = ol.adjust(segments, poses, CAMERA.with_parameters(off))

@@ -202,6 +202,7 @@ def test_stamps_put_cameras_together(tmp_path: Path) -> None:
     chosen = ol.frames(f"{path}:/left/image_raw,/right/image_raw", options=FrameOptions(looked_per_s=1e3, step_share=0.0))
     by_lens = [{row.image[-10:]: row for row in chosen.rows if row.lens == lens} for lens in (0, 1)]
     times = [[row.time_s for row in rows.values()] for rows in by_lens]
+    assert repr(chosen) == f"ChosenFrames(taken={len(chosen.taken)} of {len(chosen.rows)})"
     assert np.allclose(times[0], times[1]) and len(times[0]) == 9 and chosen.notes == ()
     assert np.allclose(times[0], np.delete(np.arange(2, 12), 4) * 0.1)
     later = [(topic, stamp + 10**12, message) for topic, stamp, message in plain(store, "/late/image_raw", 3)]

@@ -62,6 +62,8 @@ def test_lines_are_those_of_their_pipeline(photos: Path) -> None:
     quick = ol.LinesOptions(adjustment=LineOptions(most_starts=1, rounds=1))
     result = ol.calibrate(str(photos / "room"), "lines", model=LENS, lines=quick)
     assert isinstance(result, LineResult) and result.boards is None
+    straight = sum(photo.straight for photo in result.fit.photos)
+    assert repr(result) == f"LineResult({result.camera}, photos={len(result.fit.photos)}, straight_lines={straight})"
     assert same(result, calibrate_lines(photos / "room", model=LENS, lines=quick))
     lens, half = ol.load(photos / "room" / "calibration.yaml")["cam0"], math.radians(85.0)
     rim, _ = lens.project([[math.sin(half), 0.0, math.cos(half)]])

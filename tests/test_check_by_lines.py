@@ -104,4 +104,5 @@ def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_p
         off = disturbed(made.camera, fx=0.005 * value["fx"], fy=0.005 * value["fy"])
         right, wrong = ol.check(photos, made.camera), ol.check(photos, off)
         assert right.holds and right.found.probability > 0.01
+        assert repr(right) == f"CheckResult(holds=True, photos=10, {right.verdict!r})"
         assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px

@@ -59,6 +59,8 @@ def ends_of(folder: Path) -> np.ndarray:
 
 
 def test_dxf_is_read_by_ezdxf(folder: Path, tmp_path: Path) -> None:
+    export = ol.export(folder, tmp_path / "lines.dxf")
+    assert repr(export) == f"SceneExport({export.scene.lines}, format='dxf', out={str(tmp_path / 'lines.dxf')!r})"
     ((path,), lost) = ol.export(folder, tmp_path / "lines.dxf").save()
     document = ezdxf.readfile(path)
     assert not document.audit().errors

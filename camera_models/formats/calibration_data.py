@@ -122,6 +122,10 @@ class Calibration(Mapping[str, CameraModel]):
         for name, mount in self.rig.items():
             _check_mount(name, mount)
 
+    def __repr__(self) -> str:
+        cameras = ", ".join(f"{name}={model}" for name, model in self.cameras.items())
+        return f"Calibration({cameras}, rig={len(self.rig)}, views={len(self.views)})"
+
     def __getitem__(self, name: str) -> CameraModel:
         return self.cameras[name]
 

@@ -52,6 +52,10 @@ class CalibrationResult:
     """How the camera models compare, where the model was chosen."""
     shooting: ShootingThresholds = ShootingThresholds()
 
+    def __repr__(self) -> str:
+        used = sum(view.used for view in self.views)
+        return f"CalibrationResult({self.camera}, views={used} of {len(self.views)}, rms_px_per_axis={self.rms_px_per_axis:.3g})"
+
     @cached_property
     def next_views(self) -> NextViews | None:
         """What limits the calibration, and what to shoot next; None where nothing was estimated."""

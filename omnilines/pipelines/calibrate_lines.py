@@ -68,6 +68,10 @@ class LineResult:
     """Distance from the centre pixel beyond which photos are dark; None where they show the world up to the border, or are not
     at hand."""
 
+    def __repr__(self) -> str:
+        lines = sum(photo.straight for photo in self.fit.photos)
+        return f"LineResult({self.camera}, photos={len(self.fit.photos)}, straight_lines={lines})"
+
     @property
     def camera(self) -> CameraModel:
         """The camera."""

@@ -119,6 +119,11 @@ class RigResult:
     """Cameras and rig with their uncertainty, views and provenance: what `calibration.yaml` holds."""
     shooting: ShootingThresholds = ShootingThresholds()
 
+    def __repr__(self) -> str:
+        used = sum(view.used for view in self.views)
+        names = ", ".join(self.cameras)
+        return f"RigResult({names}, views={used} of {len(self.views)}, rms_px_per_axis={self.rms_px_per_axis:.3g})"
+
     @cached_property
     def next_views(self) -> dict[str, NextViews]:
         """What limits each camera that was estimated, by name, and what to shoot next with it."""

@@ -45,6 +45,9 @@ class CheckResult:
     notes: tuple[str, ...] = ()
     """What a person should know."""
 
+    def __repr__(self) -> str:
+        return f"CheckResult(holds={self.holds}, photos={len(self.images)}, {self.verdict!r})"
+
     @property
     def verdict(self) -> str:
         """One sentence."""

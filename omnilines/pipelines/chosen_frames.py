@@ -38,6 +38,9 @@ class ChosenFrames:
     """Of every frame that was looked at, with why it was taken or not."""
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"ChosenFrames(taken={len(self.taken)} of {len(self.rows)})"
+
     @property
     def taken(self) -> tuple[FrameRow, ...]:
         """The frames that were taken."""

@@ -43,6 +43,9 @@ class ConversionResult:
     notes: tuple[str, ...]
     """What is lost, and where the format's own tool ends, one sentence each."""
 
+    def __repr__(self) -> str:
+        return f"ConversionResult({self.calibration}, format={self.writer.name!r}, out={str(self.out)!r})"
+
     @property
     def errors(self) -> Mapping[str, Conversion]:
         """How far a fitted camera is from the original, by name; the other cameras are held exactly."""

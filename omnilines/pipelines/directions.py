@@ -74,6 +74,9 @@ class PhotoDirections:
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What they were made from."""
 
+    def __repr__(self) -> str:
+        return f"PhotoDirections(photos={len(self.photos)}, directions={len(self)})"
+
     def __len__(self) -> int:
         return sum(map(len, self.photos))
 

@@ -64,6 +64,9 @@ class SceneExport:
     read: tuple[Path, ...]
     """Files that the scene was read from."""
 
+    def __repr__(self) -> str:
+        return f"SceneExport({self.scene.lines}, format={self.writer.name!r}, out={str(self.out)!r})"
+
     def save(self) -> tuple[tuple[Path, ...], tuple[str, ...]]:
         """Write the file or folder; the files, and what is lost or fitted. Raises InputError where the format does not hold the
         scene, or a file cannot be written."""

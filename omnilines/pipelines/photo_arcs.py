@@ -37,6 +37,9 @@ class FoundArcs:
     reason: str | None = None
     """Why the photo was skipped, one sentence."""
 
+    def __repr__(self) -> str:
+        return f"FoundArcs({self.photo.name!r}, arcs={len(self)})"
+
     def __len__(self) -> int:
         return len(self.length_px)
 
@@ -52,6 +55,9 @@ class PhotoArcs:
     """What a person should know of how they came about, one sentence each."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What they were made from."""
+
+    def __repr__(self) -> str:
+        return f"PhotoArcs(photos={len(self.used)} of {len(self.photos)}, arcs={len(self)})"
 
     def __len__(self) -> int:
         return sum(map(len, self.photos))

@@ -48,6 +48,9 @@ class PhotoCorners:
     other: str | None = None
     """What most photos show in place of the target, one sentence, where that was seen."""
 
+    def __repr__(self) -> str:
+        return f"PhotoCorners({self.corners}, skipped={len(self.skipped)})"
+
     @staticmethod
     def of_table(
         corners: Corners, image_size: tuple[int, int], source: str | Path = IN_MEMORY, photo_folder: Path | None = None

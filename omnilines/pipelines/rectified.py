@@ -64,6 +64,9 @@ class RectifiedViews:
     left_out: tuple[Detail, ...] = ()
     """Photos that cannot be used, and those that show no vertical where upright views were asked for."""
 
+    def __repr__(self) -> str:
+        return f"RectifiedViews({self.view!r}, views={len(self)}, photos={len(self.photos)}, {self.camera})"
+
     def __len__(self) -> int:
         return len(self.views)
 

@@ -59,6 +59,9 @@ class RigCorners:
     times_s: Mapping[str, float] = field(default_factory=dict)
     """When photos were taken, by name and by the clock of each camera, as far as that is known."""
 
+    def __repr__(self) -> str:
+        return f"RigCorners({', '.join(self.image_sizes)}, {self.corners}, skipped={len(self.skipped)})"
+
     @staticmethod
     def of_table(
         corners: Corners,

@@ -76,6 +76,9 @@ class Scene:
     asked: tuple[AskedCamera, ...] = ()
     """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
 
+    def __repr__(self) -> str:
+        return f"Scene({self.lines}, {self.poses}, {self.segments})"
+
     @property
     def contradicted(self) -> tuple[AskedCamera, ...]:
         """Cameras that the lines contradict."""
