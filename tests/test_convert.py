@@ -266,6 +266,10 @@ def test_a_folder_holds_several_formats(tmp_path: Path, capsys) -> None:
         assert run(capsys, tmp_path / "rig.yaml", tmp_path / "many", "--to", name)[0] == 0
     names = {path.name for path in (tmp_path / "many").iterdir()}
     assert names == {f"{name}.{suffix}" for name in ("left", "right") for suffix in ("yaml", "json", "yml")}
+    before = (tmp_path / "many" / "left.yaml").read_text()
+    said = refused(capsys, tmp_path / "rig.yaml", tmp_path / "many", "--to", "ros")
+    assert "found the one that `convert many to kalibr` wrote; give another folder" in said
+    assert (tmp_path / "many" / "left.yaml").read_text() == before
 
 
 def test_the_size_of_the_image_may_be_given(tmp_path: Path, capsys) -> None:
