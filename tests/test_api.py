@@ -148,7 +148,9 @@ def test_results_say_in_one_line_what_they_hold(rendered: Path, monkeypatch: pyt
         "PhotoCorners(Corners(corners=384, views=8), skipped=0)": found,
         f"CalibrationResult({one.camera}, views=8 of 8, rms_px_per_axis={one.rms_px_per_axis:.3g})": one,
         f"Calibration(cam0={one.camera}, rig=0, views=8)": one.calibration,
-        f"ConversionResult({one.calibration}, format='kalibr', out='cam.yaml')": ol.convert(one.calibration, "cam.yaml", "kalibr"),
+        f"ConversionResult({one.calibration}, format='kalibr', out='cam.yaml')": ol.convert(
+            one.calibration, "cam.yaml", to_format="kalibr"
+        ),
         f"RigResult(left, right, views=16 of 16, rms_px_per_axis={several.rms_px_per_axis:.3g})": several,
         "RigCorners(left, right, Corners(corners=768, views=16), skipped=0)": several.found,
         f"PhotoArcs(photos=8 of 8, arcs={len(arcs)})": arcs,

@@ -154,16 +154,20 @@ def test_jobs_of_commands(name: str, values: dict[str, object], given: tuple[str
 
 
 @pytest.mark.parametrize(("wanted", "left"), [(2, ()), (2, ("a.f",)), (0, ())])
-def test_the_first_use_is_told_of_where_no_line_moves(
+def test_all_that_a_command_needs_is_compiled_where_it_needs_one_function(
     wanted: int, left: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     its = tuple(Entry(f"a.{number}", (), 12.0, ()) for number in range(wanted))
     monkeypatch.setattr("omnilines.compiling.not_compiled", lambda *jobs: its)
     monkeypatch.setattr("omnilines.compiling.compile_ahead", lambda entries, progress: progress(2, 2) or left)
+    first, second = (numba.njit(lambda x: x + 1) for _ in range(2))
     with _shared.progress() as tell:
         tell("finding arcs", 0, 2)
-        tell("matching arcs", 0, 0)
+        assert capsys.readouterr().err == ""
+        assert first(1) == second(1) == 2
     said = capsys.readouterr().err
     assert said.count("first use: 2 functions are compiled, which takes about 30 s.") == (wanted > 0)
-    assert ("1 functions could not be compiled beforehand" in said) == bool(left)
-    assert said == "" or wanted
+    assert ("1 functions could not be compiled beforehand: a.f; they are when called." in said) == bool(left)
+    assert (said == "") == (wanted == 0)
+    numba.njit(lambda x: x + 2)(1)
+    assert capsys.readouterr().err == ""

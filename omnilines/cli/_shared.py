@@ -119,7 +119,7 @@ def bounded(sentence: str) -> str:
 
 @contextmanager
 def progress() -> "Iterator[ProgressCallback]":
-    """A progress line on standard error of a terminal. Where the work begins, what it needs is compiled if it is not yet."""
+    """A progress line on standard error of a terminal; meanwhile, functions are compiled together where one has to be."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -142,15 +142,14 @@ def progress() -> "Iterator[ProgressCallback]":
     )
     console = Console(stderr=True, markup=False, emoji=False)
     # Where nobody looks, a line that is taken away again leaves an empty one.
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    line = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    with line as bar, _compiling_together(bar, console.is_terminal):
         tasks: dict[str, Any] = {}
         now = ""
 
         def tell(stage: str, done: int, total: int) -> None:
             """Show how far a stage is."""
             nonlocal now
-            if not now:
-                _compile_what_is_needed(bar, console.is_terminal)
             if stage != now:
                 # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
                 if now:
@@ -165,24 +164,31 @@ def progress() -> "Iterator[ProgressCallback]":
         yield tell
 
 
-def _compile_what_is_needed(bar: "Progress", on_a_terminal: bool) -> None:
-    """The first use of an installation, or of a command, compiles functions: on all cores, and with a word about it."""
-    from omnilines.compiling import compile_ahead, not_compiled, seconds_for
+@contextmanager
+def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]":
+    """The first use of an installation, or of a command, compiles all that the command needs as soon as it needs one function."""
+    from omnilines.compiling import before_first_compiled, compile_ahead, not_compiled, seconds_for
 
     wanted = not_compiled(*running_jobs())
+
+    def compile_all() -> None:
+        if not on_a_terminal:
+            # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
+            about = math.ceil(seconds_for(wanted) / 10) * 10
+            typer.echo(f"first use: {len(wanted)} functions are compiled, which takes about {about} s.", err=True)
+        task = bar.add_task("compiling, for the first use", total=len(wanted))
+        left = compile_ahead(wanted, lambda done, _: bar.update(task, completed=done))
+        bar.update(task, visible=False)
+        if left:
+            typer.echo(
+                f"note: {len(left)} functions could not be compiled beforehand: {left[0]}; they are when called.", err=True
+            )
+
     if not wanted:
+        yield
         return
-    if not on_a_terminal:
-        # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
-        about = math.ceil(seconds_for(wanted) / 10) * 10
-        typer.echo(f"first use: {len(wanted)} functions are compiled, which takes about {about} s.", err=True)
-    task = bar.add_task("compiling, for the first use", total=len(wanted))
-    left = compile_ahead(wanted, lambda done, _: bar.update(task, completed=done))
-    bar.update(task, visible=False)
-    if left:
-        typer.echo(
-            f"note: {len(left)} functions could not be compiled beforehand, and are when they are called: {left[0]}", err=True
-        )
+    with before_first_compiled(compile_all):
+        yield
 
 
 def run(

@@ -10,7 +10,8 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import groupby
 
 from omnilines.compiling.entries import Entry
@@ -48,6 +49,29 @@ def compile_ahead(wanted: Sequence[Entry], progress: Callable[[int, int], None])
     return tuple(sorted(missing))
 
 
+@contextmanager
+def before_first_compiled(work: Callable[[], None]) -> Iterator[None]:
+    """Within it, `work` is done once: where this process would compile a function because numba keeps nothing of it."""
+    from numba.core import event
+
+    class Before(event.Listener):
+        """Told by numba, which holds its lock: one thread at a time."""
+
+        begun = False
+
+        def on_start(self, told: event.Event) -> None:
+            """A function is going to be compiled."""
+            if not self.begun:
+                self.begun = True
+                work()
+
+        def on_end(self, told: event.Event) -> None:
+            """It is compiled."""
+
+    with event.install_listener("numba:compile", Before()):
+        yield
+
+
 def shared_out(wanted: Sequence[Entry], processes: int) -> list[list[Entry]]:
     """The work of each process: modules whole, since their functions share helpers, the longest first."""
     modules = [list(its) for _, its in groupby(sorted(wanted, key=lambda entry: entry.module), key=lambda entry: entry.module)]
@@ -73,13 +97,14 @@ def _processes() -> int:
 
 def _started(share: Sequence[Entry]) -> "subprocess.Popen[str]":
     one_thread = dict.fromkeys(POOLS, "1")
-    # Its standard input ends with this process, however that ends, and the other one with it.
+    # It ends with its standard input, which ends with this process however that ends; signals to a terminal are not its own.
     return subprocess.Popen(
         [sys.executable, "-m", "omnilines.compiling", *(entry.function for entry in share)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
+        start_new_session=True,
         env={**os.environ, **one_thread},
     )
 

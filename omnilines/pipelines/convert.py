@@ -45,7 +45,7 @@ class ConversionResult:
     """What is lost, and where the format's own tool ends, one sentence each."""
 
     def __repr__(self) -> str:
-        return f"ConversionResult({self.calibration}, format={self.writer.name!r}, out={str(self.out)!r})"
+        return f"ConversionResult({self.calibration}, format={self.writer.NAME!r}, out={str(self.out)!r})"
 
     @property
     def errors(self) -> Mapping[str, Conversion]:
