@@ -16,9 +16,8 @@ from omnilines.cli import _shared
 from omnilines.cli.counts import Call
 from omnilines.cli.jobs import jobs
 from omnilines.compiled_cache import VARIABLE
-from omnilines.compiling import Entry, ahead, compile_ahead, entries, not_compiled, seconds_for
+from omnilines.compiling import EVERYTHING, Entry, ahead, compile_ahead, entries, not_compiled, seconds_for
 from omnilines.compiling.argument_types import read, written
-from omnilines.compiling.entries import EVERYTHING
 from omnilines.progress import Cancelled
 
 CHAINS = "omnilines.extraction.kernels.chain.chains"
@@ -131,7 +130,8 @@ def test_processes_share_the_work_and_keep_modules_whole() -> None:
 @pytest.mark.parametrize(
     ("name", "values", "given", "its"),
     [
-        ("doctor", {}, (), ("everything",)),
+        ("doctor", {"check": True}, (), ("everything",)),
+        ("doctor", {"check": False}, (), ()),
         ("extract", {}, (), ("arcs",)),
         ("calibrate", {"pattern": "checkerboard:8x6:30mm", "photos": [Path("a")]}, (), ("boards",)),
         ("calibrate", {"pattern": "lines", "photos": [Path("a")]}, (), ("arcs",)),
@@ -171,3 +171,12 @@ def test_all_that_a_command_needs_is_compiled_where_it_needs_one_function(
     assert (said == "") == (wanted == 0)
     numba.njit(lambda x: x + 2)(1)
     assert capsys.readouterr().err == ""
+
+
+def test_doctor_compiles_all_functions_at_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("omnilines.compiling.not_compiled", lambda *jobs: tuple(jobs))
+    monkeypatch.setattr("omnilines.compiling.seconds_for", lambda wanted: 31.0)
+    monkeypatch.setattr("omnilines.compiling.compile_ahead", lambda wanted, progress: ())
+    monkeypatch.setattr(_shared, "running_jobs", lambda: (EVERYTHING,))
+    with _shared.progress():
+        assert capsys.readouterr().err == "first use: 1 functions are compiled, which takes about 40 s.\n"

@@ -167,7 +167,7 @@ def progress() -> "Iterator[ProgressCallback]":
 @contextmanager
 def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]":
     """The first use of an installation, or of a command, compiles all that the command needs as soon as it needs one function."""
-    from omnilines.compiling import before_first_compiled, compile_ahead, not_compiled, seconds_for
+    from omnilines.compiling import EVERYTHING, before_first_compiled, compile_ahead, not_compiled, seconds_for
 
     wanted = not_compiled(*running_jobs())
 
@@ -184,11 +184,13 @@ def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]
                 f"note: {len(left)} functions could not be compiled beforehand: {left[0]}; they are when called.", err=True
             )
 
-    if not wanted:
-        yield
-        return
-    with before_first_compiled(compile_all):
-        yield
+    if wanted and EVERYTHING in running_jobs():
+        compile_all()
+    elif wanted:
+        with before_first_compiled(compile_all):
+            yield
+            return
+    yield
 
 
 def run(

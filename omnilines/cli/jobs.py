@@ -1,7 +1,7 @@
 """What a command does, as the list of compiled functions tells it apart (`omnilines/compiling/entries.yaml`)."""
 
 from omnilines.cli.counts import Call, of_lines, of_table, of_target
-from omnilines.compiling.entries import EVERYTHING
+from omnilines.compiling import EVERYTHING
 
 ARCS = ("extract", "directions", "check")
 EXPERIMENTS = ("wide", "short", "room", "house", "book")
@@ -14,7 +14,7 @@ def jobs(name: str, call: Call) -> tuple[str, ...]:
     photos; `adjust`: matched segments; `experiment`: the experiment of a board.
     """
     if name == "doctor":
-        return (EVERYTHING,)
+        return (EVERYTHING,) if call.values["check"] else ()
     if name in ARCS:
         return ("arcs",)
     if name == "validate":

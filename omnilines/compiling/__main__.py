@@ -14,9 +14,8 @@ from typing import Any
 from filelock import FileLock
 from numba.core import caching
 
-from omnilines.compiling import compile_ahead, entries, not_compiled
+from omnilines.compiling import EVERYTHING, compile_ahead, entries, not_compiled
 from omnilines.compiling.argument_types import read
-from omnilines.compiling.entries import EVERYTHING
 
 
 def compile_each(functions: list[str]) -> None:
