@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import yaml
-
 from omnilines.compiled_cache import cache_folders
 
 PACKAGES = Path(__file__).parents[2]
@@ -46,6 +44,8 @@ class Entry:
 @cache
 def entries() -> tuple[Entry, ...]:
     """All of them."""
+    import yaml  # not with the command line, which imports this
+
     rows = yaml.load(TABLE.read_text(), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     return tuple(
         Entry(row["function"], tuple(row["jobs"].split()), row["seconds"], tuple(map(tuple, row["arguments"]))) for row in rows
