@@ -234,7 +234,7 @@ def test_tables_say_what_holds_and_escape() -> None:
     )
     text = text_of(markup(views))
     assert "2 of 3 views were used." in text and "✗ no : too few corners. 0 0 –" in text and "cam1" in text
-    assert re.findall(r"width:([\d.]+)%", markup(views)) == ["50.0", "100.0"]
+    assert re.findall(r"background-size:([\d.]+)% ", markup(views)) == ["50.0", "100.0"]
     assert "Leverage" not in text
     remarks = ("It shows the same as b.jpg.", "it is <blurred>")
     views = report.views_section(

@@ -19,9 +19,9 @@ def circle(radius_px: float) -> np.ndarray:
     return np.stack([515.5 + radius_px * np.cos(PHASE), 388.5 + radius_px * np.sin(PHASE)], 1)
 
 
-def section(sigma: np.ndarray, radius_px: float = 300.0, corners: np.ndarray | None = None) -> Section:
+def section(sigma: np.ndarray, radius_px: float = 300.0, corners: np.ndarray | None = None, **known: object) -> Section:
     points = np.array([[515.5, 388.5], [700.0, 400.0]]) if corners is None else corners
-    return uncertainty_section(sigma, U, V, SIZE, circle(radius_px), corners_px=points, supported_angle_deg=82.44)
+    return uncertainty_section(sigma, U, V, SIZE, circle(radius_px), corners_px=points, supported_angle_deg=82.44, **known)
 
 
 def figure(shown: Section) -> dict:
@@ -88,10 +88,11 @@ def test_unknown_is_blank_and_a_constant_map_is_drawn() -> None:
 
 def test_words_give_the_map_at_the_corners_and_its_largest_value() -> None:
     sigma = growing(0.01, 1e5)
-    corners = np.array([[U[6] + 2.0, 100.0], [U[18] - 3.0, 300.0], [U[30], 700.0], [np.nan, 1.0]])
-    text = words(section(sigma, corners=corners))
-    median, worst = (float(f"{0.01 * 1e5 ** (U[k] / U[-1]):.2g}") for k in (18, 30))
-    assert f"At the observed corners it is {median:g} px in the median, at most {worst:g} px." in text
+    corners = np.array([[100.0, 100.0], [300.0, 300.0], [500.0, 700.0], [np.nan, 1.0]])
+    text = words(section(sigma, corners=corners, corners_sigma_px=np.array([0.1, 0.2, 0.4, np.nan])))
+    assert "At the observed corners it is 0.2 px in the median, at most 0.4 px." in text
+    edges = words(section(sigma, corners=corners, corners_sigma_px=np.full(4, 0.3), seen="points of edges"))
+    assert "At the observed points of edges it is 0.3 px" in edges and "corner" not in edges
     assert "Over the image it is at most 1000 px, at (1031, 0) px." in text
     assert "after the best common rotation" in text
     alone = words(section(sigma, corners=np.zeros((0, 2))))
@@ -106,4 +107,4 @@ def test_circle_and_corners_are_drawn_and_explained() -> None:
     assert "82.4 degrees off axis: beyond it the map is extrapolation" in words(shown)
     assert "where there are none, the uncertainty grows" in words(shown)
     beyond = words(section(growing(0.01, 10.0), radius_px=2000.0))
-    assert "They reach 82.4 degrees off axis, past the border of the image" in beyond and "blue curve" not in beyond
+    assert "The corners reach 82.4 degrees off axis, past the border of the image" in beyond and "blue curve" not in beyond

@@ -56,7 +56,8 @@ def detect(
     summary = corners_summary(found, str(files[0]))
     given = len(seen) + len(skipped)
     size = "x".join(map(str, found.image_size))
-    then = ("calibrate", str(files[0]), "--image-size", size, "--out", "result")
+    mirrored = ("--mirror",) if found.mirrored else ()
+    then = ("calibrate", str(files[0]), "--image-size", size, *mirrored, "--out", "result")
     return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given, then=then)
 
 

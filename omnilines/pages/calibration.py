@@ -18,7 +18,7 @@ from omnilines.calibration.select import Selection
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.limits import board_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
-from omnilines.pages.uncertainty_map import CertainCamera, UncertaintyMap
+from omnilines.pages.uncertainty_map import CertainCamera, UncertaintyMap, sigma_at_px
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
@@ -185,6 +185,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
             model.image_size,
             circle,
             corners_px=pixels,
+            corners_sigma_px=sigma_at_px(result, pixels),
             supported_angle_deg=result.max_angle_deg,
             largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),
         ),

@@ -10,7 +10,7 @@ from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.pages.calibration import calibration_verdict, projection_curve, supported_circle_px, trial_rows
 from omnilines.pages.limits import line_advice
-from omnilines.pages.uncertainty_map import UncertaintyMap
+from omnilines.pages.uncertainty_map import UncertaintyMap, sigma_at_px
 from omnilines.pipelines.calibrate_lines import LineResult
 from omnilines.records import Summary
 from omnilines.report import Section
@@ -121,6 +121,8 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
     summaries = line_calibration_summaries(result)
     theta = np.degrees(angles_off_axis(fit.model, torch.as_tensor(fit.pixels)).numpy())
     circle, uncertainty = supported_circle_px(fit), UncertaintyMap.of(fit)
+    if result.rim_px is not None:
+        uncertainty = uncertainty.within(result.rim_px, fit.model.centre_px.detach().numpy())
     curve_theta, curve_rho = projection_curve(fit)
     images = [photo.image for photo in fit.photos]
     sections: list[Section] = [
@@ -132,6 +134,8 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
             fit.model.image_size,
             circle,
             corners_px=fit.pixels,
+            corners_sigma_px=sigma_at_px(fit, fit.pixels),
+            seen="points of edges",
             supported_angle_deg=fit.max_angle_deg,
         ),
         report.summary_section(summaries[0], *summaries[2:]),

@@ -18,7 +18,10 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         ("photos with lines at right angles", f"{found.frames}"),
         ("statistic", f"{found.statistic:.1f}, Hotelling's T^2 of {found.freedom} and {found.samples:.0f} degrees of freedom"),
         ("probability of it by chance", f"{found.probability:.2g}"),
-        ("drift", f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})"),
+        (
+            "drift, less what noise makes of it",
+            f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})",
+        ),
         ("least drift that chance leaves open", figure(found.least_drift_px, unit="px")),
     )
     names = found.model.PARAMETER_NAMES

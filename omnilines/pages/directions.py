@@ -55,7 +55,10 @@ def directions_sections(found: PhotoDirections) -> list[Section]:
         "Unit vectors of the camera frame (x right, y down, z forward), with their largest standard deviation. Stray is by how "
         "much lines differ from their direction beyond what the noise of their arcs explains, one figure for all of a photo."
     )
-    said = "Arcs in the colours of their directions, grey for none; a ring where a direction, or the one opposite, is seen."
+    said = (
+        "Arcs in the colours of their directions, named in the corner, grey for none; a ring where a direction, or the "
+        "one opposite, is seen."
+    )
     return [
         verdict_section(directions_summary(found)),
         pictures_section(list(of_photo), lambda name: draw_directions(found, of_photo[name]), said, "Photos"),
@@ -117,11 +120,15 @@ def write_direction_pictures(folder: Path, found: PhotoDirections, progress: Pro
 
 
 def draw_directions(found: PhotoDirections, one: FoundDirections) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo of some directions with its arcs; both sides of a direction have a ring where the photo shows them."""
+    """The photo of some directions with its arcs; both sides of a direction have a ring where the photo shows them, and its name
+    stands in its colour in the corner."""
     model = found.arcs.cameras[one.arcs.camera]
     picture = draw_arcs(one.arcs.photo.read(), model, one.arcs, one.meeting.direction_of)
     radius = max(4, max(model.image_size) // 100)
-    for k, direction in enumerate(one.meeting.direction):
+    for k, (name, direction) in enumerate(zip(one.names, one.meeting.direction, strict=True)):
+        for colour, width in (((0, 0, 0), 4), (COLOURS[k % len(COLOURS)], 2)):
+            corner = (2 * radius, 3 * (k + 1) * radius)
+            cv2.putText(picture, name, corner, cv2.FONT_HERSHEY_SIMPLEX, radius / 12, colour, width, cv2.LINE_AA)
         for side in (direction, -direction):
             pixel, seen = model.project(torch.as_tensor(side))
             u, v = pixel.detach().tolist()

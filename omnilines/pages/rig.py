@@ -16,7 +16,7 @@ from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.pages.calibration import board_curves, projection_curve, supported_circle_px
 from omnilines.pages.next_views import next_views_section
 from omnilines.pages.rig_figures import PARAMETERS_OF, link_row, rig_summaries
-from omnilines.pages.uncertainty_map import UncertaintyMap
+from omnilines.pages.uncertainty_map import UncertaintyMap, sigma_at_px
 from omnilines.pipelines.calibrate_rig import RigResult
 from omnilines.records import Corners
 from omnilines.report import Section
@@ -96,6 +96,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
                 model.image_size,
                 circle,
                 corners_px=pixels,
+                corners_sigma_px=sigma_at_px(single, pixels),
                 supported_angle_deg=angle,
                 title=f"{name}: projection uncertainty",
                 largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),

@@ -46,7 +46,8 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
         for tau, right, found in zip(scores.thresholds_m, scores.precision.tolist(), scores.recall.tolist(), strict=True)
     ]
     lines = (
-        ("lines", f"{scores.lines}, {scores.total_m:.1f} m; {scores.visible_m:.1f} m are visible"),
+        ("lines", f"{scores.lines}, {scores.total_m:.1f} m"),
+        ("true edges that count", f"{scores.visible_m:.1f} m"),
         *within,
         ("farther end from the nearest edge", f"{1e3 * scores.median_error_m:.3g} mm (median)"),
         ("direction of lines, median and 95th percentile", _pair(scores.direction_deg(50), scores.direction_deg(95), "degrees")),
@@ -59,7 +60,7 @@ def scene_validation_summaries(validation: SceneValidation) -> tuple[Summary, ..
         (f"lines within {1e3 * validation.tolerance_m:.3g} mm, as sigma_m predicts", _percent(validation.expected_precision)),
     )
     note = (
-        f"Length counts that at least {MIN_VIEWS} photos see, with {MIN_CONTRAST:g} grey levels or more and {MIN_PX:g} px "
+        f"Edges count where at least {MIN_VIEWS} photos see them, with {MIN_CONTRAST:g} grey levels or more and {MIN_PX:g} px "
         f"or more. A line is within a distance when nine tenths of its length are. The last distance is {TOLERANCE_PX:g} pixels."
     )
     return (
@@ -75,8 +76,8 @@ def _verdict(validation: SceneValidation) -> str:
     scores = validation.scores
     return (
         f"{checks_words(validation.checks)}: of {scores.lines} lines {_percent(scores.precision[-1])} lie within "
-        f"{rounded(1e3 * scores.thresholds_m[-1])} mm of a true edge, and {_percent(scores.recall[-1])} of the edges' length "
-        "is found."
+        f"{rounded(1e3 * scores.thresholds_m[-1])} mm of a true edge, and {_percent(scores.recall[-1])} of the length "
+        f"of edges that {MIN_VIEWS} photos see well is found."
     )
 
 

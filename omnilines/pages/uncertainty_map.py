@@ -1,11 +1,12 @@
 """The projection uncertainty of a camera over its image, as pages draw it and state it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from torch import Tensor
 
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
@@ -51,8 +52,7 @@ class UncertaintyMap:
         u, v = (np.arange(0.5 * min(step, side), side, step) - 0.5 for side in (width, height))
         pixels = torch.as_tensor(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
         low, high = float(np.radians(result.min_angle_deg)), float(np.radians(result.max_angle_deg))
-        reference = supported_grid(result.model, high, low)
-        covariance, valid = projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)
+        covariance, valid = _covariance_px2(result, pixels)
         angle = angles_off_axis(result.model, pixels)
         shown = torch.ones(len(pixels), dtype=torch.bool) if field is None else field.shows(pixels)
         sigma = torch.where(shown, worst_sigma_px(covariance), torch.nan)
@@ -60,8 +60,25 @@ class UncertaintyMap:
         shape = len(v), len(u)
         return UncertaintyMap(u, v, sigma.numpy().reshape(shape), inside.numpy().reshape(shape))
 
+    def within(self, radius_px: float, centre_px: Float[np.ndarray, "2"]) -> "UncertaintyMap":
+        """Not known beyond a circle, where photos are dark."""
+        far = np.hypot(self.u_px - centre_px[0], (self.v_px - centre_px[1])[:, None]) > radius_px
+        return replace(self, sigma_px=np.where(far, np.nan, self.sigma_px), supported=self.supported & ~far)
+
     @property
     def figures(self) -> tuple[float, float]:
         """Median and largest standard deviation (px) over the supported field of view."""
         inside = self.sigma_px[self.supported]
         return float(np.median(inside)), float(inside.max())
+
+
+def sigma_at_px(result: CertainCamera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """The same at some pixels; NaN where the camera sees nothing."""
+    covariance, _ = _covariance_px2(result, torch.as_tensor(pixels))
+    return np.asarray(worst_sigma_px(covariance))
+
+
+def _covariance_px2(result: CertainCamera, pixels: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "n 2 2"], Bool[Tensor, " n"]]:
+    low, high = float(np.radians(result.min_angle_deg)), float(np.radians(result.max_angle_deg))
+    reference = supported_grid(result.model, high, low)
+    return projection_covariance_px2(result.model, torch.as_tensor(result.covariance), pixels, reference)

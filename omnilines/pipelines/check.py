@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
-from camera_models import Calibration, CameraModel, InputError
+from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
 from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck, line_check
@@ -54,10 +54,12 @@ class CheckResult:
         found = self.found
         freedom = f"{found.freedom} and {found.samples:.0f} degrees of freedom"
         chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
-        drift = (
-            f"{rounded(found.drift_px)} px over the image (root mean square), known to {rounded(found.sigma_px, 1)} px, at least "
-            f"{rounded(found.least_drift_px)} px"
-        )
+        known = f"known to {rounded(found.sigma_px)} px"
+        least = f"at least {rounded(found.least_drift_px)} px"
+        if found.drift_px > found.least_drift_px:
+            drift = f"{rounded(found.drift_px)} px over the image (root mean square), {known}, {least}"
+        else:  # what noise makes of the motion is more than all of it
+            drift = f"{least} over the image (root mean square; {known})"
         if not self.holds:
             return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
         if found.probability < self.options.significance:
@@ -65,9 +67,7 @@ class CheckResult:
             return (
                 f"These photos bear out a calibration within {within} of this one: lines ask for a drift of {drift} ({chance})."
             )
-        return (
-            f"The calibration is right as far as these photos tell, to {rounded(found.sigma_px, 1)} px over the image ({chance})."
-        )
+        return f"The calibration is right as far as these photos tell, to {rounded(found.sigma_px)} px over the image ({chance})."
 
     @property
     def file_names(self) -> tuple[str, ...]:
@@ -104,7 +104,7 @@ def check(
     is looked at. Where the calibration states a covariance, what it allows is no contradiction.
 
     Raises InputError for a rig, a camera without parameters, and where no photo can be used, and GeometryError where too few
-    edges are straight.
+    edges are straight, or lines leave more open than `most_sigma_share` of the image.
 
         >>> ol.check("room/", ol.load("room/calibration.yaml")).holds
         True
@@ -124,6 +124,13 @@ def check(
     asked, notes = asked_by_lines(model, chains, lines, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
+    most_px = options.most_sigma_share * math.hypot(*model.image_size)
+    if not found.sigma_px <= most_px:
+        raise GeometryError(
+            f"Lines that tell where the camera projects to {rounded(most_px)} px were expected, found that they leave "
+            f"{rounded(found.sigma_px)} px open, of which nothing follows; give more photos, with long edges in several "
+            "directions all over the image."
+        )
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
     return CheckResult(found, holds, options, chains.images, skipped, inputs, notes)

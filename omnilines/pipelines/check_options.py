@@ -14,5 +14,7 @@ class CheckOptions(Typed):
     """Calibrations that are right are refused so often, at most."""
     tolerance_px: float = 0.1
     """Drift (root mean square over the image) that nobody minds, however sure it is."""
+    most_sigma_share: float = 0.01
+    """Of the diagonal of the image: lines that leave the projection open by more tell nothing."""
     lines: LinesOptions = field(default_factory=LinesOptions)
     """The lines by which it is checked."""

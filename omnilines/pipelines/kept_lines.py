@@ -88,8 +88,8 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
     total = sum(map(len, found))
     tracks = matched.tracks
     member = tracks.track >= 0
-    partner, several, enough = _agreement(matched, min_views)
-    lost = several & ~member
+    # A line may take an arc in that led to none by itself.
+    partner, several, enough = (agree | member for agree in _agreement(matched, min_views))
     return (
         StageCount("detected arcs", total, counted([("photos skipped", sum(arcs.reason is not None for arcs in found))])),
         StageCount("in photos with poses", len(segments), counted([("in photos without a pose", total - len(segments))])),
@@ -108,8 +108,8 @@ def arc_stages(found: Sequence[FoundArcs], segments: Segments, matched: Matched,
             int(member.sum()),
             counted(
                 [
-                    (f"fewer than {min_views} photos agree", int((lost & ~enough).sum())),
-                    ("did not fit the others of a track", int((lost & enough).sum())),
+                    (f"fewer than {min_views} photos agree", int((several & ~enough).sum())),
+                    ("did not fit the others of a track", int((enough & ~member).sum())),
                 ]
             ),
         ),
@@ -127,7 +127,6 @@ def photo_counts(segments: Segments, matched: Matched, min_views: int) -> tuple[
     # Those of lines that a corner or a plane confirms are in no track of `matched`.
     in_track = (matched.tracks.track >= 0) | in_line
     partner, several, enough = _agreement(matched, min_views)
-    # A line may take an arc in that led to none by itself.
     stages = (np.ones_like(partner), partner | in_track, several | in_track, (several & enough) | in_track, in_track, in_line)
     counts = [np.bincount(segments.image, weights=stage, minlength=len(segments.images)) for stage in stages]
     return tuple(PhotoCount(image, *(int(count[k]) for count in counts)) for k, image in enumerate(segments.images))

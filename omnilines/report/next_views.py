@@ -48,7 +48,7 @@ def next_views_section(
     layout = {**image_axes(image_size), "margin": margin, "showlegend": True, "legend": below}
     caption = (
         "Grids: where the rows and columns of the board should appear, first the photo that helps most. Colours: the standard "
-        "deviation of the projection now (px), as in the map below; dots: the corners that were seen."
+        "deviation of the projection now (px), as in the map of the uncertainty; dots: the corners that were seen."
     )
     aspect = image_size[0] / image_size[1] * 0.9
     figure = plot(traces, layout, label="Boards to shoot next over the image", caption=caption, wide=True, aspect=aspect)

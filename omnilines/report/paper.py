@@ -124,6 +124,8 @@ def _draw_plane(drawing: "Figure", spec: dict[str, Any]) -> None:
                 _draw_trace(drawing, axes, trace)
         for shape in layout.get("shapes", ()):
             _draw_shape(axes, shape)
+    # Axes that panels share end where the highest of them does: they are set when all is drawn.
+    for name, axes in zip(panels, every, strict=True):
         across, up = (layout.get(f"{axis}axis{name[1:].removeprefix('1')}", {}) for axis in "xy")
         _set_axis(axes, "x", across)
         _set_axis(axes, "y", up)

@@ -30,6 +30,8 @@ FILLED = 0.9
 """Of the view, by the box of the scene: its axes have labels."""
 OF_LINES = tuple(PALETTE[k] for k in (0, 1, 3, 5, 6, 7, 2))
 """Colours of groups of lines, again and again; the one left out is that of cameras."""
+DARKER = 0.6
+"""By how much, each time."""
 
 
 def scene_section(
@@ -142,9 +144,16 @@ def _lines(lines: Lines | None, groups: Sequence[str] | None) -> list[Trace]:
         path = broken(np.stack([ends[:, 0], ends.mean(1), ends[:, 1]], 1))
         text = [t for i in own for t in [_describe(lines, i)] * 3 + [""]]
         # What is of no numbered group, such as "no family", has no colour of one.
-        colour = QUIET if numbered and label not in numbered else OF_LINES[k % len(OF_LINES)]
+        colour = QUIET if numbered and label not in numbered else _colour(k)
         traces.append(_strokes(path, text, label, colour, width=4))
     return traces
+
+
+def _colour(k: int) -> str:
+    """Of the k-th group of lines; those that come again are darker each time."""
+    again, own = divmod(k, len(OF_LINES))
+    red, green, blue = (int(OF_LINES[own][at : at + 2], 16) for at in (1, 3, 5))
+    return "#" + "".join(f"{round(part * DARKER**again):02x}" for part in (red, green, blue))
 
 
 def _number(label: str) -> float:

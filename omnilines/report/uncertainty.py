@@ -38,6 +38,8 @@ def uncertainty_section(
     *,
     corners_px: Float[np.ndarray, "n 2"],
     supported_angle_deg: float,
+    corners_sigma_px: Float[np.ndarray, "n"] | None = None,
+    seen: str = "corners",
     title: str = "Projection uncertainty",
     largest: tuple[str, float, tuple[float, float]] | None = None,
 ) -> Section:
@@ -46,30 +48,31 @@ def uncertainty_section(
     `sigma_px` is the standard deviation, in the worst direction of the image, of where the calibrated camera projects a known
     direction, after the best common rotation. Where it is not finite or not positive it is not known, and nothing is
     drawn. `circle_px` is the image of the cone at `supported_angle_deg`, up to which the data reach, cut (NaN) where it has no
-    image; `corners_px` are the observed points. `largest` is the part of the image in words, its largest value
+    image; `corners_px` are the observed points, with what `sigma_px` is at each where that is known; `seen` says
+    what they are. `largest` is the part of the image in words, its largest value
     (px) and the pixel of that, by default those of the map.
     """
     sigma = np.where(np.isfinite(sigma_px) & (sigma_px > 0), sigma_px, np.nan)
     if not np.isfinite(sigma).any():
         return Section(title, fragment("plots", intro="The uncertainty is not known at any pixel.", plots=[]))
-    corners = corners_px[np.isfinite(corners_px).all(1)]
+    points = corners_px[np.isfinite(corners_px).all(1)]
     intro = (
-        "The camera is known only as well as the corners tell it. The map shows the standard deviation in pixels of where it "
+        f"The camera is known only as well as the {seen} tell it. The map shows the standard deviation in pixels of where it "
         "would project a known direction, in the worst direction of the image, after the best common rotation. "
-        + _figures(sigma, u_px, v_px, corners, largest)
+        + _figures(sigma, u_px, v_px, seen, corners_sigma_px, largest)
     )
-    rows = sample(len(corners))
+    rows = sample(len(points))
     traces = [
         *map_traces(sigma, u_px, v_px),
-        dots(corners[rows, 0], corners[rows, 1], INK, "", size=3, opacity=0.25, hoverinfo="skip", hovertemplate=None),
+        dots(points[rows, 0], points[rows, 1], INK, "", size=3, opacity=0.25, hoverinfo="skip", hovertemplate=None),
         curve(circle_px[:, 0], circle_px[:, 1], PALETTE[0], width=3),
     ]
     caption = (
         "How to read it: pale is well known, red is badly known, blank is not known or shows nothing of the world; the numbers "
-        "on the lines are pixels. Dots are the observed corners: where there are none, the uncertainty grows. "
-        + _reach(circle_px, image_size, supported_angle_deg)
-        + " Noise of the corners is all that is counted; a wrong model is seen in the residuals instead."
-        + sample_note(len(corners))
+        f"on the lines are pixels. Dots are the observed {seen}: where there are none, the uncertainty grows. "
+        + _reach(circle_px, image_size, supported_angle_deg, seen)
+        + " It is what the standard deviations of the parameters make it; what a wrong model adds is seen in the residuals."
+        + sample_note(len(points))
     )
     layout = image_axes(image_size)
     aspect = image_size[0] / image_size[1] * 0.9
@@ -77,37 +80,34 @@ def uncertainty_section(
     return Section(title, fragment("plots", intro=intro, plots=[figure]))
 
 
-def _reach(circle_px: Float[np.ndarray, "k 2"], image_size: tuple[int, int], supported_angle_deg: float) -> str:
-    """The sentence on how far the corners reach, by whether the circle is seen in the image."""
+def _reach(circle_px: Float[np.ndarray, "k 2"], image_size: tuple[int, int], supported_angle_deg: float, seen: str) -> str:
+    """The sentence on how far the observed points reach, by whether the circle is seen in the image."""
     far = f"{supported_angle_deg:.1f} degrees off axis"
     if ((circle_px >= -0.5) & (circle_px <= np.array(image_size) - 0.5)).all(1).any():
-        return (
-            f"The blue curve is how far they reach, {far}: beyond it the map is extrapolation, and holds only if the model does."
-        )
-    return f"They reach {far}, past the border of the image: nothing of the map is beyond them."
+        reach = f"The blue curve is how far the {seen} reach, {far}"
+        return f"{reach}: beyond it the map is extrapolation, and holds only if the model does."
+    return f"The {seen} reach {far}, past the border of the image: nothing of the map is beyond them."
 
 
 def _figures(
     sigma: Float[np.ndarray, "h w"],
     u_px: Float[np.ndarray, " w"],
     v_px: Float[np.ndarray, " h"],
-    corners: Float[np.ndarray, "n 2"],
+    seen: str,
+    corners_sigma_px: Float[np.ndarray, "n"] | None,
     largest: tuple[str, float, tuple[float, float]] | None,
 ) -> str:
-    """Sentences on the uncertainty at the nearest node of the map to every corner, and on its largest value."""
+    """Sentences on the uncertainty at the observed points, and on its largest value."""
     if largest is None:
         row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
         largest = "the image", float(sigma[row, column]), (float(u_px[column]), float(v_px[row]))
     image, value, (u, v) = largest
     most = f"Over {image} it is at most {rounded(value)} px, at ({u:.0f}, {v:.0f}) px."
-    # Nearest node: the number of midpoints between nodes that lie before the corner.
-    columns, rows = (np.searchsorted((x[1:] + x[:-1]) / 2, corners[:, k]) for k, x in enumerate((u_px, v_px)))
-    at_corners = sigma[rows, columns]
-    at_corners = at_corners[np.isfinite(at_corners)]
-    if not at_corners.size:
+    known = np.zeros(0) if corners_sigma_px is None else corners_sigma_px[np.isfinite(corners_sigma_px)]
+    if not known.size:
         return most
-    middle, worst = rounded(np.median(at_corners)), rounded(at_corners.max())
-    return f"At the observed corners it is {middle} px in the median, at most {worst} px. {most}"
+    middle, worst = rounded(np.median(known)), rounded(known.max())
+    return f"At the observed {seen} it is {middle} px in the median, at most {worst} px. {most}"
 
 
 def _levels(low: float, high: float) -> list[float]:

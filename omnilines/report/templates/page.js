@@ -57,10 +57,15 @@
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
     if (layout.scene && plot.clientWidth < 600) {
       // On a narrow page the names would hide the scene: they stand below it.
+      const { domain, camera } = layout.scene, before = ((domain.x[1] - domain.x[0]) * plot.clientWidth) / plot.clientHeight;
       plot.style.aspectRatio = 0.8;
       layout.legend = { ...layout.legend, orientation: "h", y: 0, yanchor: "top" };
       const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
       layout.margin = { ...layout.margin, b: Math.min(130, 16 + 22 * Math.ceil(names.size / 3)) };
+      // The field of view is that up and down: what was wide is seen whole from farther away.
+      const away = Math.max(1, (before * (plot.clientWidth / 0.8 - layout.margin.b)) / plot.clientWidth);
+      const eye = Object.fromEntries(["x", "y", "z"].map((k) => [k, camera.center[k] + away * (camera.eye[k] - camera.center[k])]));
+      layout.scene = { ...layout.scene, domain: { x: [0, 1], y: [0, 1] }, camera: { ...camera, eye } };
     }
     // Beside an image's scale bar and legend a narrow page leaves no width to it: it takes height.
     if (layout.yaxis?.scaleanchor && plot.clientWidth < 600) plot.style.aspectRatio = Math.min(0.8, plot.clientWidth / plot.clientHeight);
@@ -82,7 +87,7 @@ function pickable(plot, known) {
 function pick(said, { photos, lines }, point) {
   const track = Object.keys(lines).find((name) => point.text?.startsWith(`${name}: `));
   if (track === undefined) return; // a camera
-  const seen = lines[track], text = point.text.slice(track.length).replace("<br>", ", ");
+  const seen = lines[track], text = point.text.slice(track.length).replaceAll("<br>", ", ");
   said.replaceChildren(Object.assign(document.createElement("strong"), { textContent: track }), `${text}; ${point.data.name}.`);
   if (seen.length) said.append(` Seen in ${seen.length} ${seen.length > 1 ? "photos" : "photo"}: `);
   seen.forEach((number, place) => {
