@@ -57,15 +57,16 @@
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
     if (layout.scene && plot.clientWidth < 600) {
       // On a narrow page the names would hide the scene: they stand below it.
-      const { domain, camera } = layout.scene, before = ((domain.x[1] - domain.x[0]) * plot.clientWidth) / plot.clientHeight;
+      const { domain = { x: [0, 1] }, camera } = layout.scene, before = ((domain.x[1] - domain.x[0]) * plot.clientWidth) / plot.clientHeight;
       plot.style.aspectRatio = 0.8;
       layout.legend = { ...layout.legend, orientation: "h", y: 0, yanchor: "top" };
       const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
       layout.margin = { ...layout.margin, b: Math.min(130, 16 + 22 * Math.ceil(names.size / 3)) };
       // The field of view is that up and down: what was wide is seen whole from farther away.
       const away = Math.max(1, (before * (plot.clientWidth / 0.8 - layout.margin.b)) / plot.clientWidth);
-      const eye = Object.fromEntries(["x", "y", "z"].map((k) => [k, camera.center[k] + away * (camera.eye[k] - camera.center[k])]));
-      layout.scene = { ...layout.scene, domain: { x: [0, 1], y: [0, 1] }, camera: { ...camera, eye } };
+      const from = ([k, at]) => [k, (camera.center?.[k] ?? 0) * (1 - away) + away * at];
+      const turned = camera?.eye && { ...camera, eye: Object.fromEntries(Object.entries(camera.eye).map(from)) };
+      layout.scene = { ...layout.scene, domain: { x: [0, 1], y: [0, 1] }, ...(turned && { camera: turned }) };
     }
     // Beside an image's scale bar and legend a narrow page leaves no width to it: it takes height.
     if (layout.yaxis?.scaleanchor && plot.clientWidth < 600) plot.style.aspectRatio = Math.min(0.8, plot.clientWidth / plot.clientHeight);
