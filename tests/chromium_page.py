@@ -24,11 +24,11 @@ CHROMIUM_FLAGS = [
 
 
 @contextlib.contextmanager
-def opened(chromium: str, path: pathlib.Path, scheme: str) -> Iterator[tuple[Page, list[str], list[str]]]:
+def opened(chromium: str, path: pathlib.Path, scheme: str, width: int = 1280) -> Iterator[tuple[Page, list[str], list[str]]]:
     """The page with all plots drawn, its messages on the console and the addresses it asked for."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
-        context = browser.new_context(viewport={"width": 1280, "height": 900}, color_scheme=scheme)
+        context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
         page, messages, requests = context.new_page(), [], []
         page.on("console", lambda message: messages.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: messages.append(f"pageerror: {error}"))

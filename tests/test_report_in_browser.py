@@ -50,6 +50,26 @@ def test_page_in_chromium(chromium: str, report_file: pathlib.Path, scheme: str)
 
 
 @pytest.mark.slow
+def test_a_phone_shows_the_whole_scene(chromium: str, report_file: pathlib.Path) -> None:
+    """The ends of its lines, by the matrices that plotly draws them with."""
+    projected = (
+        "plot => { const { model, view, projection } = plot._fullLayout.scene._scene.glplot.cameraParams;"
+        " const times = (m, p) => [0, 1, 2, 3].map(r => [0, 1, 2, 3].reduce((sum, c) => sum + m[4 * c + r] * p[c], 0));"
+        " const scale = plot._fullLayout.scene._scene.dataScale;"
+        " return plot.data.flatMap(trace => trace.x.map((x, i) => [x, trace.y[i], trace.z[i]]))"
+        ".filter(at => at.every(c => c !== null)).map(at => {"
+        " const seen = times(projection, times(view, times(model, [...at.map((c, k) => c * scale[k]), 1])));"
+        " return [seen[0] / seen[3], seen[1] / seen[3]]; }); }"
+    )
+    with opened(chromium, report_file, "light", width=390) as (page, messages, _):
+        scene = page.locator(".plot", has=page.locator("canvas"))
+        settled(page, scene)
+        places = np.array(scene.evaluate(projected))
+    assert messages == [] and len(places) > 10
+    assert np.abs(places).max() < 1.0
+
+
+@pytest.mark.slow
 def test_overlay_lies_on_its_photo(chromium: str, report_file: pathlib.Path) -> None:
     """The disc drawn by OpenCV in the photo and the observed point at its centre coincide on the screen, small and enlarged."""
     with opened(chromium, report_file, "light") as (page, messages, _):
