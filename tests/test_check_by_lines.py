@@ -1,6 +1,8 @@
 """Whether lines bear out a camera: true ones stay, wrong ones are refused, and noise is not that of the wrong one."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,10 +11,12 @@ import torch
 from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
-from camera_models import CameraModel
+from camera_models import CameraModel, GeometryError
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.geometry.chains import Chains
+from omnilines.pipelines.check import CheckResult
+from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import asked_by_lines
@@ -106,3 +110,20 @@ def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_p
         assert right.holds and right.found.probability > 0.01
         assert repr(right) == f"CheckResult(holds=True, photos=10, {right.verdict!r})"
         assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px
+
+
+def test_photos_that_tell_nothing_bear_nothing_out(shared_data: Path) -> None:
+    """Five streets, by a focal length of which they leave all open: no verdict, in place of "right, to 9000 px"."""
+    york = shared_data / "lines" / "york"
+    photos = sorted((york / "images").iterdir())[9:14]
+    with pytest.raises(GeometryError, match=r"projects to 8 px were expected, found that they leave \d+ px open"):
+        ol.check([str(photo) for photo in photos], ol.load(york / "calibration.yaml"))
+
+
+def test_a_drift_is_not_said_to_be_less_than_it_is_at_least() -> None:
+    found = checked(FISHEYE, true_chains(FISHEYE, 1, photos=4))
+    some = replace(found, drift_px=0.0, least_drift_px=0.4862, sigma_px=1.734)
+    wrong = CheckResult(some, False, CheckOptions(), ("a.png",), (), {})
+    assert "ask for a drift of at least 0.49 px over the image (root mean square; known to 1.7 px)" in wrong.verdict
+    more = CheckResult(replace(some, drift_px=0.91), False, CheckOptions(), ("a.png",), (), {})
+    assert "a drift of 0.91 px over the image (root mean square), known to 1.7 px, at least 0.49 px" in more.verdict
