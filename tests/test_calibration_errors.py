@@ -143,6 +143,10 @@ def test_errors_that_are_not_followed_are_named() -> None:
     told = [ol.adjust(segments, poses, one, replace(OF_TABLES, refine=("lines",))).told for one in (some, both)]
     assert [any("no covariance of cam1" in said for said in one) for one in told] == [True, False]
     segments, poses, _ = world()
+    none = ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, refine=("lines",))).told
+    assert "Errors of cam0 are not in the uncertainty of the lines: the calibration states no covariance." in none
+    refined = ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, refine=("lines", "poses", "intrinsics"))).told
+    assert not any("no covariance" in said for said in refined)
     parts = ol.adjust(segments, poses, calibration(), replace(OF_TABLES, partition=4))
     assert parts.lines.calibration_sigma_m is None and any("in parts" in said for said in parts.told)
 

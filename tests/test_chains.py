@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -275,6 +276,17 @@ def test_photos_without_edges_have_no_chains() -> None:
     noise = np.random.default_rng(7).normal(120.0, 3.0, (200, 300)).round().astype(np.uint8)
     for photo in (noise, np.zeros((50, 40), np.uint8), np.full((30, 30, 3), 200, np.uint8), np.zeros((2, 3), np.uint8)):
         assert smooth_chains(photo).count == 0
+
+
+def test_photos_that_exif_turns_otherwise_are_left_out(tmp_path: Path) -> None:
+    """Half a turn leaves the size as it is, and gives other pixels of the sensor."""
+    photo = step_photo(FISHEYE, unit(np.array([0.1, 1.0, 0.5])), 3.2)
+    for name, pixels in (("a", photo), ("b", photo[:, ::-1]), ("half", photo[::-1])):
+        jpeg = cv2.imencode(".jpg", np.ascontiguousarray(pixels))[1].tobytes()
+        (tmp_path / f"{name}.jpg").write_bytes(jpeg[:2] + (exif(3) if name == "half" else b"") + jpeg[2:])
+    found = chains_of(tmp_path)
+    assert found.chains.images == ("a.jpg", "b.jpg")
+    assert [one.photo for one in found.skipped] == ["half.jpg"] and "turns it by 180 degrees" in found.skipped[0].text
 
 
 def test_photos_of_another_size_are_left_out(tmp_path: Path) -> None:

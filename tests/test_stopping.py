@@ -133,3 +133,13 @@ def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
     # Hidden by the progress line, shown in the end.
     assert said.rindex("\x1b[?25h") > said.rindex("\x1b[?25l")
     assert len(list((tmp_path / "scene" / "work" / "arcs").glob("*.npz"))) == VIEWS
+
+
+def test_a_signal_ends_the_command_while_colmap_is_loaded() -> None:
+    """Its log takes SIGTERM for a crash where nothing is done about it: a stack on standard error, and no sentence."""
+    script = (
+        "import os, signal, time\nfrom omnilines.cli._stopping import stoppable\nfrom omnilines.posing._pycolmap import pycolmap\n"
+        "with stoppable():\n    pycolmap()\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(20)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 143 and done.stderr == "omnilines: stopped.\n"

@@ -51,7 +51,10 @@ class CalibrationInputs:
                 "to one another; calibrate each camera alone with its own photos, or the rig with a board."
             )
         if not self.table and self.pattern is None:
-            raise InputError("`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm.")
+            raise InputError(
+                "`pattern` was expected with photos, found none; give the target, such as checkerboard:8x6:32.5mm, or lines "
+                "where photos show a room or a building."
+            )
 
     @property
     def table(self) -> Path | None:

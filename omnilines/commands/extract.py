@@ -50,6 +50,7 @@ def extract(
     arcs = pipeline(refs, cameras, mask=keep, options=options, executor=executor, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
+    masked = () if mask is None else ("--mask", str(mask))
     return CommandResult(
         (arcs_summary(arcs, files[0]),),
         arcs_data(arcs),
@@ -57,7 +58,7 @@ def extract(
         warnings=arcs.notes,
         details=arcs.skipped_details,
         photos=len(refs),
-        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), *SCENE)
+        then=("reconstruct", *map(str, photos), "--calibration", str(calibration), *masked, *SCENE)
         if len(arcs) and len(refs) >= LEAST_PHOTOS
         else (),
     )

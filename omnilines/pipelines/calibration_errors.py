@@ -31,18 +31,18 @@ def states_errors(cameras: Calibration) -> bool:
 
 
 def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str, ...]:
-    """What is not in the uncertainty of lines, though the file of the calibration states errors."""
-    if not states_errors(cameras) or "intrinsics" in options.refine:
+    """What is not in the uncertainty of lines: errors that the file of the calibration states, or states of no camera."""
+    if "intrinsics" in options.refine:
         return ()
-    if options.partition:
+    if options.partition and states_errors(cameras):
         return (
             "Errors of the calibration are not in the uncertainty of the lines: in parts (`partition`) they are not followed.",
         )
     known = [name for name, one in cameras.estimates.items() if one.covariance is not None]
-    exact = ", ".join(name for name in cameras if name not in known)
-    if not known or not exact:
+    exact = ", ".join(name for name, model in cameras.items() if name not in known and model.CALIBRATED)
+    if not exact:
         return ()
-    return (f"The calibration states no covariance of {exact}: these cameras count as exact in the uncertainty of the lines.",)
+    return (f"Errors of {exact} are not in the uncertainty of the lines: the calibration states no covariance.",)
 
 
 def errors_by_calibration(

@@ -11,6 +11,7 @@ from camera_models import InputError
 from omnilines.extraction.options import SmoothChainOptions
 from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
 from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
+from omnilines.files.orientation import turned_otherwise
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.copies import copies
@@ -37,8 +38,8 @@ def chains_of(
     progress: ProgressCallback = silent,
 ) -> PhotoChains:
     """The smooth curves of edge points in photos of one camera (a folder, files, or arrays), on all cores, one photo
-    per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size than most,
-    and copies, are left out.
+    per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size, or turned
+    otherwise by EXIF, than most, and copies, are left out.
 
     Raises InputError where there is no photo, or none can be used, or the mask is of another size.
     """
@@ -55,6 +56,8 @@ def chains_of(
 
     found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     empty = np.zeros((0, 2))
+    turned = turned_otherwise(refs)
+    found = [turned.get(photo.name, one) for photo, one in zip(refs, found, strict=True)]
     alike = copies([photo.name for photo in refs], [empty if isinstance(one, str) else one[1].pixels for one in found])
     found = [one if why is None else why for one, why in zip(found, alike, strict=True)]
     sizes = Counter(one[0] for one in found if not isinstance(one, str))

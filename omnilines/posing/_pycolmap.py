@@ -1,5 +1,7 @@
 """pycolmap, imported when it is needed since it is slow to load, and kept from writing to standard error."""
 
+import signal
+import threading
 from typing import Any
 
 FATAL_ONLY = 3
@@ -10,5 +12,8 @@ def pycolmap() -> Any:
     """The module."""
     import pycolmap as module
 
+    if threading.current_thread() is threading.main_thread() and (ours := signal.getsignal(signal.SIGTERM)) is not None:
+        # Its log takes SIGTERM for a crash, and prints a stack.
+        signal.signal(signal.SIGTERM, ours)
     module.logging.minloglevel = FATAL_ONLY
     return module

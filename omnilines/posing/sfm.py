@@ -18,6 +18,7 @@ from torch import Tensor
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.formats.disk import locked
 from camera_models.pose import Pose, adjoint
+from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
@@ -107,6 +108,8 @@ def _features(
     progress: ProgressCallback,
     options: FeatureOptions,
 ) -> list[Features]:
+    pycolmap()  # loaded by the main thread, which alone can keep hold of signals
+
     def look(k: int) -> Features:
         return feature_finder(options)(read(photos[k]), calibration[names[k]], calibration.estimates.get(names[k]))
 
