@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from test_photos import exif
 
 from camera_models import CameraModel, GeometryError, InputError, OpenCVFisheye, Pinhole
 from omnilines.calibration.lines.straight import ChainNodes, RadialShape, planes_of, times_seen

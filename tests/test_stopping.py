@@ -138,7 +138,8 @@ def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
 def test_a_signal_ends_the_command_while_colmap_is_loaded() -> None:
     """Its log takes SIGTERM for a crash where nothing is done about it: a stack on standard error, and no sentence."""
     script = (
-        "import os, signal, time\nfrom omnilines.cli._stopping import stoppable\nfrom omnilines.posing._pycolmap import pycolmap\n"
+        "import os, signal, time\nfrom omnilines.cli._stopping import stoppable\n"
+        "from omnilines.posing._pycolmap import pycolmap\n"
         "with stoppable():\n    pycolmap()\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(20)\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=60)
