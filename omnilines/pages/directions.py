@@ -127,8 +127,8 @@ def draw_directions(found: PhotoDirections, one: FoundDirections) -> UInt8[np.nd
     radius = max(4, max(model.image_size) // 100)
     for k, (name, direction) in enumerate(zip(one.names, one.meeting.direction, strict=True)):
         for colour, width in (((0, 0, 0), 4), (COLOURS[k % len(COLOURS)], 2)):
-            corner = (2 * radius, 3 * (k + 1) * radius)
-            cv2.putText(picture, name, corner, cv2.FONT_HERSHEY_SIMPLEX, radius / 12, colour, width, cv2.LINE_AA)
+            corner = (2 * radius, 4 * (k + 1) * radius)
+            cv2.putText(picture, name, corner, cv2.FONT_HERSHEY_SIMPLEX, radius / 8, colour, width, cv2.LINE_AA)
         for side in (direction, -direction):
             pixel, seen = model.project(torch.as_tensor(side))
             u, v = pixel.detach().tolist()
