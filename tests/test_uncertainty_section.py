@@ -3,11 +3,14 @@
 import html
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import plotly.graph_objects
 import pytest
 
+from camera_models import OpenCVFisheye
+from omnilines.pages.uncertainty_map import UncertaintyMap, sigma_at_px
 from omnilines.report import Section, uncertainty, uncertainty_section
 
 SIZE = (1032, 778)
@@ -108,3 +111,15 @@ def test_circle_and_corners_are_drawn_and_explained() -> None:
     assert "where there are none, the uncertainty grows" in words(shown)
     beyond = words(section(growing(0.01, 10.0), radius_px=2000.0))
     assert "The corners reach 82.4 degrees off axis, past the border of the image" in beyond and "blue curve" not in beyond
+
+
+def test_a_map_agrees_with_the_camera_at_its_nodes_and_ends_at_the_rim() -> None:
+    camera = OpenCVFisheye([150.0, 150.0, 319.5, 239.5, 0.02, -0.004, 0.0, 0.0], (640, 480))
+    known = SimpleNamespace(model=camera, covariance=np.diag(np.full(8, 1e-4)), min_angle_deg=0.0, max_angle_deg=80.0)
+    found = UncertaintyMap.of(known)
+    nodes = np.stack(np.meshgrid(found.u_px, found.v_px), -1)
+    np.testing.assert_allclose(sigma_at_px(known, nodes.reshape(-1, 2)).reshape(found.sigma_px.shape), found.sigma_px)
+    inner = found.within(100.0, np.array([319.5, 239.5]))
+    far = np.hypot(*(nodes - [319.5, 239.5]).transpose(2, 0, 1)) > 100.0
+    assert far.any() and np.isnan(inner.sigma_px[far]).all() and not inner.supported[far].any()
+    np.testing.assert_array_equal(inner.sigma_px[~far], found.sigma_px[~far])

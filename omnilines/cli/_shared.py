@@ -7,7 +7,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -172,6 +172,7 @@ def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]
     wanted = not_compiled(*running_jobs())
 
     def compile_all() -> None:
+        """Compile what the command needs, with a word and a line about it."""
         if not on_a_terminal:
             # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
             about = math.ceil(seconds_for(wanted) / 10) * 10
@@ -184,13 +185,13 @@ def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]
                 f"note: {len(left)} functions could not be compiled beforehand: {left[0]}; they are when called.", err=True
             )
 
+    until_needed: AbstractContextManager[None] = nullcontext()
     if wanted and EVERYTHING in running_jobs():
         compile_all()
     elif wanted:
-        with before_first_compiled(compile_all):
-            yield
-            return
-    yield
+        until_needed = before_first_compiled(compile_all)
+    with until_needed:
+        yield
 
 
 def run(

@@ -18,7 +18,7 @@ from omnilines.compiling.entries import Entry
 from omnilines.machine import POOLS, available_bytes, cores
 
 MOST_PROCESSES = 8
-"""More gain nothing: the longest function takes an eighth of all."""
+"""More gain nothing: the longest function takes a seventh of all."""
 MEMORY_OF_ONE = 1 << 30
 """Bytes that a process takes which compiles half of all functions; fewer take less."""
 

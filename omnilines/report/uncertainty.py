@@ -38,7 +38,7 @@ def uncertainty_section(
     *,
     corners_px: Float[np.ndarray, "n 2"],
     supported_angle_deg: float,
-    corners_sigma_px: Float[np.ndarray, "n"] | None = None,
+    corners_sigma_px: Float[np.ndarray, " n"] | None = None,
     seen: str = "corners",
     title: str = "Projection uncertainty",
     largest: tuple[str, float, tuple[float, float]] | None = None,
@@ -94,7 +94,7 @@ def _figures(
     u_px: Float[np.ndarray, " w"],
     v_px: Float[np.ndarray, " h"],
     seen: str,
-    corners_sigma_px: Float[np.ndarray, "n"] | None,
+    corners_sigma_px: Float[np.ndarray, " n"] | None,
     largest: tuple[str, float, tuple[float, float]] | None,
 ) -> str:
     """Sentences on the uncertainty at the observed points, and on its largest value."""

@@ -56,8 +56,8 @@
   for (const plot of plots) {
     const { data, layout } = JSON.parse(plot.nextElementSibling.textContent);
     if (layout.scene && plot.clientWidth < 600) {
-      // On a narrow page the names would hide the scene: they stand below it.
       const { domain = { x: [0, 1] }, camera } = layout.scene, before = ((domain.x[1] - domain.x[0]) * plot.clientWidth) / plot.clientHeight;
+      // On a narrow page the names would hide the scene: they stand below it.
       plot.style.aspectRatio = 0.8;
       layout.legend = { ...layout.legend, orientation: "h", y: 0, yanchor: "top" };
       const names = new Set(data.filter((trace) => trace.showlegend !== false).map((trace) => trace.name));
