@@ -73,7 +73,7 @@ class UncertaintyMap:
 
 
 def sigma_at_px(result: CertainCamera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """The same at some pixels; NaN where the camera sees nothing."""
+    """Standard deviation of the projection in its worst direction, at some pixels; NaN where the camera sees nothing."""
     covariance, _ = _covariance_px2(result, torch.as_tensor(pixels))
     return np.asarray(worst_sigma_px(covariance))
 

@@ -44,9 +44,12 @@ def chains_of(
     Raises InputError where there is no photo, or none can be used, or the mask is of another size.
     """
     refs = of_one_range(photos_of(photos), progress)
+    turned = turned_otherwise(refs)
 
     def look(photo: Photo) -> tuple[tuple[int, int], SmoothChains] | str:
         """Size and chains of one photo, or why it has none."""
+        if photo.name in turned:
+            return turned[photo.name]
         try:
             image = photo.read()
         except InputError as error:
@@ -56,8 +59,6 @@ def chains_of(
 
     found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     empty = np.zeros((0, 2))
-    turned = turned_otherwise(refs)
-    found = [turned.get(photo.name, one) for photo, one in zip(refs, found, strict=True)]
     alike = copies([photo.name for photo in refs], [empty if isinstance(one, str) else one[1].pixels for one in found])
     found = [one if why is None else why for one, why in zip(found, alike, strict=True)]
     sizes = Counter(one[0] for one in found if not isinstance(one, str))
