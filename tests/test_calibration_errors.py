@@ -1,5 +1,6 @@
 """What errors of a calibration leave uncertain of lines: against cameras that are drawn from its covariance."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,16 @@ import pytest
 import torch
 
 import omnilines as ol
-from camera_models import Calibration, OpenCVFisheye
+from camera_models import Calibration, CameraModel, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.formats.calibration_data import CameraEstimate, RigCamera
 from camera_models.pose import Pose
 from camera_models.pose_fit import refit_pose
 from omnilines.adjustment.by_calibration import KnownCalibration, camera_steps, followed_poses
 from omnilines.adjustment.lines import motion_across
+from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pipelines.assumed_errors import assumed_covariance
 from omnilines.pipelines.options import OF_TABLES
 from omnilines.records import ImagePoses, Lines, PosePoints, Segments
 
@@ -144,11 +147,51 @@ def test_errors_that_are_not_followed_are_named() -> None:
     assert [any("Errors of cam1 are not in" in said for said in one) for one in told] == [True, False]
     segments, poses, _ = world()
     none = ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, refine=("lines",))).told
-    assert "Errors of cam0 are not in the uncertainty of the lines: the calibration states no covariance." in none
+    assert any("Errors of cam0 are not in" in said and "`scene.calibration_error_px` takes" in said for said in none)
     refined = ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, refine=("lines", "poses", "intrinsics"))).told
     assert not any("no covariance" in said for said in refined)
     parts = ol.adjust(segments, poses, calibration(), replace(OF_TABLES, partition=4))
     assert parts.lines.calibration_sigma_m is None and any("in parts" in said for said in parts.told)
+
+
+@pytest.mark.parametrize(
+    "camera", [CAMERA, Scaramuzza([516.0, 389.0, 1.001, 3e-4, 3e-4, -180.0, 1.5e-3, 0.0, 1e-9], (1032, 778)),
+               Pinhole([500.0, 500.0, 515.5, 388.5, *[0.0] * 9], (1032, 778), coefficients=5)],
+    ids=["fisheye", "mirror", "pinhole"],
+)  # fmt: skip
+def test_cameras_drawn_as_somebody_says_move_pixels_so_far(camera: CameraModel) -> None:
+    covariance, reach = assumed_covariance(camera, 0.5, math.radians(60.0)), math.radians(60.0)
+    pixels = torch.stack(torch.meshgrid(*(torch.arange(0.0, n, 23, dtype=torch.float64) for n in (1032, 778)), indexing="ij"), -1)
+    pixels = pixels.reshape(-1, 2)
+    pixels = pixels[angles_off_axis(camera, pixels) < reach]
+    bearings, seen = camera.unproject(pixels)
+    rng, squares = np.random.default_rng(0), []
+    for step in rng.multivariate_normal(np.zeros(len(covariance)), covariance, 300):
+        moved, valid = camera.with_parameters(camera.parameters + 0.01 * torch.as_tensor(step)).project(bearings[seen])
+        squares.append(float(((moved - pixels[seen]) / 0.01)[valid].square().sum(-1).mean()))
+    # The mean square over k directions of draws has a standard deviation of sqrt(2 / 300 k).
+    assert np.sqrt(np.mean(squares)) == pytest.approx(0.5, rel=0.08)
+    np.testing.assert_allclose(assumed_covariance(camera, 1.0, reach), 4.0 * covariance, rtol=1e-9, atol=1e-30)
+
+
+def test_what_somebody_says_of_the_calibration_is_in_the_uncertainty_of_lines() -> None:
+    segments, poses, _ = world()
+    plain = replace(OF_TABLES, refine=("lines",))
+    exact, half, one = (
+        ol.adjust(segments, poses, CAMERA, replace(plain, calibration_error_px=error)) for error in (None, 0.5, 1.0)
+    )
+    assert exact.lines.calibration_sigma_m is None and not any("Errors of cam0" in said for said in half.told)
+    np.testing.assert_allclose(one.lines.calibration_sigma_m, 2.0 * half.lines.calibration_sigma_m, rtol=0.05)
+    assert (half.lines.sigma_m > exact.lines.sigma_m).all() and half.cameras.estimates["cam0"].sigma["fx"] > 0
+    # Of what a calibration states nothing else counts.
+    stated = [
+        ol.adjust(segments, poses, calibration(), replace(plain, calibration_error_px=e)).lines.sigma_m for e in (None, 9.0)
+    ]
+    np.testing.assert_array_equal(*stated)
+    with pytest.raises(InputError, match=r"above 0 was expected, found -1\.0"):
+        ol.adjust(segments, poses, CAMERA, replace(plain, calibration_error_px=-1.0))
+    with pytest.raises(InputError, match="counts only with cameras that are held"):
+        ol.adjust(segments, poses, CAMERA, replace(plain, refine=("lines", "poses", "intrinsics"), calibration_error_px=1.0))
 
 
 def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:

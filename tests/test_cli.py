@@ -86,6 +86,15 @@ def corner_rows(poses=POSES):
 CORNERS = "view,image,board_x_m,board_y_m,u_px,v_px"
 
 
+@pytest.mark.parametrize("command", ["reconstruct", "extract", "directions"])
+def test_who_has_no_calibration_reads_how_to_get_one(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([command, "photos", "--out", "out"])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2 and "Missing option '--calibration': omnilines calibrate makes such a file" in said
+    assert said.count("\n") == 1
+
+
 def test_calibrate_from_photos(photos, tmp_path, capsys):
     status, out, _ = run(capsys, "calibrate", photos, "--pattern", SPEC, "--model", "opencv-fisheye", "--out", tmp_path, "--json")
     assert status == 0

@@ -86,6 +86,28 @@ def test_glb_is_read_by_trimesh_upright_and_to_a_millimetre_far_from_the_origin(
     assert len(found["camera centres"]) == 3
 
 
+@pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.48, -0.6, 0.64)])
+def test_what_is_up_in_a_scene_is_up_in_glb_and_said_for_geojson(folder: Path, tmp_path: Path, up: tuple) -> None:
+    save(folder / "calibration.yaml", Calibration({"cam0": LENS}, provenance={"up": list(up)}))
+    ((path,), _) = ol.export(folder, tmp_path / "scene.glb").save()
+    drawn = trimesh.load(path)
+    ends = ends_of(folder)[[0, 2]].reshape(-1, 3)
+    placed, name = drawn.graph.get("lines ok")
+    points = trimesh.transformations.transform_points(drawn.geometry[name].vertices, placed)
+    heights, wanted = (points - points.mean(0))[:, 1], (ends - ends.mean(0)) @ up
+    np.testing.assert_allclose(np.sort(heights), np.sort(wanted), atol=1e-3)
+    near = scene(tmp_path / "near", Calibration({"cam0": LENS}, provenance={"up": list(up)}), middle_m=np.zeros(3))
+    _, lost = ol.export(near, tmp_path / "lines.geojson", origin=(48.0, 11.0, 0.0)).save()
+    assert any("vertical" in one and "degrees from z" in one for one in lost)
+
+
+@pytest.mark.parametrize("up", ["z", [0.0, 0.0], [0.0, 0.0, 0.0], [0.0, "a", 1.0]])
+def test_an_up_that_is_no_direction_is_refused(folder: Path, tmp_path: Path, up: object) -> None:
+    save(folder / "calibration.yaml", Calibration({"cam0": LENS}, provenance={"up": up}))
+    with pytest.raises(InputError, match="three numbers, a direction"):
+        ol.export(folder, tmp_path / "scene.glb")
+
+
 PLACES = (
     ((48.1, 11.6, 520.0), (377.19066, -396.31459, 64.04227), (11.6050634392, 48.0964359861, 584.065727)),
     ((-33.8, 151.2, 30.0), (-1165.43494, -826.10232, -124.01112), (151.1874131343, -33.8074472764, -93.851060)),

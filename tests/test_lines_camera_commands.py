@@ -23,10 +23,13 @@ def status_of(*arguments: str) -> int:
 def test_a_room_calibrates_and_checks_a_fisheye_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     room, out = tmp_path / "room", tmp_path / "out"
     ol.render("plain-room", "opencv-fisheye", fov_deg=190.0, views=6, size_px=(800, 600), seed=1).save(room)
+    (room / "torn.png").write_bytes(b"no photo")
     lines = ("--pattern", "lines", "--model", "opencv-fisheye")
     assert status_of("calibrate", str(room), *lines, "--out", str(out), "--json") == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["open"] == [] and (out / "report.html").is_file()
+    assert data["open"] == [] and list(data["skipped"]) == ["torn.png"]
+    assert "Photos that were not used" in (out / "report.html").read_text()
+    (room / "torn.png").unlink()
     truth, found = ol.load(room / "calibration.yaml")["cam0"], ol.load(out / "calibration.yaml")
     assert bearing_error_deg(found["cam0"], truth, math.radians(found.estimates["cam0"].max_angle_deg or 0.0))[0] < 0.1
     true = ("--calibration", str(room / "calibration.yaml"))

@@ -24,6 +24,17 @@ UsageError: Any = typer.BadParameter.__bases__[0]
 __all__ = ["app", "cameras", "experiments", "extraction", "lines", "main", "scenes", "targets"]
 
 
+def _how_to_get(error: Any) -> str:
+    """Where a file comes from that was not given."""
+    missing = getattr(getattr(error, "param", None), "name", None) if type(error).__name__ == "MissingParameter" else None
+    if missing != "calibration":
+        return ""
+    return (
+        ": omnilines calibrate makes such a file from photos of a target, or with --pattern lines from photos of any straight "
+        "lines; omnilines convert makes it from files of COLMAP, OpenCV, Kalibr and other tools"
+    )
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: an error that the user can mend is one sentence on standard error and exit status 2; so is a signal that ends
     the command, with the status 128 + its number."""
@@ -38,7 +49,8 @@ def main(arguments: list[str] | None = None) -> None:
             error.show()
             sys.exit(2)
         command = error.ctx.command_path if error.ctx else "omnilines"
-        _refuse(f"{' '.join(error.format_message().split()).rstrip('.')}; see {command} --help.")
+        told = f"{' '.join(error.format_message().split()).rstrip('.')}{_how_to_get(error)}"
+        _refuse(f"{told}; see {command} --help.")
     except OSError as error:
         _refuse(f"{error.filename or 'a file'} cannot be read or written ({error.strerror}).")
     except (MemoryError, RuntimeError) as error:

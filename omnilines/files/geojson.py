@@ -4,6 +4,7 @@ The scene's x, y, z are metres east, north and up of an origin.
 """
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from camera_models import InputError
 from camera_models.formats.disk import write_atomically
-from omnilines.files.scene_folder import SceneTables
+from camera_models.wording import rounded
+from omnilines.files.scene_folder import Z_UP, SceneTables
 from omnilines.geometry.geodetic import Origin, geodetic
 from omnilines.records import LengthUnit
 
@@ -55,4 +57,7 @@ def write_geojson(path: Path, scene: SceneTables, origin: Origin) -> tuple[str, 
         features.append({"type": "Feature", "geometry": {"type": "LineString", "coordinates": points}, "properties": properties})
     document = {"type": "FeatureCollection", "features": features}
     write_atomically(path, json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")
-    return ("cameras and poses", "uncertainties but sigma_m", "heights above sea: they are above the ellipsoid")
+    off_deg = math.degrees(math.acos(min(1.0, max(-1.0, scene.up[2]))))
+    tilted = f"the scene's own vertical, which is {rounded(off_deg)} degrees from z: z was taken for up, as `origin` says"
+    lost = ("cameras and poses", "uncertainties but sigma_m", "heights above sea: they are above the ellipsoid")
+    return lost if scene.up == Z_UP else (*lost, tilted)

@@ -1,7 +1,7 @@
 """GLB (binary glTF 2.0), for Blender, three.js and viewers in browsers: lines coloured by status, camera centres as points.
 
 glTF has single precision and y up: the scene stands relative to its middle, which is the place of the root node, and is turned
-so that its z points up.
+so that what is up in it points up.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import trimesh
 
 from camera_models.formats.disk import write_atomically
 from omnilines.files.ply import CAMERA_COLOUR, STATUS_COLOURS
-from omnilines.files.scene_folder import SceneTables
+from omnilines.files.scene_folder import Z_UP, SceneTables
 
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
@@ -22,7 +22,8 @@ def write_glb(path: Path, scene: SceneTables) -> tuple[str, ...]:
     centres = scene.poses.cam_from_world.centre.detach().numpy()
     points = np.concatenate([lines.ends_m[lines.known].reshape(-1, 3), centres])
     middle = points.mean(0) if len(points) else np.zeros(3)
-    placed = _Y_UP @ trimesh.transformations.translation_matrix(middle)
+    upright = trimesh.geometry.align_vectors(scene.up, Z_UP) if scene.up != Z_UP else np.eye(4)
+    placed = _Y_UP @ upright @ trimesh.transformations.translation_matrix(middle)
     whole = trimesh.Scene()
     for status, colour in STATUS_COLOURS.items():
         ends = lines.ends_m[np.array([one == status for one in lines.status], dtype=bool)] - middle

@@ -1,7 +1,11 @@
 """A scene folder as it lies on disk: cameras, poses, segments and lines."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from camera_models import Calibration, InputError, load
 from omnilines.files.lines import read_lines
@@ -11,7 +15,9 @@ from omnilines.records import ImagePoses, LengthUnit, Lines, Segments
 
 SCENE_TABLES = ("calibration.yaml", "poses.csv", "segments.csv", "lines.csv")
 UNIT_KEY = "length_unit"
+UP_KEY = "up"
 """Of the provenance in a scene's calibration.yaml."""
+Z_UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -22,6 +28,8 @@ class SceneTables:
     poses: ImagePoses
     segments: Segments
     lines: Lines
+    up: tuple[float, float, float] = Z_UP
+    """The direction (unit) of the world that is up."""
 
 
 def read_scene(folder: str | Path) -> SceneTables:
@@ -38,10 +46,25 @@ def read_scene(folder: str | Path) -> SceneTables:
     calibration = load(place / cameras)
     unit = LengthUnit.OPEN if calibration.provenance.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
     known = replace(read_lines(place / lines), unit=unit)
-    tables = SceneTables(calibration, read_poses(place / poses), read_segments(place / segments), known)
+    up = _up(calibration.provenance, place / cameras)
+    tables = SceneTables(calibration, read_poses(place / poses), read_segments(place / segments), known, up)
     if not {*tables.poses.images} & {*tables.segments.images}:
         raise InputError(
             f"{place}: {poses} and {segments} were expected to be of the same photos, found {tables.poses.images[0]} in one and "
             f"{tables.segments.images[0]} in the other; name a folder as it was written."
         )
     return tables
+
+
+def _up(provenance: Mapping[str, Any], where: Path) -> tuple[float, float, float]:
+    """z where the file does not say; raises InputError where it says what is no direction."""
+    said = provenance.get(UP_KEY, Z_UP)
+    numbers = isinstance(said, list | tuple) and len(said) == 3 and all(isinstance(value, int | float) for value in said)
+    length = float(np.linalg.norm(said)) if numbers else 0.0
+    if not (numbers and np.isfinite(length) and length > 0):
+        raise InputError(
+            f"{where}: `{UP_KEY}` in `provenance` was expected to be three numbers, a direction, found {said}; correct "
+            "it, or take it out, which stands for z."
+        )
+    x, y, z = (float(value) / length for value in said)
+    return x, y, z

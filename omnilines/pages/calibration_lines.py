@@ -95,6 +95,7 @@ def line_calibration_data(result: LineResult) -> dict[str, Any]:
             }
             for photo in fit.photos
         ],
+        "skipped": {one.photo: one.text for one in result.skipped},
         "notes": list(result.notes),
         "selection": {
             "reason": selection.reason,
@@ -125,6 +126,7 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
         uncertainty = uncertainty.within(result.rim_px, fit.model.centre_px.detach().numpy())
     curve_theta, curve_rho = projection_curve(fit)
     images = [photo.image for photo in fit.photos]
+    unused = Summary("Photos that were not used", tuple((one.photo, one.text) for one in result.details))
     sections: list[Section] = [
         report.verdict_section(summaries[0]),
         report.uncertainty_section(
@@ -138,7 +140,7 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
             seen="points of edges",
             supported_angle_deg=fit.max_angle_deg,
         ),
-        report.summary_section(summaries[0], *summaries[2:]),
+        report.summary_section(summaries[0], *summaries[2:], *([unused] if unused.rows else [])),
         report.parameters_section(
             fit.model.NAME, fit.model.PARAMETER_NAMES, fit.model.parameters.numpy(), np.array(list(fit.sigma.values()))
         ),

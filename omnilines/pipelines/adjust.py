@@ -20,6 +20,7 @@ from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
+from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
 from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
@@ -72,6 +73,7 @@ def adjust(
         ((2, 3), (6, 6, 6))
     """
     check_refine(options.refine)
+    require_error(options)
     idle = [name for name in OF_PHOTOS if getattr(options, name) != getattr(OF_TABLES, name)]
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
@@ -84,6 +86,7 @@ def adjust(
     scene = _adjusted(segments, table, cameras, options, robust, pose_sigma, executor=executor, progress=progress)
     misfit = _judged(scene, table.cam_from_world, cameras, options)
     _require_lines(scene.lines)
+    cameras = with_assumed_errors(cameras, _fitting(scene)[0], options)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options))

@@ -42,7 +42,10 @@ def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str,
     exact = ", ".join(name for name, model in cameras.items() if name not in known and model.CALIBRATED)
     if not exact:
         return ()
-    return (f"Errors of {exact} are not in the uncertainty of the lines: the calibration states no covariance.",)
+    return (
+        f"Errors of {exact} are not in the uncertainty of the lines: the calibration states no covariance "
+        "(`scene.calibration_error_px` takes how far pixels are off).",
+    )
 
 
 def errors_by_calibration(

@@ -123,7 +123,7 @@ def export(
     place = _origin(origin, writer)
     read: tuple[Path, ...] = ()
     if isinstance(scene, Scene):
-        tables = SceneTables(scene.cameras, scene.poses, scene.segments, scene.lines)
+        tables = SceneTables(scene.cameras, scene.poses, scene.segments, scene.lines, scene.up)
     else:
         tables, read = read_scene(Path(scene)), tuple(Path(scene) / name for name in SCENE_TABLES)
     if photos is not None:

@@ -168,6 +168,9 @@ class SceneOptions(Typed):
     bow_share: float | None = None
     """Standard deviation that arcs have besides, over their length, as edges are not quite straight; found from the arcs where it
     is not given."""
+    calibration_error_px: float | None = None
+    """How far cameras whose calibration states no covariance are off, in RMS over what the photos show (px); they count as exact
+    where it is not given."""
     triangulation: str = "ml"
     """Method: dual, averaging, svd or ml."""
     triangulation_options: Mapping[str, Any] = field(default_factory=dict)

@@ -21,6 +21,7 @@ from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import asked_cameras
+from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
@@ -78,6 +79,7 @@ def check_options(options: SceneOptions, cameras: Calibration) -> None:
         )
     if options.bow_share is not None and not 0 <= options.bow_share < 1:
         raise InputError(f"A `bow_share` from 0 to below 1 was expected, found {options.bow_share}; correct the option.")
+    require_error(options)
     if options.seed < 0:
         raise InputError(f"A `seed` of 0 or more was expected, found {options.seed}; correct it.")
     if "rig" in options.refine and not cameras.rig:
@@ -192,6 +194,7 @@ def _scene(
     """Lines and poses in the frame that they are written in, and what is to be said of them."""
     lines, poses = found.scene.lines, found.scene.poses
     arcs_of_lines = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
+    cameras = with_assumed_errors(cameras, arcs_of_lines, options)
     progress("asking lines for the calibration", 0, 0)
     errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
     by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)

@@ -13,7 +13,7 @@ from camera_models.typed import typed
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.files import write_covariance, write_lines, write_ply, write_poses, write_segments
 from omnilines.files.obj import write_obj
-from omnilines.files.scene_folder import UNIT_KEY
+from omnilines.files.scene_folder import UNIT_KEY, UP_KEY, Z_UP
 from omnilines.files.sets import claimed
 from omnilines.pipelines.asked_cameras import AskedCamera
 from omnilines.pipelines.options import SceneOptions
@@ -127,8 +127,13 @@ class Scene:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Software, what the scene was made from, and the unit of its lengths."""
-        return {**provenance(self.inputs), UNIT_KEY: self.lines.unit.sign}
+        """Software, what the scene was made from, the unit of its lengths and which way is up."""
+        return {**provenance(self.inputs), UNIT_KEY: self.lines.unit.sign, UP_KEY: list(self.up)}
+
+    @property
+    def up(self) -> tuple[float, float, float]:
+        """The direction (unit) of the world that is up: z where the scene was not found in photos."""
+        return Z_UP if self.from_photos is None else self.from_photos.up
 
     def median_sigma_m(self) -> float:
         """Median of the largest standard deviation of a line's ends across it; NaN where none is known."""
