@@ -70,6 +70,7 @@ def test_lines_are_those_of_their_pipeline(photos: Path) -> None:
     assert result.rim_px == pytest.approx(float(np.linalg.norm(rim - lens.centre_px.detach().numpy())), abs=2.0)
 
 
+@pytest.mark.full
 def test_a_target_and_lines_are_one_adjustment(photos: Path, tmp_path: Path) -> None:
     result = ol.calibrate(photos / "both", f"{BOARD}, lines", model=LENS)
     assert isinstance(result, LineResult) and result.boards is not None

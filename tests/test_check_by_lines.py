@@ -112,6 +112,7 @@ def test_photos_as_cameras_save_them_tell_a_focal_length_that_is_off_by_half_a_p
         assert not wrong.holds and wrong.found.sigma_px < 2.0 * right.found.sigma_px
 
 
+@pytest.mark.full
 def test_photos_that_tell_nothing_bear_nothing_out(shared_data: Path) -> None:
     """Five streets, by a focal length of which they leave all open: no verdict, in place of "right, to 9000 px"."""
     york = shared_data / "lines" / "york"

@@ -84,7 +84,7 @@ def test_an_unfriendly_container(photos: Path) -> None:
     assert stat.S_IMODE((photos / name / "report.html").stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("closed", [(2,), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize("closed", [pytest.param((2,), marks=pytest.mark.full), (0, 1, 2)], ids=str)
 def test_closed_streams(photos: Path, closed: tuple[int, ...]) -> None:
     def close() -> None:
         for handle in closed:

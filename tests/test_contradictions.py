@@ -96,6 +96,7 @@ def of_frames(corners: Corners, frames: set[str]) -> Corners:
     )
 
 
+@pytest.mark.full
 def test_halves_of_a_real_rig_agree_as_stated(shared_data):
     """OpenCV's stereo pair: parameters of random halves differ by what is stated; noise alone states a third of it."""
     corners, *_ = omnidir_pair(shared_data / "calibration/omnidir_corners")

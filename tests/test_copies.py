@@ -30,6 +30,7 @@ def test_copies_are_those_of_the_same_pixels() -> None:
     assert found == [None, None, None, "It is a copy of a, and would count twice.", None]
 
 
+@pytest.mark.full
 def test_a_copy_confirms_no_line(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     """Whether its pose is known too or not, and whichever of both is named first."""
     photos, poses = room

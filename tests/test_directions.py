@@ -105,7 +105,7 @@ def test_true_directions_are_found_among_clutter_and_their_arcs() -> None:
     assert (found.direction_of[120:] >= 0).mean() < 0.15
 
 
-@pytest.mark.parametrize("stray_deg", [0.0, 0.3])
+@pytest.mark.parametrize("stray_deg", [pytest.param(0.0, marks=pytest.mark.full), 0.3])
 def test_covariances_hold_the_errors(stray_deg: float) -> None:
     """Of directions and of frames: Mahalanobis distances squared are chi-square with two and three degrees of freedom."""
     rng, of_directions, of_frames = np.random.default_rng(7), list[float](), list[float]()

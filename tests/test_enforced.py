@@ -148,3 +148,17 @@ def test_annotations_and_names_stay_as_they_are_written() -> None:
     checked = own(counted)
     assert checked.__name__ == "counted" and checked.__annotations__ == counted.__annotations__
     assert checked.__wrapped__ is counted
+
+
+def test_of_many_calls_with_arguments_of_one_kind_some_are_checked() -> None:
+    """The first ones, then every so manieth: what is wrong each time is found all the same; another kind is checked at once."""
+    checked = own(projected)
+    for _ in range(enforced.MOST + 1):
+        checked(X, np.zeros(4))
+    for _ in range(enforced.EVERY - 1):
+        checked(X, np.zeros(5))
+    for _ in range(2):
+        with pytest.raises(beartype.roar.BeartypeCallHintParamViolation):
+            checked(X, np.zeros(5))
+    with pytest.raises(beartype.roar.BeartypeCallHintParamViolation):
+        checked(X.long(), np.zeros(4))

@@ -138,7 +138,7 @@ def test_segments_that_are_written_otherwise_are_named() -> None:
             judged(replace(segments, endpoints_px=table), poses)
 
 
-@pytest.mark.parametrize("refine", [("lines", "poses"), ("lines",)])
+@pytest.mark.parametrize("refine", [("lines", "poses"), pytest.param(("lines",), marks=pytest.mark.full)])
 def test_photos_whose_names_were_exchanged_are_named_and_not_the_calibration(refine: tuple[str, ...]) -> None:
     """Least squares spread their errors over all photos, which look at lines from around them; rough poses are no such thing."""
     twists = torch.zeros(8, 6, dtype=torch.float64)

@@ -80,6 +80,7 @@ NO_SCALE = CameraStart(NO_SHAPE, 0.0, math.inf, 0.0, FISHEYE.image_size)
 GUIDE = Candidate(FISHEYE.NAME, {})
 
 
+@pytest.mark.full
 def test_a_camera_at_a_wrong_scale_is_brought_to_that_of_the_right_angles_of_all_photos() -> None:
     """Lines are as straight there, and families meet as well; none of them is at right angles."""
     chains, factor = true_chains(FISHEYE, 0), 1.4

@@ -233,6 +233,7 @@ def test_a_curve_that_folds_just_beyond_the_data_is_seen():
         assert grows_beyond(lens, pixel, HeldOutThresholds().beyond_factor) == grows
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_ov_plane_train_and_test(shared_data):
     """Corners of one lens in two sets of photos: fit on the first, poses alone on the second. 0.477 px is published for plain

@@ -168,6 +168,7 @@ def test_what_can_be_refined_is_said(tmp_path, capsys):
         assert status == 2 and message in err and "Traceback" not in err
 
 
+@pytest.mark.full
 def test_a_prior_weighs_alike_for_every_cost_and_the_noise_is_told(tmp_path, capsys):
     """A loose prior beside residuals in rad^1.5 left 12 px and said that it had converged."""
     scene = RigScene(frames=6, lines=20)

@@ -144,6 +144,7 @@ def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, reb
     assert {path.name: path.stat().st_mtime_ns for path in (rebuilt / "work" / "arcs").iterdir()} == kept
 
 
+@pytest.mark.full
 def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebuilt, tmp_path, capsys):
     """The others stay as they are; those that are added follow them, and are right."""
     held = [*(f"guided_by_{what}=false" for what in ("families", "planes", "corners")), "min_lying=1"]
@@ -164,6 +165,7 @@ def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebui
     assert scores(room, lines).precision[2] > scores(room, without).precision[2] - 0.01
 
 
+@pytest.mark.full
 def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room, rebuilt, tmp_path, capsys):
     """All others stay as they are; without guidance, which lines that are left out would change."""
     guided = [f"guided_by_{what}=false" for what in ("families", "planes", "corners")]
@@ -244,6 +246,7 @@ def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
     assert before_m > 0.003 and after_m < 0.25 * before_m
 
 
+@pytest.mark.full
 def test_photos_without_a_pose_are_placed_by_the_lines_of_the_others(room, rebuilt, tmp_path, capsys):
     """Two have none, and that of a third is wrong by a degree and 5 cm."""
     poses = read_poses(room / "poses.csv")
@@ -276,6 +279,7 @@ def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, c
     assert "Lines explain few of the arcs of view00.png (" in (tmp_path / "scene" / "report.html").read_text()
 
 
+@pytest.mark.full
 def test_a_pose_that_is_a_little_off_is_said_to_be_at_fault(room, rebuilt, tmp_path, capsys):
     """Poses are held: that of one photo is wrong by 3 degrees. Of the eight photos seven are named, each by itself; lines of the
     other, view03, explain enough of it by chance."""

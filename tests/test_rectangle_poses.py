@@ -221,6 +221,7 @@ def test_a_rendered_sheet_gives_the_poses_of_its_photos(
         assert isinstance(wrong, str) or wrong.outshone
 
 
+@pytest.mark.full
 def test_a_sheet_of_another_size_is_the_first_advice(tmp_path: Path) -> None:
     """A scene whose poses hang on a book that has the shape of A4 does not pass for one that is known to millimetres."""
     render_scene("books", "pinhole", RenderOptions(60.0, 4, (640, 480), seed=0)).save(tmp_path / "photos")

@@ -114,6 +114,7 @@ def test_cameras_of_one_clock_and_boards_at_rest_claim_no_offset(tmp_path: Path)
     assert any("the board moves too little" in note for note in rested.notes)
 
 
+@pytest.mark.full
 def test_a_camera_out_of_runs_is_named_and_the_others_are_compared() -> None:
     """The first camera of the table sees the board in single instants alone."""
     models = (PINHOLE, PINHOLE, FISHEYE_220)
@@ -140,7 +141,7 @@ def test_a_camera_out_of_runs_is_named_and_the_others_are_compared() -> None:
     assert pose_error(result) < 28
 
 
-@pytest.mark.parametrize("offset_s", [0.05, -0.05])
+@pytest.mark.parametrize("offset_s", [0.05, pytest.param(-0.05, marks=pytest.mark.full)])
 def test_offsets_beyond_a_frame_are_found_and_keep_the_views(offset_s: float) -> None:
     """One and a half gaps between frames: no two frames of one name agree on where the cameras stand."""
     corners = noisy(seen_freely(HandMotion(2), (0.0, offset_s), runs=8), NOISE_PX, 1)
@@ -192,6 +193,7 @@ def test_a_rig_that_most_views_contradict_is_not_said_to_be_known() -> None:
     assert against.notes[0] in result.notes
 
 
+@pytest.mark.full
 def test_parameters_that_a_camera_alone_contradicts_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     outcomes: list[RigOutcome] = []
     monkeypatch.setattr(calibrate, "rig_result", lambda outcome: outcomes.append(outcome) or rig_result(outcome))

@@ -105,6 +105,7 @@ def test_json_of_a_rig(mixed, capsys):
     assert pixel == load(folder / "out/calibration.yaml")["cam1"].named_parameters()
 
 
+@pytest.mark.full
 def test_left_out_camera_has_a_file_of_its_own(tmp_path, capsys):
     rig = outward_rig(24)
     corners = rig.noisy(0.1, 1)

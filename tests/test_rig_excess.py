@@ -72,6 +72,7 @@ def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated(
     assert abs(link.baseline_m - true) < 3 * link.baseline_sigma_m and link.baseline_sigma_m > 3 * still.links[0].baseline_sigma_m
 
 
+@pytest.mark.full
 def test_a_bent_board_that_moves_loses_no_view_where_its_surface_is_estimated() -> None:
     """Each camera alone, on a flat board, fits worse than the rig on the bent one, moved though it is."""
     rig, shape = pair(20), bent()

@@ -69,6 +69,7 @@ def scene(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> Scene:
     return reconstruct(found, poses, cameras["cam0"])
 
 
+@pytest.mark.full
 def test_a_scene_is_the_same_to_the_last_bit_on_any_number_of_cores(
     found: PhotoArcs, poses: ImagePoses, cameras: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -245,6 +245,7 @@ def test_the_least_minimum_is_found_where_arcs_are_known_very_differently_well()
     assert len(found) > 0.8 * len(scene.ends)
 
 
+@pytest.mark.full
 def test_an_adjustment_by_default_starts_where_arcs_known_very_differently_well_fit() -> None:
     scene = room(20)
     pixels, covariance = pieces_of_all_kinds(scene, 1)

@@ -151,6 +151,7 @@ def test_a_wrong_focal_length_is_seen_by_the_arcs(done: Done) -> None:
     assert ON_EDGE in [check.name for check in checks if not check.holds]
 
 
+@pytest.mark.full
 def test_photos_in_memory_give_what_files_do(done: Done, tmp_path: Path) -> None:
     checked = validate(done.truth)
     assert isinstance(checked, SceneValidation) and checked.holds == done.result.holds
