@@ -284,15 +284,19 @@ def test_features_keep_away_from_the_surround_and_from_angles_without_support():
     clear = clear_of_surround(photo)
     assert not clear[~circle].any()
     assert clear[angle < 75.0].all()
-    found = feature_finder()(photo, camera, None)
+    found = feature_finder()(photo, camera, None, None)
     assert len(found) > 100
     assert found.unit_descriptors().norm(dim=-1).allclose(torch.ones(len(found)), atol=1e-3)
     estimate = CameraEstimate(max_angle_deg=60.0)
-    narrow = feature_finder()(photo, camera, estimate)
+    narrow = feature_finder()(photo, camera, estimate, None)
     assert 50 < len(narrow) < len(found)
     assert float(torch.atan2(narrow.bearings[:, :2].norm(dim=-1), narrow.bearings[:, 2]).max()) <= math.radians(62.0)
+    left = np.arange(400) < 200
+    masked = feature_finder()(photo, camera, None, np.broadcast_to(left, (300, 400)))
+    pixels, _ = camera.project(masked.bearings)
+    assert 30 < len(masked) < 0.7 * len(found) and float(pixels[:, 0].max()) < 200
     with pytest.raises(InputError, match="400x300 px was expected"):
-        feature_finder()(photo[:-1], camera, None)
+        feature_finder()(photo[:-1], camera, None, None)
 
 
 def of_room(folder: Path, model: str, fov_deg: float | None, views: int, size: tuple[int, int]) -> tuple[PhotoPoses, ImagePoses]:

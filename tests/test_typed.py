@@ -223,7 +223,7 @@ SAID = (
     "`photos` of extract was expected as str, Path",
     "`photos` of extract was expected as str, Path",
     "A photo was expected under a name, as tables have it, found that '../a' leads out of it",
-    "`mask` of extract was expected as an array of NumPy (h, w) of true and false or None, found ndarray (480, 640) of uint8",
+    "`mask` of extract was expected as an array of NumPy (h, w) of true and false, str, Path, Mapping",
     "A mask was expected to be true where photos are looked at",
     "`arcs` of reconstruct was expected as PhotoArcs or Segments, found NoneType",
     "`image_size` of calibrate was expected as (int, int) or None, found '640x480'",

@@ -63,6 +63,10 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="An option by its name, such as scene.min_views=3; may be given again.", show_default=False),
 ]
+MaskOf = Annotated[
+    Path | None,
+    typer.Option("--mask", help="Image, white where to look, or a folder of them: PHOTO.png or CAMERA.png.", show_default=False),
+]
 SplitInto = Annotated[
     str | None,
     typer.Option("--split", help="Lenses side by side in every image, as left,right; one above the other, as top/bottom."),

@@ -16,6 +16,7 @@ from omnilines.cli._shared import (
     Cluster,
     Json,
     LossName,
+    MaskOf,
     Mirror,
     NoiseGrey,
     Out,
@@ -97,6 +98,7 @@ def calibrate(
     rolling_shutter: Annotated[
         bool, typer.Option("--rolling-shutter", help="Of videos: estimate how long after one row the next one is exposed.")
     ] = False,
+    mask: MaskOf = None,
     split: SplitInto = None,
     cluster: Cluster = None,
     plots: Plots = None,
@@ -110,7 +112,7 @@ def calibrate(
 
     sizes = {name: parse_size(size, "--image-size") for name, size in parse_each(image_size or "", "--image-size").items()}
     models = parse_each(model or "", "--model")
-    given = CalibrationInputs(photos, pattern, sizes, models, boards, calibration, hold, time_offsets, split)
+    given = CalibrationInputs(photos, pattern, sizes, models, boards, calibration, hold, time_offsets, split, mask)
     if given.named_cameras and not given.rig:
         raise InputError(f"`image_size` and `model` by camera count only {IN_RIG}; found one camera: name none.")
     terms = tuple(name.strip() for name in refine_board.split(",") if name.strip())

@@ -126,7 +126,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),
     ),
     "calibrate": (
-        Rule(("lines.",), of_lines, "with `pattern` lines"),
+        Rule(("lines.", "mask"), of_lines, "with `pattern` lines"),
         Rule(
             ("loss", "refine_board", "rolling_shutter", "cluster", "detection.", *OF_TARGET),
             of_target,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Cluster, Json, Out, Plots, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, MaskOf, Out, Plots, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
     from omnilines.commands.result import CommandResult
@@ -23,7 +23,7 @@ def extract(
     photos: ScenePhotos,
     calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
     out: Out,
-    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    mask: MaskOf = None,
     split: SplitInto = None,
     cluster: Cluster = None,
     settings: Settings = None,
@@ -62,7 +62,7 @@ def directions(
     vertical: Annotated[
         bool, typer.Option("--vertical", help="Only the vertical, by photos held about upright, and how each is tilted.")
     ] = False,
-    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    mask: MaskOf = None,
     split: SplitInto = None,
     plots: Plots = None,
     settings: Settings = None,
@@ -103,7 +103,7 @@ def check(
     photos: ScenePhotos,
     calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for check.csv; without it nothing is written.")] = None,
-    mask: Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")] = None,
+    mask: MaskOf = None,
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:

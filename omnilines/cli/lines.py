@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Cluster, Json, LossName, Out, Plots, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Cluster, Json, LossName, MaskOf, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.cli.values import parse_three
 from omnilines.triangulation import method_options
@@ -81,7 +81,6 @@ Partition = Annotated[
         "--partition", help="Photos of a part in which lines and poses are adjusted (0: one piece, parts where memory asks)."
     ),
 ]
-Mask = Annotated[Path | None, typer.Option("--mask", help="Image whose white pixels are looked at.")]
 MinViews = Annotated[
     int, typer.Option("--min-views", help="Photos that have to see a line (3 or more); one fewer where all of its arcs agree.")
 ]
@@ -109,7 +108,7 @@ def reconstruct(
     pose_sigma_m: PoseSigmaM = None,
     pattern: MaybePattern = None,
     scale_from: ScaleFrom = None,
-    mask: Mask = None,
+    mask: MaskOf = None,
     min_views: MinViews = 4,
     tolerance_px: TolerancePx = None,
     colmap: Annotated[bool, typer.Option("--colmap", help="Write a COLMAP model too.")] = False,

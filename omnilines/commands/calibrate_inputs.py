@@ -38,6 +38,8 @@ class CalibrationInputs:
     hold: bool = False
     time_offsets: bool = False
     split: str | None = None
+    mask: Path | None = None
+    """Of lines: an image or a folder of masks."""
 
     def __post_init__(self) -> None:
         if self.table and (len(self.photos) > 1 or not self.image_sizes):
@@ -135,7 +137,7 @@ def calibrate_inputs(
     if given.lines:
         return from_frames(
             lambda paths: calibrate_line_photos(
-                paths, given.pattern or "", out, options, lines, detection=detection, progress=progress
+                paths, given.pattern or "", out, options, lines, mask=given.mask, detection=detection, progress=progress
             ),
             None,
         )

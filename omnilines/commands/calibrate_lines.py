@@ -6,7 +6,9 @@ from pathlib import Path
 from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult, with_calibration
+from omnilines.files import find_photos
 from omnilines.files.folders import check_results
+from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration_lines import line_calibration_data, line_calibration_summaries
 from omnilines.pipelines.calibrate_lines import CALIBRATION, LineResult
@@ -25,19 +27,23 @@ def calibrate_line_photos(
     options: CalibrationOptions = CalibrationOptions(),
     lines: LinesOptions = LinesOptions(),
     *,
+    mask: Path | None = None,
     detection: DetectionOptions = DetectionOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate one camera from the straight lines of photos, and write calibration and report into `out`. Where the
-    pattern names a target beside lines, its corners count too.
+    pattern names a target beside lines, its corners count too. Edges are followed where the image `mask` is white, or that
+    which each photo has in the folder `mask`.
 
     A camera of which the lines leave something open is written all the same, and the check fails. Raises InputError or
     GeometryError as `pipelines.calibrate_one.calibrate` does.
     """
-    check_results(out, (CALIBRATION, PAGE), photos)
-    result = calibrate(photos, pattern, options, lines=lines, detection=detection, progress=progress)
+    refs = with_masks(find_photos(photos), mask)
+    read = [*photos, *mask_files(refs)]
+    check_results(out, (CALIBRATION, PAGE), read)
+    result = calibrate(refs, pattern, options, lines=lines, detection=detection, progress=progress)
     assert isinstance(result, LineResult)
-    with claimed(out, (CALIBRATION, PAGE), photos, by="calibrate"):
+    with claimed(out, (CALIBRATION, PAGE), read, by="calibrate"):
         files = result.save(out)
         progress("writing the report", 0, 0)
         page = result.report(out / PAGE)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from camera_models import load
-from omnilines.commands.extract import read_mask
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
 from omnilines.files.folders import check_results
+from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.sets import claimed
 from omnilines.pages.check import check_data, check_summaries
 from omnilines.pipelines.check import CHECK
@@ -30,12 +30,11 @@ def check(
 
     Raises InputError and GeometryError as `pipelines.check.check` does.
     """
-    cameras, refs = load(calibration), find_photos(photos)
-    keep = None if mask is None else read_mask(mask, refs, list(cameras.values()))
-    read = [*photos, *(photo.path for photo in refs), calibration, *([] if mask is None else [mask])]
+    cameras, refs = load(calibration), with_masks(find_photos(photos), mask)
+    read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
     if out is not None:
         check_results(out, [CHECK], read)
-    result = pipeline(refs, cameras, options, mask=keep, progress=progress)
+    result = pipeline(refs, cameras, options, progress=progress)
     files: tuple[Path, ...] = ()
     if out is not None:
         with claimed(out, result.file_names, read, by="check") as folder:

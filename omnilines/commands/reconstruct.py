@@ -8,7 +8,6 @@ from pathlib import Path
 
 from camera_models import Calibration, InputError, load
 from omnilines.adjustment.arcs import cameras_of_images
-from omnilines.commands.extract import read_mask
 from omnilines.commands.result import CommandResult
 from omnilines.commands.resume import Stamp
 from omnilines.extraction import ExtractionOptions
@@ -24,6 +23,7 @@ from omnilines.files import (
 from omnilines.files.colmap_scene import COLMAP_FILES, LINES_FILE, check_colmap_folder, colmap_cameras, write_colmap_scene
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import check_results, check_work_folder
+from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.recording import rerun_module, write_recording
 from omnilines.files.sets import claimed
 from omnilines.pages.scene import scene_data, scene_sections, scene_summary
@@ -80,9 +80,8 @@ def reconstruct_photos(
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
     input, and GeometryError naming the stage where no line is left.
     """
-    refs, cameras = find_photos(photos), load(calibration)
+    refs, cameras = with_masks(find_photos(photos), mask), load(calibration)
     camera_of = cameras_of_photos(refs, cameras)
-    keep = None if mask is None else read_mask(mask, refs, [cameras[name] for name in set(camera_of.values())])
     given = _given(segments, mask, refs, camera_of)
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
@@ -93,7 +92,7 @@ def reconstruct_photos(
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     if recording:
         rerun_module()
-    files = [calibration, *(path for path in (mask, segments) if path is not None), *_pose_files(poses)]
+    files = [calibration, *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
     check_results(folder, names, read)
@@ -107,7 +106,7 @@ def reconstruct_photos(
         require_poses(distance, estimate_poses(refs, cameras, poses))
     if given is None:
         arcs = extract(
-            refs, cameras, mask=keep, options=extraction, appearance=options.matching.appearance, work=work, executor=executor,
+            refs, cameras, options=extraction, appearance=options.matching.appearance, work=work, executor=executor,
             progress=progress,
         )  # fmt: skip
     else:

@@ -3,13 +3,13 @@
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import UInt, UInt8, UInt16
+from jaxtyping import Bool, UInt, UInt8, UInt16
 
 from camera_models._arrays import Array
 from camera_models.errors import InputError
@@ -39,6 +39,8 @@ class PhotoRef:
     """POSIX path relative to the photo folder."""
     levels: tuple[int, int] | None = None
     """Of photos that are compared: the darkest and the brightest level of them all, from which one of 16 bits is stretched."""
+    mask: Path | Bool[np.ndarray, "mh mw"] | None = field(default=None, compare=False)
+    """Where it is looked at: true, or an image that is white there; None everywhere."""
 
     def read(self) -> UInt[np.ndarray, "h w *channels"]:
         """The pixels, as `read_photo` gives them where there are no `levels`."""
@@ -55,6 +57,8 @@ class PhotoArray:
     """When it was taken, of frames of a video."""
     levels: tuple[int, int] | None = None
     """As those of a `PhotoRef`."""
+    mask: Path | Bool[np.ndarray, "mh mw"] | None = None
+    """As that of a `PhotoRef`."""
 
     def read(self) -> UInt[np.ndarray, "h w *channels"]:
         """The pixels, as they are given where there are no `levels`."""

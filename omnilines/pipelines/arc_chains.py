@@ -1,13 +1,13 @@
 """The edge points along the arcs of many photos of one camera: `arc_chains_of`."""
 
 import numpy as np
-from jaxtyping import Bool
 
 from camera_models import CameraModel, InputError
 from omnilines.extraction import ExtractionOptions
 from omnilines.extraction.edge_chains import arc_chains
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
+from omnilines.files.masks import looked_at
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.chains import joined_chains
@@ -21,18 +21,18 @@ def arc_chains_of(
     model: CameraModel,
     options: ExtractionOptions = ExtractionOptions(),
     *,
-    mask: Bool[np.ndarray, "h w"] | None = None,
     known_rad: tuple[float, float] = EVERYWHERE,
     progress: ProgressCallback = silent,
 ) -> tuple[Chains, tuple[Detail, ...]]:
-    """The chains of all photos, and those that are left out with the reason: they cannot be read, have not the size of the
-    camera, or are copies. Raises InputError where there is no photo, or none can be used."""
+    """The chains of all photos, where their masks are true, and those that are left out with the reason: they cannot be read,
+    have not the size of the camera, or are copies. Raises InputError where there is no photo, or none can be used."""
     refs = of_one_range(photos_of(photos), progress)
 
     def look(photo: Photo) -> Chains | str:
         """The chains of one photo, or why it has none."""
         try:
-            return arc_chains(photo.read(), model, photo.name, mask, known_rad, options)
+            image = photo.read()
+            return arc_chains(image, model, photo.name, looked_at(photo, image.shape[1::-1]), known_rad, options)
         except InputError as error:
             return str(error)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError
 from camera_models.formats.camera_check import check_cameras
@@ -22,6 +21,7 @@ from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder,
 from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.kept import read_kept, write_kept
+from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with_masks
 from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
@@ -43,7 +43,7 @@ def extract(
     photos: Photos,
     camera: CameraModel | Calibration,
     *,
-    mask: Bool[np.ndarray, "h w"] | None = None,
+    mask: Mask | None = None,
     options: ExtractionOptions = SHORT_ARCS,
     appearance: AppearanceOptions = AppearanceOptions(),
     work: str | Path | None = None,
@@ -53,12 +53,13 @@ def extract(
     """The arcs of straight lines in photos (a folder, files, or arrays), on all cores, one photo per core in memory,
     or by the workers of an `executor`.
 
-    Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. Only where `mask` is true is
-    looked at. `appearance` is which pixels beside an arc are its colours. Arcs are kept in the folder `work`, where one is given,
-    and read from there by another run that would find the same. A photo that cannot be read, has not the size of its camera or
-    another EXIF orientation than its others is skipped with its reason.
+    Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. `mask` is where photos are
+    looked at, for arcs and for poses after that: an array that is true there, an image that is white there, a folder of such
+    images (`files.masks`), or arrays by the names of photos. `appearance` is which pixels beside an arc are its colours. Arcs are
+    kept in the folder `work`, where one is given, and read from there by another run that would find the same. A photo that
+    cannot be read, has not the size of its camera or another EXIF orientation than its others is skipped with its reason.
 
-    Raises InputError where there is no photo, none can be used, or the mask has not the size of the camera.
+    Raises InputError where there is no photo, none can be used, or masks do not belong to the photos.
 
         >>> arcs = ol.extract("room/", ol.load("room/calibration.yaml"))
         >>> len(arcs.photos), arcs.skipped
@@ -67,17 +68,15 @@ def extract(
         ((2, 2), (2, 2, 2))
     """
     cameras = calibration_of(camera)
-    refs = photos_of(photos)
+    refs = with_masks(photos_of(photos), mask)
     camera_of = cameras_of_photos(refs, cameras)
-    if mask is not None:
-        check_mask(mask, [cameras[name] for name in set(camera_of.values())])
+    check_masks(refs, {name: cameras[camera].image_size for name, camera in camera_of.items()})
     refs = of_one_range(refs, progress)
     turned = by_camera(refs, camera_of)
     items = [_Item(photo, camera_of[photo.name], turned.get(photo.name)) for photo in refs]
     look = _Look(
         dict(cameras.cameras),
         {name: known_angles_rad(cameras.estimates.get(name)) for name in cameras},
-        mask,
         options,
         appearance,
     )
@@ -104,7 +103,7 @@ def extract(
     found |= dict(zip(places, fresh, strict=True))
     every = tuple(found[k] for k in range(len(items)))
     require_any(every, "photos and calibration")
-    return PhotoArcs(every, cameras, (), {"photos": photo_folder(refs), "extraction": options})
+    return PhotoArcs(every, cameras, masks_note(refs), {"photos": photo_folder(refs), "extraction": options})
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
@@ -135,18 +134,6 @@ def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str
             )
         found[photo.name] = folders[0]
     return found
-
-
-def check_mask(mask: Bool[np.ndarray, "h w"], cameras: Sequence[CameraModel]) -> None:
-    """Raises InputError where a mask has not the size of the photos of all cameras, or is false everywhere."""
-    if not mask.any():
-        raise InputError("A mask was expected to be true where photos are looked at, found it false everywhere; correct it.")
-    for camera in cameras:
-        if mask.shape[::-1] != camera.image_size:
-            raise InputError(
-                f"A mask of {camera.image_size[0]}x{camera.image_size[1]} px was expected, as the camera has, found "
-                f"{mask.shape[1]}x{mask.shape[0]} px; give one of that size."
-            )
 
 
 def skipped(photo: Photo, camera: str, reason: str) -> FoundArcs:
@@ -184,7 +171,6 @@ class _Look:
     cameras: Mapping[str, CameraModel]
     known_rad: Mapping[str, tuple[float, float]]
     """Angles off the axis between which each camera is known."""
-    mask: Bool[np.ndarray, "h w"] | None
     options: ExtractionOptions
     appearance: AppearanceOptions
 
@@ -195,7 +181,9 @@ class _Look:
         model = self.cameras[item.camera]
         try:
             image = item.photo.read()
-            found = extract_arcs(image, model, self.mask, self.known_rad[item.camera], self.options)
+            found = extract_arcs(
+                image, model, looked_at(item.photo, image.shape[1::-1]), self.known_rad[item.camera], self.options
+            )
             bearings, seen = model.unproject(found.endpoints_px)
             usable = seen.all(-1)
             colours = side_colours(image, model, bearings[usable], self.appearance)
@@ -240,11 +228,12 @@ class _Kept:
             return None
         try:
             what = hashlib.sha256(read_bytes(item.photo.path))
+            mask = item.photo.mask
+            if mask is not None:
+                what.update(read_bytes(mask) if isinstance(mask, Path) else np.packbits(mask).tobytes())
         except InputError:
             return None
         look, model = self.look, self.look.cameras[item.camera]
         camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.known_rad[item.camera])
         what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance, item.photo.levels)!r}".encode())
-        if look.mask is not None:
-            what.update(np.packbits(look.mask).tobytes())
         return what.hexdigest()[:32]

@@ -17,6 +17,7 @@ from omnilines.calibration.lines.select import LineSelection, LineTrial, candida
 from omnilines.calibration.options import AUTO, CalibrationOptions
 from omnilines.calibration.select import Candidate
 from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
+from omnilines.files.masks import Mask, with_masks
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.boards_beside import contradiction, off_boards, prior_of_boards, require_global_shutter
@@ -127,6 +128,7 @@ def calibrate_lines(
     lines: LinesOptions = LinesOptions(),
     *,
     boards: CalibrationResult | None = None,
+    mask: Mask | None = None,
     progress: ProgressCallback = silent,
     **fields: Unpack[LineFields],
 ) -> LineResult:
@@ -140,6 +142,7 @@ def calibrate_lines(
 
     `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
     kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
+    Edges are followed where `mask` says, as in `extract`.
 
     Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
 
@@ -150,7 +153,7 @@ def calibrate_lines(
     options = replace(options, **fields)
     options.require_of_models([options.model])
     _require_mirror(options, boards)
-    refs = photos_of(photos)
+    refs = with_masks(photos_of(photos), mask)
     if boards is not None:
         if options.model != boards.camera.NAME and "model" in fields:
             raise InputError(

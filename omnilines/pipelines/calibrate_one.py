@@ -11,6 +11,7 @@ from camera_models import InputError
 from camera_models.typed import typed
 from omnilines.calibration.options import CalibrationFields, CalibrationOptions
 from omnilines.files import Photos, find_photos
+from omnilines.files.masks import Mask
 from omnilines.pipelines.calibrate import CalibrationResult, calibrate_corners
 from omnilines.pipelines.calibrate_lines import LineFields, LineResult, calibrate_lines
 from omnilines.pipelines.detect import detect
@@ -59,6 +60,7 @@ def calibrate(
     *,
     lines: LinesOptions = ...,
     boards: CalibrationResult | None = None,
+    mask: Mask | None = None,
     progress: ProgressCallback = ...,
     **fields: Unpack[LineFields],
 ) -> LineResult: ...
@@ -86,6 +88,7 @@ def calibrate(
     options: CalibrationOptions = ...,
     *,
     lines: LinesOptions = ...,
+    mask: Mask | None = None,
     detection: DetectionOptions = ...,
     executor: Executor | None = None,
     progress: ProgressCallback = ...,
@@ -103,6 +106,7 @@ def calibrate(
     image_size: tuple[int, int] | None = None,
     lines: LinesOptions = LinesOptions(),
     boards: CalibrationResult | None = None,
+    mask: Mask | None = None,
     detection: DetectionOptions = DetectionOptions(),
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
@@ -118,8 +122,9 @@ def calibrate(
     Fields of the options may be given by name: `model="auto"` fits all camera models and takes the one that predicts held-out
     views best. With `rolling_shutter` the line delay is estimated. With lines alone `model`, `degree`, `coefficients` and
     `mirror` count; `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
-    kept, and its corners count beside the lines. `detection` has the options of targets, `lines` those of lines. Photos are
-    searched for a target, and models fitted to it, by the workers of an `executor`, where one is given.
+    kept, and its corners count beside the lines. Edges are followed where `mask` says, as in `extract`. `detection` has the
+    options of targets, `lines` those of lines. Photos are searched for a target, and models fitted to it, by the workers of an
+    `executor`, where one is given.
 
     Returns a CalibrationResult of corners or a target, a LineResult where lines count. Raises InputError for what does not go
     together, options out of range, photos that show too little and corners outside the image, and GeometryError where the data
@@ -137,7 +142,12 @@ def calibrate(
         raise InputError(
             "`image_size` was expected with a table of corners alone, found it beside another argument; leave it out."
         )
-    known = {"boards": boards is not None, "lines": lines != LinesOptions(), "detection": detection != DetectionOptions()}
+    known = {
+        "boards": boards is not None,
+        "mask": mask is not None,
+        "lines": lines != LinesOptions(),
+        "detection": detection != DetectionOptions(),
+    }
     asked = {name for name, is_given in known.items() if is_given}
     if not isinstance(pattern, str | Pattern):
         _require_corners(given)
@@ -147,13 +157,13 @@ def calibrate(
     _require_photos(given, targets)
     _require_counting(bool(targets), has_lines, asked | fields.keys(), replace(options, **fields))
     if not targets:
-        return calibrate_lines(given, options, lines, boards=boards, progress=progress, **fields)
+        return calibrate_lines(given, options, lines, boards=boards, mask=mask, progress=progress, **fields)
     options = replace(options, **fields)
     options.require_of_models([options.model])
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
     found = detect(given, targets[0], mirrored=options.mirror, options=detection, executor=executor, progress=progress)
     result = calibrate_corners(found, options=options, executor=executor, progress=progress)
-    return calibrate_lines(given, options, lines, boards=result, progress=progress) if has_lines else result
+    return calibrate_lines(given, options, lines, boards=result, mask=mask, progress=progress) if has_lines else result
 
 
 def shown_by(pattern: str) -> tuple[tuple[str, ...], bool]:
@@ -168,7 +178,7 @@ def shown_by(pattern: str) -> tuple[tuple[str, ...], bool]:
 def _require_counting(has_target: bool, has_lines: bool, asked: Set[str], options: CalibrationOptions) -> None:
     """Raises InputError where something is asked for that does not count with what photos show."""
     if not has_lines:
-        _refuse(asked & {"boards", "lines"}, "a target alone")
+        _refuse(asked & {"boards", "lines", "mask"}, "a target alone")
     elif has_target:
         unknown = {name for name in ("mirror", "rolling_shutter") if getattr(options, name)}
         _refuse(unknown | (asked & {"boards"}), "lines beside a target")

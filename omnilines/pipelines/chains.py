@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
 
 from camera_models import InputError
 from omnilines.extraction.options import SmoothChainOptions
 from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
 from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
+from omnilines.files.masks import Mask, looked_at, with_masks
 from omnilines.files.orientation import turned_otherwise
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
@@ -33,17 +33,17 @@ class PhotoChains:
 def chains_of(
     photos: Photos,
     *,
-    mask: Bool[np.ndarray, "h w"] | None = None,
+    mask: Mask | None = None,
     options: SmoothChainOptions = SmoothChainOptions(),
     progress: ProgressCallback = silent,
 ) -> PhotoChains:
     """The smooth curves of edge points in photos of one camera (a folder, files, or arrays), on all cores, one photo
-    per core in memory. Only where `mask` is true is looked at. Photos that cannot be read, and those of another size, or turned
-    otherwise by EXIF, than most, and copies, are left out.
+    per core in memory. Photos are looked at where `mask` says, as in `extract`. Photos that cannot be read, and those of another
+    size, or turned otherwise by EXIF, than most, and copies, are left out.
 
-    Raises InputError where there is no photo, or none can be used, or the mask is of another size.
+    Raises InputError where there is no photo, none can be used, or masks do not belong to the photos.
     """
-    refs = of_one_range(photos_of(photos), progress)
+    refs = of_one_range(with_masks(photos_of(photos), mask), progress)
     turned = turned_otherwise(refs)
 
     def look(photo: Photo) -> tuple[tuple[int, int], SmoothChains] | str:
@@ -52,10 +52,10 @@ def chains_of(
             return turned[photo.name]
         try:
             image = photo.read()
+            size = (image.shape[1], image.shape[0])
+            return size, smooth_chains(image, looked_at(photo, size), options)
         except InputError as error:
             return str(error)
-        size = (image.shape[1], image.shape[0])
-        return size, smooth_chains(image, mask if mask is not None and mask.shape == image.shape[:2] else None, options)
 
     found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
     empty = np.zeros((0, 2))
@@ -65,11 +65,6 @@ def chains_of(
     if not sizes:
         raise none_usable([str(one) for one in found], "photos")
     size = sizes.most_common(1)[0][0]
-    if mask is not None and mask.shape[::-1] != size:
-        raise InputError(
-            f"A mask of {size[0]}x{size[1]} px was expected, as the photos have, found {mask.shape[1]}x{mask.shape[0]} px; give "
-            "one of that size."
-        )
     used, left_out = list[tuple[str, SmoothChains]](), list[Detail]()
     for photo, one in zip(refs, found, strict=True):
         if isinstance(one, str):

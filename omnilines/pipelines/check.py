@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
 from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.files import Photos, photo_folder, photos_of
+from omnilines.files.masks import Mask, check_masks, with_masks
 from omnilines.files.sets import claimed
 from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
-from omnilines.pipelines.arcs import calibration_of, check_mask, known_angles_rad
+from omnilines.pipelines.arcs import calibration_of, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.progress import ProgressCallback, silent
@@ -95,13 +95,13 @@ def check(
     camera: CameraModel | Calibration,
     options: CheckOptions = CheckOptions(),
     *,
-    mask: Bool[np.ndarray, "h w"] | None = None,
+    mask: Mask | None = None,
     progress: ProgressCallback = silent,
 ) -> CheckResult:
     """Whether photos of buildings, rooms or anything else with straight lines bear out the calibration of one camera.
 
-    Lines have to be straight over the whole image, parallel ones to meet, and right angles to be right. Only where `mask` is true
-    is looked at. Where the calibration states a covariance, what it allows is no contradiction.
+    Lines have to be straight over the whole image, parallel ones to meet, and right angles to be right. Only what `mask`
+    shows is looked at, as in `extract`. Where the calibration states a covariance, what it allows is no contradiction.
 
     Raises InputError for a rig, a camera without parameters, and where no photo can be used, and GeometryError where too few
     edges are straight, or lines leave more open than `most_sigma_share` of the image.
@@ -115,12 +115,11 @@ def check(
     name, model = next(iter(cameras.items()))
     if not model.CALIBRATED:
         raise InputError(f"A camera model with parameters was expected, found {model.NAME}; there is nothing to check.")
-    if mask is not None:
-        check_mask(mask, [model])
-    refs, estimate = photos_of(photos), cameras.estimates.get(name)
+    refs, estimate = with_masks(photos_of(photos), mask), cameras.estimates.get(name)
+    check_masks(refs, {photo.name: model.image_size for photo in refs})
     lines = options.lines
     known_rad = known_angles_rad(estimate)
-    chains, skipped = arc_chains_of(refs, model, lines.extraction, mask=mask, known_rad=known_rad, progress=progress)
+    chains, skipped = arc_chains_of(refs, model, lines.extraction, known_rad=known_rad, progress=progress)
     asked, notes = asked_by_lines(model, chains, lines, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)

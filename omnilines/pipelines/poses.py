@@ -19,6 +19,7 @@ from omnilines.files import Photo, PhotoRef, Photos, photos_of
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
+from omnilines.files.masks import looked_at, mask_files
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
@@ -179,7 +180,8 @@ def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoP
     if asked.source == "sfm":
         frames = instants(names) if cameras.rig else None
         return sfm_poses(
-            names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed, options=options
+            names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed, options=options,
+            mask_of=lambda name: looked_at(photo_of[name], cameras[camera_of[name]].image_size),
         )  # fmt: skip
     if asked.source == "boards":
         target = parse_pattern(asked.pattern or "")
@@ -227,6 +229,8 @@ def _without_photos(
 def _made_from(asked: _Asked) -> str:
     """Of all that poses found in photos depend on."""
     names = {photo.name: asked.camera_of[photo.name] for photo in asked.photos}
+    of_masks = mask_files(asked.photos)
+    masks = [of_masks.index(photo.mask) if isinstance(photo.mask, Path) else None for photo in asked.photos]
     known = [
         (name, model.NAME, model.image_size, model.parameters.detach().tolist(), _angles_deg(asked.cameras, name))
         for name, model in asked.cameras.items()
@@ -243,8 +247,10 @@ def _made_from(asked: _Asked) -> str:
     for photo in asked.photos:
         if not isinstance(photo, PhotoRef):
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
-    options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, known, rig, seen.hexdigest()))
-    files = [photo.path for photo in asked.photos if isinstance(photo, PhotoRef)]
+        if isinstance(photo.mask, np.ndarray):
+            seen.update(np.packbits(photo.mask).tobytes())
+    options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, masks, known, rig, seen.hexdigest()))
+    files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
     return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__))
 
 

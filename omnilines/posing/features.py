@@ -51,8 +51,8 @@ class Features:
 
 def feature_finder(
     options: FeatureOptions = FeatureOptions(),
-) -> Callable[[np.ndarray, CameraModel, CameraEstimate | None], Features]:
-    """A function that finds the features of a photo."""
+) -> Callable[[np.ndarray, CameraModel, CameraEstimate | None, Bool[np.ndarray, "h w"] | None], Features]:
+    """A function that finds the features of a photo, where its mask is true."""
     module = pycolmap()
     extraction = module.FeatureExtractionOptions()
     extraction.use_gpu, extraction.num_threads = False, 1
@@ -62,13 +62,18 @@ def feature_finder(
     extraction.sift.max_num_features = options.max_features
     extractor = module.FeatureExtractor.create(extraction, module.Device.cpu)
 
-    def find(image: np.ndarray, model: CameraModel, estimate: CameraEstimate | None) -> Features:
+    def find(
+        image: np.ndarray, model: CameraModel, estimate: CameraEstimate | None, mask: Bool[np.ndarray, "h w"] | None
+    ) -> Features:
         """Features of a photo (h, w) or (h, w, 3) of 8 or 16 bits; raises InputError where it has not the camera's size."""
         if image.shape[1::-1] != model.image_size:
             expected, found = (f"{w}x{h} px" for w, h in (model.image_size, image.shape[1::-1]))
             raise InputError(f"A photo of {expected} was expected for its camera, found one of {found}; give that of its camera.")
         grey = _grey(image)
         searched, factor = _searched(grey, options)
+        clear = clear_of_surround(grey, options)
+        if mask is not None:
+            clear = clear & mask
         keypoints, descriptors = extractor.extract_from_uint8_array(searched)
         table = np.asarray(module.keypoints_to_matrix(keypoints), dtype=np.float64).reshape(-1, 4)
         # COLMAP's first pixel has its centre at 0.5, and so has resampling.
@@ -80,7 +85,7 @@ def feature_finder(
             np.array(descriptors.data),
             model,
             _supported_rad(estimate, options),
-            clear_of_surround(grey, options),
+            clear,
         )
 
     return find

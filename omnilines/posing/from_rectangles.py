@@ -52,7 +52,7 @@ def poses_from_rectangles(
         for done, name in enumerate(names):
             progress("telling its ends apart", done, len(names))
             camera = camera_of[name]
-            features.append(find(read(name), cameras[camera], estimates.get(camera)))
+            features.append(find(read(name), cameras[camera], estimates.get(camera), None))
         poses = Pose.stack([found[name].pose for name in names])
         turned, known = half_turns(features, poses, rectangle, seed, options)
         for k in np.flatnonzero(~known).tolist():

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
@@ -49,10 +49,12 @@ def sfm_poses(
     progress: ProgressCallback = silent,
     seed: int = 0,
     options: PosingOptions = PosingOptions(),
+    mask_of: Callable[[str], Bool[np.ndarray, "h w"] | None] = lambda _: None,
 ) -> PhotoPoses:
     """`cam_from_world` of photos from what they have in common, with covariances (left perturbation, rad and world units).
 
-    `read` gives the photo of a name, (h, w) or (h, w, 3) of 8 or 16 bits; it is called from several threads, once for each photo.
+    `read` gives the photo of a name, (h, w) or (h, w, 3) of 8 or 16 bits; it is called from several threads, once for each photo,
+    and so is `mask_of`, which gives where the photo is looked at, None for everywhere.
     `cameras` may be a `Calibration`: features beyond the angles that its estimates are supported by are then left out, and where
     it holds a rig and `frame_of` names the instants, the cameras of a frame move as one and lengths are metres. Otherwise the
     scale is open: the root mean square distance of the cameras from their middle is then 1. The world is the frame of the first
@@ -68,7 +70,7 @@ def sfm_poses(
     frame = [order[name] for name in frame_names]
     names = [camera_of[photo] for photo in photos]
     rig = cam_from_rig_of(calibration, names) if rigid else Pose.identity(len(photos))
-    features = _features(photos, read, calibration, names, progress, options.features)
+    features = _features(photos, read, mask_of, calibration, names, progress, options.features)
     matches = _matches(features, seed, progress, options)
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
@@ -103,6 +105,7 @@ def _own_folder(work: Path) -> Iterator[Path]:
 def _features(
     photos: Sequence[str],
     read: Callable[[str], np.ndarray],
+    mask_of: Callable[[str], Bool[np.ndarray, "h w"] | None],
     calibration: Calibration,
     names: Sequence[str],
     progress: ProgressCallback,
@@ -111,7 +114,8 @@ def _features(
     pycolmap()  # loaded by the main thread, which alone can keep hold of signals
 
     def look(k: int) -> Features:
-        return feature_finder(options)(read(photos[k]), calibration[names[k]], calibration.estimates.get(names[k]))
+        name = photos[k]
+        return feature_finder(options)(read(name), calibration[names[k]], calibration.estimates.get(names[k]), mask_of(name))
 
     return on_all_cores(look, range(len(photos)), "finding features", progress)
 
