@@ -128,8 +128,8 @@ def test_where_many_are_it_is_said() -> None:
     options = SceneOptions(refine=("lines",))
     share = every.scene.lines.chance_share
     told = f"About {share.sum():.0f} of {len(share)} lines ({100 * share.mean():.0f} %) are there by chance."
-    assert told in [one.limit for one in advice(every, 0.0, options, silent)]
-    assert not [one.limit for one in advice(none, 0.0, options, silent) if "by chance" in one.limit]
+    assert told in [one.limit for one in advice(every, 0.0, "table", options, silent)]
+    assert not [one.limit for one in advice(none, 0.0, "table", options, silent) if "by chance" in one.limit]
 
 
 def test_a_room_without_clutter_keeps_all_lines() -> None:

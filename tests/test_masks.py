@@ -1,6 +1,7 @@
 """Masks of photos: which is whose, and that arcs, chains and features keep to them."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import omnilines as ol
-from camera_models import Calibration, InputError, Pinhole, save
+from camera_models import Calibration, GeometryError, InputError, Pinhole, save
 from omnilines.cli import main
 from omnilines.files import find_photos, photos_of
 from omnilines.files.masks import check_masks, looked_at, mask_files, masks_note, with_masks
@@ -131,3 +132,21 @@ def test_the_command_takes_a_folder_of_masks(photos: Path, tmp_path: Path, capsy
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", str(photos), "--pattern", "checkerboard:7x5:30mm", "--out", str(tmp_path / "c"), "--mask", "masks"])
     assert ended.value.code == 2 and "--mask counts only with --pattern lines" in capsys.readouterr().err
+
+
+def test_structure_from_motion_looks_for_features_where_masks_are_true(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "masks" / "a.png", side(True))
+    arcs, asked = ol.extract(photos, CAMERA, mask=tmp_path / "masks"), {}
+
+    def looks(names: list[str], *_: object, mask_of: Callable[[str], np.ndarray | None], **__: object) -> None:
+        asked.update({name: mask_of(name) for name in names})
+        raise GeometryError("That is all.")
+
+    monkeypatch.setattr("omnilines.pipelines.poses.sfm_poses", looks)
+    monkeypatch.setattr("omnilines.pipelines.poses.without_copies", lambda arcs: arcs)
+    with pytest.raises(GeometryError, match="That is all"):
+        ol.estimate_poses(arcs, CAMERA)
+    np.testing.assert_array_equal(asked["a.png"], side(True))
+    assert asked["b.png"] is None and asked["c.png"] is None

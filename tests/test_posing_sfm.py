@@ -196,6 +196,46 @@ def test_photos_from_one_place_are_told_from_those_with_nothing_in_common(monkey
         run_on(seen(np.zeros((6, 3))), monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
 
 
+def with_body(model: CameraModel, features: list[Features], count: int, noise_px: float = NOISE_PX) -> list[Features]:
+    """The same photos, which also see a vehicle below the camera that goes along with it."""
+    rng, size = np.random.default_rng(9), np.array(model.image_size)
+    places, words = (
+        np.stack([rng.uniform(0, 1, count), rng.uniform(0.7, 0.95, count)], -1) * size,
+        rng.uniform(0, 100, (count, 128)),
+    )
+    found = []
+    for k, own in enumerate(features):
+        draw = np.random.default_rng([k, 7])
+        at = torch.as_tensor(places + noise_px * draw.normal(size=(count, 2)))
+        bearings, good = model.unproject(at)
+        descriptors = torch.as_tensor(np.clip(words + 6 * draw.normal(size=words.shape), 0, 255).astype(np.uint8))
+        jacobian = model.unproject_jacobian(at)
+        rows, sigma = torch.linalg.pinv(jacobian) / NOISE_PX, NOISE_PX * torch.linalg.matrix_norm(jacobian, ord=2)
+        fields = ((own.bearings, bearings), (own.rows, rows), (own.sigma_rad, sigma), (own.descriptors, descriptors))
+        found.append(Features(*(torch.cat([scene, body[good]]) for scene, body in fields)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(100, "lies at the same place in them although the camera turned"), (900, "joined only without")]
+)
+def test_what_goes_along_with_the_camera_is_told_and_keeps_no_pose_from_being_found(monkeypatch, tmp_path, count, said):
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    truth, names = places(6, 2), [f"{k}.png" for k in range(6)]
+    scene = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    call = (monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+    assert not any("`mask`" in note for note in run_on(scene, *call).notes)
+    found = run_on(with_body(camera, scene, count), *call)
+    assert found.poses.images == tuple(names) and any(said in note and "`mask`" in note for note in found.notes)
+    position, rotation = errors(found.poses, truth, names)
+    assert position.max() < 0.03 and rotation.max() < 0.6
+    # A camera that stood still sees all at one place.
+    stood = [described(camera, truth[0], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    with pytest.raises(GeometryError, match="most of what 6 of 6 photos have in common lies at the same place in each"):
+        run_on(stood, *call)
+
+
 def test_matches_near_the_epipolar_circle_are_the_true_ones():
     camera, _ = scene_camera("equirectangular", (800, 400), 0)
     points, words = world(500, 1)

@@ -15,6 +15,7 @@ from omnilines.matching.options import MatchingOptions
 from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
+from omnilines.pipelines.frame import SFM
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
@@ -42,19 +43,21 @@ def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[P
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(scene: KeptLines, still: float, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
+def advice(scene: KeptLines, still: float, source: str, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
     """The photos, and the stage, at which most arcs are lost, each with what to do; `still` is the share of arcs that stay
-    where they are.
+    where they are, `source` that of the poses.
 
     Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
     pose is at fault. With poses refined that was done before.
     """
     weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
     names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
-    if still > options.advice.still:
+    stays = still > options.advice.still
+    if stays and source != SFM:
         return (*_still(still), *_by_chance(scene, options.advice))
     better = {} if refined else _better_poses(scene, names, options, progress)
     return (
+        *(_carried_along(still) if stays else ()),
         *_wrong_poses(scene, weak, better),
         *_apart(scene, weak, better, refined),
         *_whole(scene, refined, options.min_views, options.advice),
@@ -69,6 +72,15 @@ def _still(share: float) -> tuple[Advice, ...]:
         "stood still."
     )
     return (Advice(told, "Only what was moved is rebuilt. Leave the board where it is, and move the camera."),)
+
+
+def _carried_along(share: float) -> tuple[Advice, ...]:
+    """Poses from all that photos show would be one where the camera stood still."""
+    told = (
+        f"{100 * share:.0f} % of the arcs in no line stay where they are from photo to photo, while the lines move: they go "
+        "along with the camera, as a vehicle or a mount does that it sees."
+    )
+    return (Advice(told, "Leave out what goes along with the camera, with `mask`."),)
 
 
 def _better_poses(

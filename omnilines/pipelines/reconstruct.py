@@ -1,5 +1,6 @@
 """Arcs of photos, poses and cameras -> 3D lines with their uncertainty: `reconstruct`."""
 
+import math
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -230,7 +231,7 @@ def _scene(
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
         folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
-        frame.families, frame.up, still,
+        frame.families, frame.up, math.nan if posed.source == SFM else still,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(
@@ -243,7 +244,7 @@ def _scene(
         of_photos,
         options,
         _checks(found),
-        (*posed.advice, *advice(found, still, options, progress)),
+        (*posed.advice, *advice(found, still, posed.source, options, progress)),
         asked,
     )
 

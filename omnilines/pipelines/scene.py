@@ -48,7 +48,8 @@ class FromPhotos:
     up: tuple[float, float, float]
     """The direction (unit) that is up."""
     still_share: float
-    """Share of the arcs in no line that do not move in the image, while the lines do; NaN where that cannot be told."""
+    """Share of the arcs in no line that do not move in the image, while the lines do; NaN where that cannot be told, and where
+    poses are found from all that photos show."""
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,15 @@ class GivenOptions(NamedTuple):
     """Photos of one frame whose poses differ from what the rig says by more are not of that rig, or of other instants."""
 
 
+class CarriedOptions(NamedTuple):
+    """What goes along with the camera: a vehicle or a mount that it sees (`carried_along`)."""
+
+    turned_rad: float = math.radians(2.0)
+    """Angle that two photos are turned by from which on a feature of the world cannot be at one bearing in both."""
+    least_share: float = 0.05
+    """Of the matches of such photos at one bearing, from which on that is said."""
+
+
 @dataclass(frozen=True)
 class PosingOptions(Typed):
     """All options of posing."""
@@ -188,6 +197,8 @@ class PosingOptions(Typed):
     """Structure from motion by COLMAP."""
     growth: GrowthOptions = GrowthOptions()
     """Poses of all photos from those."""
+    carried: CarriedOptions = CarriedOptions()
+    """What goes along with the camera."""
     resection: ResectionOptions = ResectionOptions()
     """The pose of a photo from known points."""
     rectangle: RectangleOptions = RectangleOptions()

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.formats.disk import locked
 from camera_models.pose import Pose, adjoint
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.carried_along import carried_share, without_carried
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
@@ -33,6 +35,15 @@ from omnilines.records import ImagePoses
 
 OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
 """The note of poses whose unit nothing tells."""
+TO_MASK = "leave out a vehicle, a mount or a hand that the camera sees with `mask`."
+LEFT_OUT = (
+    "Photos could be joined only without what lies at one place in all of them, which goes along with the camera, or far away: "
+    f"{TO_MASK}"
+)
+GOES_ALONG = (
+    "{:.0%} of what photos have in common lies at the same place in them although the camera turned: it goes along with it; "
+    f"{TO_MASK}"
+)
 LEAST_PHOTOS = 3
 MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
@@ -75,14 +86,31 @@ def sfm_poses(
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    with _own_folder(Path(work_folder)) as folder:
-        parts = map_photos(given, folder, seed, progress, options)
+    parts, told = _mapped(given, Path(work_folder), seed, progress, options), tuple[str, ...]()
     if not parts:
-        raise GeometryError(_not_joined(features, matches, seed, options))
+        clear, faint = (without_carried(features, one, given.camera, options) for one in (matches.clear, matches.faint))
+        without = Matches(clear, faint)
+        parts = _mapped(replace(given, matches=clear), Path(work_folder), seed, progress, options)
+        if not parts:
+            raise GeometryError(_not_joined(features, matches, without, seed, options))
+        matches, told = without, (LEFT_OUT,)
     with one_torch_thread():
         start = start_from(Frames(torch.tensor(frame), rig), parts[0])
         grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
-    return _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+    found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+    if not told:
+        poses = {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
+        share = carried_share(features, matches.clear, given.camera, poses, options)
+        told = (GOES_ALONG.format(share),) if share >= options.carried.least_share else ()
+    return replace(found, notes=(*found.notes, *told))
+
+
+def _mapped(
+    given: MapperInput, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
+) -> list[dict[int, Pose]]:
+    """The parts that COLMAP joins."""
+    with _own_folder(work) as folder:
+        return map_photos(given, folder, seed, progress, options)
 
 
 @contextmanager
@@ -132,12 +160,19 @@ def _matches(features: Sequence[Features], seed: int, progress: ProgressCallback
     return Matches({pair: clear for pair, (clear, _) in of_pair}, {pair: faint for pair, (_, faint) in of_pair})
 
 
-def _not_joined(features: Sequence[Features], matches: Matches, seed: int, options: PosingOptions) -> str:
-    """Why no photos could be joined, and what to do: nothing has a depth from one place, however much photos overlap."""
+def _not_joined(features: Sequence[Features], matches: Matches, without: Matches, seed: int, options: PosingOptions) -> str:
+    """Why no photos could be joined, and what to do: nothing has a depth from one place, however much photos overlap. `without`
+    are the matches that are not at one bearing in both."""
     count = len(features)
     if count < LEAST_PHOTOS:
         return f"{LEAST_PHOTOS} photos of one scene or more were expected to find their poses, found {count}; give more."
     here = len(at_one_place(features, matches.clear, seed, options))
+    if 2 * here > count and 2 * _number(without.clear) < _number(matches.clear):
+        return (
+            f"Photos from different places were expected to find their poses, found that most of what {here} of {count} photos "
+            "have in common lies at the same place in each: the camera stood still, or it sees what goes along with it; move the "
+            f"camera between photos, and {TO_MASK}"
+        )
     if 2 * here > count:
         return (
             f"Photos from different places were expected to find their poses, found {here} of {count} at one place, from where "
@@ -147,6 +182,10 @@ def _not_joined(features: Sequence[Features], matches: Matches, seed: int, optio
         f"Photos with enough in common to find their poses were expected, found {count} that COLMAP could not join; "
         "take more photos with smaller steps between them, or give poses."
     )
+
+
+def _number(matches: Mapping[tuple[int, int], Int[Tensor, "_ 2"]]) -> int:
+    return sum(map(len, matches.values()))
 
 
 def _result(
