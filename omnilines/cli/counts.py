@@ -184,7 +184,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "with `refine` poses, of a table or a model",
         ),
         Rule(
-            tuple(f"scene.posing.{part}." for part in ("features", "matches", "mapper", "growth")),
+            tuple(f"scene.posing.{part}." for part in ("features", "matches", "mapper", "growth", "carried")),
             _found_here, "with poses that are found in the photos",
         ),
         Rule(("scene.posing.rectangle.",), lambda call: call.values["poses"].startswith("rectangle:"), "with `poses` rectangle"),
