@@ -25,6 +25,12 @@ def as_tensor(values: Array | Sequence[Any] | float | int, like: torch.Tensor | 
     try:
         if values.is_complex() if isinstance(values, torch.Tensor) else np.iscomplexobj(values):
             raise TypeError("complex numbers")
+        if isinstance(values, np.ndarray) and values.dtype.kind in "biuf":
+            # Torch takes neither negative strides nor other byte orders, and warns of arrays that are read only.
+            usable = values.flags.writeable and values.dtype == np.float64 and values.flags.c_contiguous
+            values = values if usable else np.array(values, dtype=np.float64, order="C")
+        elif isinstance(values, list | tuple) and any(isinstance(one, torch.Tensor | np.ndarray) for one in values):
+            values = torch.stack([as_tensor(one, like) for one in values])
         return torch.as_tensor(values, dtype=torch.float64, device=device)
     except (TypeError, ValueError, RuntimeError, OverflowError):
         raise InputError(f"An array of real numbers was expected, found {found(values)}; correct it.") from None

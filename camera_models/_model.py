@@ -60,7 +60,9 @@ class CameraModel(ABC):
     """Parameters that a lens may do without (zero), from those that it needs first to those that it needs last."""
 
     def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
-        self.parameters: Tensor = as_tensor(parameters)
+        given = as_tensor(parameters)
+        # A camera does not change where the array that it was made from does.
+        self.parameters: Tensor = given if given.requires_grad else given.clone()
         self.image_size = _size(image_size)
         if self.parameters.shape != (len(self.PARAMETER_NAMES),):
             raise InputError(

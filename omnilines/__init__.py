@@ -208,6 +208,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("omnilines")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'omnilines' has no attribute '{name}'")
     globals()[name] = value = getattr(importlib.import_module(_HOME_OF[name]), name)

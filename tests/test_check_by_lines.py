@@ -15,6 +15,8 @@ from camera_models import CameraModel, GeometryError
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.geometry.chains import Chains
+from omnilines.pages.check import check_summaries
+from omnilines.pages.limits_of_lines import check_advice
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
@@ -128,3 +130,14 @@ def test_a_drift_is_not_said_to_be_less_than_it_is_at_least() -> None:
     assert "ask for a drift of at least 0.49 px over the image (root mean square; known to 1.7 px)" in wrong.verdict
     more = CheckResult(replace(some, drift_px=0.91), False, CheckOptions(), ("a.png",), (), {})
     assert "a drift of 0.91 px over the image (root mean square), known to 1.7 px, at least 0.49 px" in more.verdict
+
+
+def test_what_chance_does_not_leave_open_refuses_a_camera_of_which_lines_tell_little() -> None:
+    found = checked(FISHEYE, true_chains(FISHEYE, 1, photos=4))
+    little = replace(found, drift_px=25000.0, least_drift_px=0.25, sigma_px=6300.0)
+    wrong = CheckResult(little, False, CheckOptions(), ("a.png",), (), {})
+    assert wrong.hardly_known and "25000" not in wrong.verdict
+    assert "lines ask for a drift of at least 0.25 px over the image (root mean square; how much more, these" in wrong.verdict
+    told = dict(check_summaries(wrong)[0].rows)
+    assert told["drift, less what noise makes of it"] == "open" and "largest at" not in check_advice(wrong)[0].limit
+    assert not CheckResult(found, True, CheckOptions(), ("a.png",), (), {}).hardly_known

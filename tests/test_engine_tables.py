@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from camera_models import InputError
-from omnilines.files import read_segments, write_segments
-from omnilines.records import Segments
+from omnilines.files import read_lines, read_segments, write_lines, write_segments
+from omnilines.records import Lines, Segments
 
 ABSENT = "pyarrow, an optional extra, is not installed"
 
@@ -55,6 +55,19 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path) -> None:
     assert from_csv.images == from_parquet.images and from_csv.tracks == from_parquet.tracks
     for name in ("image", "track", "endpoints_px", "sigma_px"):
         np.testing.assert_array_equal(getattr(from_csv, name), getattr(from_parquet, name))
+
+
+def test_lines_in_parquet_are_those_in_csv(tmp_path: Path) -> None:
+    pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow.csv", "pyarrow.parquet"))
+    ends = np.random.default_rng(0).normal(size=(3, 2, 3))
+    ends[1] = np.nan
+    sigma = np.array([0.01, np.nan, 0.02])
+    given = Lines(("a", "b", "c"), ends, np.array([3, 2, 4]), sigma * 10, sigma, ("ok", "parallel_planes", "weak"))
+    write_lines(tmp_path / "lines.csv", given)
+    parquet.write_table(pyarrow.read_csv(tmp_path / "lines.csv"), tmp_path / "lines.parquet")
+    from_csv, from_parquet = read_lines(tmp_path / "lines.csv"), read_lines(tmp_path / "lines.parquet")
+    assert from_csv.status == from_parquet.status == given.status and from_csv.tracks == from_parquet.tracks
+    np.testing.assert_array_equal(from_csv.ends_m, from_parquet.ends_m)
 
 
 def test_whole_numbers_are_names_as_in_csv(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The law suite: every registered camera model, every example, NumPy and torch, on both sides of each boundary."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import torch
 from model_cases import axis_sign, bearings_of, image_pixels
 
 import camera_models
-from camera_models import MODELS, model_class
+from camera_models import MODELS, InputError, model_class
 
 CASES = [(name, index, model) for name, _ in MODELS for index, model in enumerate(model_class(name).examples())]
 EACH = pytest.mark.parametrize("model", [case[2] for case in CASES], ids=[f"{name}-{index}" for name, index, _ in CASES])
@@ -246,3 +247,29 @@ def test_calibration_basis_spans_estimable_directions(model):
 def test_unknown_model_is_named():
     with pytest.raises(camera_models.InputError, match=f"one of {', '.join(name for name, _ in MODELS)}, found 'fish'"):
         model_class("fish")
+
+
+def test_arrays_of_any_order_are_numbers_and_cameras_keep_their_own() -> None:
+    lens = camera_models.OpenCVFisheye.examples()[0]
+    rows = np.argwhere(np.eye(9, dtype=bool))
+    wanted, _ = lens.unproject(np.array(rows[:, ::-1], dtype=float))
+    for given in (rows[:, ::-1], rows[:, ::-1].astype(">f8"), rows[:, ::-1].astype(np.longdouble), np.asfortranarray(rows * 1.0)):
+        np.testing.assert_array_equal(lens.unproject(given)[0], wanted)
+    fixed = np.broadcast_to(np.array([3.0, 4.0]), (2, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_array_equal(*lens.unproject(fixed)[0])
+        np.testing.assert_array_equal(*lens.unproject([np.array([3.0, 4.0]), np.array([3.0, 4.0])])[0])
+    of_tensors, _ = lens.unproject([torch.tensor([3.0, 4.0]), torch.tensor([3.0, 4.0])])
+    np.testing.assert_array_equal(of_tensors, lens.unproject(fixed)[0])
+    for words in (np.array(["1", "2"]), np.array([1, None]), [[1.0], [1.0, 2.0]]):
+        with pytest.raises(InputError, match="An array of real numbers was expected"):
+            lens.unproject(words)
+    values = lens.parameters.numpy().copy()
+    for given in (values, torch.as_tensor(values)):
+        made = camera_models.OpenCVFisheye(given, lens.image_size)
+        given[0] = 1.0
+        assert float(made.parameters[0]) == float(lens.parameters[0])
+        given[0] = float(lens.parameters[0])
+    free = torch.as_tensor(values.copy()).requires_grad_()
+    assert camera_models.OpenCVFisheye(free, lens.image_size).parameters is free

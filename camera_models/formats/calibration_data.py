@@ -127,6 +127,8 @@ class Calibration(Mapping[str, CameraModel]):
         return f"Calibration({cameras}, rig={len(self.rig)}, views={len(self.views)})"
 
     def __getitem__(self, name: str) -> CameraModel:
+        if name not in self.cameras:
+            raise KeyError(f"a camera of the name {', '.join(self.cameras)} was expected, found {name!r}")
         return self.cameras[name]
 
     def __iter__(self) -> Iterator[str]:

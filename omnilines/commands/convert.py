@@ -40,7 +40,9 @@ def _checks(result: ConversionResult) -> tuple[Check, ...]:
     checks = []
     for name, error in result.errors.items():
         limit = MOST_OFF * max(result.original[name].image_size)
-        checks.append(Check(f"RMS error of {name}", error.rms_px, limit, "px", error.rms_px <= limit))
+        checks.append(
+            Check(f"RMS error of {name}, beside a hundredth of the image", error.rms_px, limit, "px", error.rms_px <= limit)
+        )
     return tuple(checks)
 
 

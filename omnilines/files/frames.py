@@ -47,7 +47,8 @@ def read_times(folder: str | Path) -> dict[str, float]:
     if not path.is_file() or read_text(path).split("\n", 1)[0].strip() != ",".join(COLUMNS):
         return {}
     table = read_table(path, COLUMNS)
-    return dict(zip(table.columns["image"], table.within(LATEST_S, "time_s")[:, 0].tolist(), strict=True))
+    image, images = table.names("image")
+    return {images[k]: time_s for k, time_s in zip(image.tolist(), table.within(LATEST_S, "time_s")[:, 0].tolist(), strict=True)}
 
 
 def times_of(photos: Sequence[Photo], folder: Path | None) -> dict[str, float]:

@@ -33,7 +33,8 @@ def read_lines(path: str | Path) -> Lines:
     once = np.zeros(len(table), dtype=bool)
     once[first] = True
     table.require(once, "track", "each track once", "remove one of its rows")
-    status = tuple(table.columns["status"])
+    kind, kinds = table.names("status", may_be_empty=True)
+    status = tuple(kinds[k] if k >= 0 else "" for k in kind.tolist())
     table.require(np.array([s in LINE_STATUSES for s in status], dtype=bool), "status", f"one of {', '.join(LINE_STATUSES)}")
     known = np.array([s in ("ok", "weak") for s in status], dtype=bool)
     ends = table.numbers_or_nan(*ENDS)

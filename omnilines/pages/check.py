@@ -20,7 +20,9 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         ("probability of it by chance", f"{found.probability:.2g}"),
         (
             "drift, less what noise makes of it",
-            f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})",
+            "open"
+            if result.hardly_known
+            else f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})",
         ),
         ("least drift that chance leaves open", figure(found.least_drift_px, unit="px")),
     )

@@ -7,6 +7,8 @@ from omnilines.adjustment.noise import Noise
 
 WORTH_SAYING = 1.1
 """Factor on standard deviations from which on it is said in a sentence."""
+MANY = 0.01
+"""Ten times the share of observations that noise alone takes so far."""
 
 
 def noise_row(noise: Noise) -> str:
@@ -17,10 +19,11 @@ def noise_row(noise: Noise) -> str:
     return f"{noise.measured:.3g} {unit}, from {noise.redundancy:.0f} degrees of freedom"
 
 
-def noise_notes(noise: Noise) -> tuple[str, ...]:
-    """Where the stated noise does not hold, and where too little is left over to tell it."""
+def noise_notes(noise: Noise, far_share: float = 0.0) -> tuple[str, ...]:
+    """Where the stated noise does not hold, and where too little is left over to tell it; `far_share` of the observations lie
+    farther from their line than 99.9 percent should."""
     if noise.stated:
-        return _of_stated(noise)
+        return _of_stated(noise, far_share)
     if not math.isfinite(noise.measured):
         return (
             "No noise of the end points is stated and nothing is left over that tells it: there are no uncertainties; state "
@@ -35,13 +38,19 @@ def noise_notes(noise: Noise) -> tuple[str, ...]:
     return ()
 
 
-def _of_stated(noise: Noise) -> tuple[str, ...]:
+def _of_stated(noise: Noise, far_share: float) -> tuple[str, ...]:
     limit = f"(chi-square, below {100 * noise.significance:g} percent)"
     if not noise.holds and noise.measured > WORTH_SAYING:
         return (
             f"The residuals are {noise.measured:.2f} times as large as the stated noise of the end points allows {limit}: all "
             "uncertainties are for that much noise. Wrong matches, poses that are held although they are off, or a poor "
             "calibration look like this.",
+        )
+    if noise.overstated and noise.measured < 1 / WORTH_SAYING and far_share > MANY:
+        return (
+            f"Most residuals are smaller than the stated noise of the end points lets expect, yet {100 * far_share:.0f} percent "
+            "of the observations lie far from their lines. Uncertainties are for noise alone: expect errors several times as "
+            "large, of poses above all.",
         )
     if noise.overstated and noise.measured < 1 / WORTH_SAYING:
         return (

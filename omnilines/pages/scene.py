@@ -132,6 +132,7 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
         *_by_calibration(scene),
         ("noise of the end points", noise_row(adjusted.adjusted.noise)),
     )
+    far_share = len(adjusted.suspect) / max(1, len(scene.segments.image))
     notes = _named("do not belong to their track and were left out", adjusted.wrong)
     notes += _named("lie farther from their line than 99.9 percent should", adjusted.suspect)
     if "poses" in options.refine:
@@ -139,7 +140,7 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
             "The scale, position and orientation of the scene are free with bearings alone: the poses as a whole keep those of "
             "poses.csv, and the uncertainties are stated in that frame.",
         )
-    return rows, (*notes, *_outcome(scene), *noise_notes(adjusted.adjusted.noise))
+    return rows, (*notes, *_outcome(scene), *noise_notes(adjusted.adjusted.noise, far_share))
 
 
 def _named(what: str, found: tuple[Suspect, ...]) -> tuple[str, ...]:

@@ -36,14 +36,15 @@ def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str,
         return ()
     if options.partition and states_errors(cameras):
         return (
-            "Errors of the calibration are not in the uncertainty of the lines: in parts (`partition`) they are not followed.",
+            "Errors of the calibration are not in the uncertainty of lines and poses: in parts (`partition`) they are not "
+            "followed.",
         )
     known = [name for name, one in cameras.estimates.items() if one.covariance is not None]
     exact = ", ".join(name for name, model in cameras.items() if name not in known and model.CALIBRATED)
     if not exact:
         return ()
     return (
-        f"Errors of {exact} are not in the uncertainty of the lines: the calibration states no covariance "
+        f"Errors of {exact} are not in the uncertainty of lines and poses: the calibration states no covariance "
         "(`scene.calibration_error_px` takes how far pixels are off).",
     )
 

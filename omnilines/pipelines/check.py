@@ -49,6 +49,11 @@ class CheckResult:
         return f"CheckResult(holds={self.holds}, photos={len(self.images)}, {self.verdict!r})"
 
     @property
+    def hardly_known(self) -> bool:
+        """Whether lines leave so much of the camera open that its drift has only a least size."""
+        return not self.found.sigma_px <= _most_sigma_px(self.found.model, self.options)
+
+    @property
     def verdict(self) -> str:
         """One sentence."""
         found = self.found
@@ -56,7 +61,9 @@ class CheckResult:
         chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
         known = f"known to {rounded(found.sigma_px)} px"
         least = f"at least {rounded(found.least_drift_px)} px"
-        if found.drift_px > found.least_drift_px:
+        if self.hardly_known:
+            drift = f"{least} over the image (root mean square; how much more, these photos leave open)"
+        elif found.drift_px > found.least_drift_px:
             drift = f"{rounded(found.drift_px)} px over the image (root mean square), {known}, {least}"
         else:  # what noise makes of the motion is more than all of it
             drift = f"{least} over the image (root mean square; {known})"
@@ -123,13 +130,20 @@ def check(
     asked, notes = asked_by_lines(model, chains, lines, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)
-    most_px = options.most_sigma_share * math.hypot(*model.image_size)
-    if not found.sigma_px <= most_px:
-        raise GeometryError(
-            f"Lines that tell where the camera projects to {rounded(most_px)} px were expected, found that they leave "
-            f"{rounded(found.sigma_px)} px open, of which nothing follows; give more photos, with long edges in several "
-            "directions all over the image."
-        )
     inputs = {"photos": photo_folder(refs), "check": options}
     holds = not found.refused(options.significance, options.tolerance_px)
-    return CheckResult(found, holds, options, chains.images, skipped, inputs, notes)
+    result = CheckResult(found, holds, options, chains.images, skipped, inputs, notes)
+    # What chance does not leave open refuses a camera, however little of it lines tell.
+    contradicted = not holds and found.least_drift_px > options.tolerance_px
+    if result.hardly_known and not contradicted:
+        why = f" {notes[0]}" if notes else " Give more photos, with long edges in several directions all over the image."
+        raise GeometryError(
+            f"Lines that tell where the camera projects to {rounded(_most_sigma_px(model, options))} px were expected, found "
+            f"that they leave {rounded(found.sigma_px)} px open, of which nothing follows.{why}"
+        )
+    return result
+
+
+def _most_sigma_px(model: CameraModel, options: CheckOptions) -> float:
+    """That lines may leave open."""
+    return options.most_sigma_share * math.hypot(*model.image_size)

@@ -54,6 +54,9 @@ class FoundDirections:
     covariance: Float[np.ndarray, "3 3"] | None = None
     """Of its rotation vector from the left, rad^2; the turn about the vertical is without error where it is a choice."""
 
+    def __repr__(self) -> str:
+        return f"FoundDirections({self.arcs.photo.name!r}, directions={len(self)}, arcs={len(self.arcs)})"
+
     def __len__(self) -> int:
         return len(self.meeting)
 
