@@ -71,7 +71,8 @@ def test_masks_beside_photos_are_no_photos(photos: Path) -> None:
 
 def test_arcs_and_chains_lie_where_each_mask_is_true(photos: Path, tmp_path: Path) -> None:
     masks = tmp_path / "masks"
-    write(masks / "a.png", side(True)), write(masks / "b.png", side(False))
+    write(masks / "a.png", side(True))
+    write(masks / "b.png", side(False))
     arcs = ol.extract(photos, CAMERA, mask=masks)
     assert "1 of 3 photos have no mask" in arcs.notes[0]
     left, right, both = (one.endpoints_px[..., 0] for one in arcs.photos)
@@ -91,7 +92,8 @@ def test_arcs_and_chains_lie_where_each_mask_is_true(photos: Path, tmp_path: Pat
 
 def test_a_photo_whose_mask_cannot_be_used_is_skipped(photos: Path, tmp_path: Path) -> None:
     masks = tmp_path / "masks"
-    write(masks / "a.png", np.zeros(SIZE[::-1], dtype=bool)), write(masks / "b.png", side(True)[:-1])
+    write(masks / "a.png", np.zeros(SIZE[::-1], dtype=bool))
+    write(masks / "b.png", side(True)[:-1])
     arcs = ol.extract(photos, CAMERA, mask=masks)
     assert list(arcs.skipped) == ["a.png", "b.png"] and len(arcs.used) == 1
     assert "expected to be white" in arcs.skipped["a.png"] and "Its mask has 320x239 px" in arcs.skipped["b.png"]

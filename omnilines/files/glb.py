@@ -22,6 +22,7 @@ def write_glb(path: Path, scene: SceneTables) -> tuple[str, ...]:
     centres = scene.poses.cam_from_world.centre.detach().numpy()
     points = np.concatenate([lines.ends_m[lines.known].reshape(-1, 3), centres])
     middle = points.mean(0) if len(points) else np.zeros(3)
+    # Only where it is needed: a turn that leaves z where it is may turn about z.
     upright = trimesh.geometry.align_vectors(scene.up, Z_UP) if scene.up != Z_UP else np.eye(4)
     placed = _Y_UP @ upright @ trimesh.transformations.translation_matrix(middle)
     whole = trimesh.Scene()

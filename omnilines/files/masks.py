@@ -55,8 +55,8 @@ def with_masks(photos: Sequence[Kind], mask: Mask | None) -> list[Kind]:
 def check_masks(photos: Sequence[Photo], sizes: Mapping[str, tuple[int, int]]) -> None:
     """Raises InputError where a mask that all photos have has not the size of every camera; `sizes` (width, height) are those
     of the photos, by name. A mask of its own is looked at with its photo."""
-    first = photos[0].mask
-    if first is None or not all(photo.mask is first or (isinstance(first, Path) and photo.mask == first) for photo in photos):
+    first, masks = photos[0].mask, {photo.mask if isinstance(photo.mask, Path) else id(photo.mask) for photo in photos}
+    if first is None or len(masks) > 1:
         return
     named = f"The mask {first}" if isinstance(first, Path) else "A mask"
     keep = white(first) if isinstance(first, Path) else first
@@ -140,8 +140,9 @@ def _of_all(mask: Bool[np.ndarray, "h w"] | str | Path, photos: Sequence[Photo])
     path = Path(mask)
     if path.suffix.lower() not in PHOTO_SUFFIXES or not path.is_file():
         there = "which is none" if path.exists() else "which does not exist"
+        kinds = " ".join(PHOTO_SUFFIXES)
         raise InputError(
-            f"A mask was expected as an image ({' '.join(PHOTO_SUFFIXES)}) or a folder of them, found {path}, {there}."
+            f"A mask was expected as an image ({kinds}) or a folder of them, found {path}, {there}; correct the path."
         )
     white(path)
     if os.path.realpath(path) in {os.path.realpath(photo.path) for photo in photos if isinstance(photo, PhotoRef)}:

@@ -228,10 +228,9 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
         worst = max(found.regions, key=lambda one: one.drift_px if math.isfinite(one.drift_px) else -1.0)
         ratio = np.abs(found.change) / np.where(found.change_sigma > 0, found.change_sigma, np.inf)
         name = found.model.PARAMETER_NAMES[int(ratio.argmax())]
-        largest = f"The drift is largest at the {worst.name} of the image, {rounded(worst.drift_px)} px; t"
-        said = (
-            f"{'T' if result.hardly_known else largest}he parameter {name} is off most clearly, by {rounded(ratio.max())} sigma."
-        )
+        clearest = f"parameter {name} is off most clearly, by {rounded(ratio.max())} sigma."
+        where = f"The drift is largest at the {worst.name} of the image, {rounded(worst.drift_px)} px"
+        said = f"The {clearest}" if result.hardly_known else f"{where}; the {clearest}"
         return (
             Advice(said, "Calibrate the camera again, with a board or from these photos: omnilines calibrate --pattern lines."),
         )

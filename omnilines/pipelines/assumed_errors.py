@@ -39,7 +39,7 @@ def require_error(options: SceneOptions) -> None:
 def with_assumed_errors(cameras: Calibration, arcs: MatchedArcs, options: SceneOptions) -> Calibration:
     """The calibration, in which cameras that state no covariance have one by `calibration_error_px`, where that is given; as
     far off axis as the arcs of their photos reach."""
-    if options.calibration_error_px is None or "intrinsics" in options.refine:
+    if options.calibration_error_px is None:
         return cameras
     assert arcs.observed is not None
     estimates = dict(cameras.estimates)

@@ -5,6 +5,7 @@ photos have in common, nothing else is found. Features of the world do so where 
 where it stood still; hence they are told of where the camera turned, and left out where no photos could be joined with them.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -13,9 +14,8 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.posing.features import Features
+from omnilines.posing.growth import PairMatches
 from omnilines.posing.options import PosingOptions
-
-PairMatches = Mapping[tuple[int, int], Int[Tensor, "_ 2"]]
 
 
 def carried_along(
@@ -43,20 +43,20 @@ def carried_share(
     features: Sequence[Features],
     matches: PairMatches,
     camera: Sequence[int],
-    cam_from_world: Mapping[int, Pose],
+    poses: Mapping[int, Pose],
     options: PosingOptions = PosingOptions(),
 ) -> float:
     """Share of the matches that are at one bearing although the camera turned by `turned_rad` and more; 0 where it did not.
 
-    `cam_from_world` are the poses of photos that have one.
+    `poses` are cam_from_world of the photos that have one.
     """
-    turned = {
-        (i, j): rows
-        for (i, j), rows in matches.items()
-        if i in cam_from_world
-        and j in cam_from_world
-        and float((cam_from_world[i] @ cam_from_world[j].inverse()).log()[..., :3].norm()) >= options.carried.turned_rad
-    }
-    total = sum(map(len, turned.values()))
-    along = carried_along(features, turned, camera, options)
+    pairs = [pair for pair in matches if pair[0] in poses and pair[1] in poses]
+    if not pairs:
+        return 0.0
+    first, second = (torch.stack([poses[photo].rotation for photo in side]) for side in zip(*pairs, strict=True))
+    # The trace of a turn from one to the other is 1 + 2 cos of its angle.
+    turned = (first * second).sum((-2, -1)) <= 1.0 + 2.0 * math.cos(options.carried.turned_rad)
+    far = {pair: matches[pair] for pair, is_far in zip(pairs, turned.tolist(), strict=True) if is_far}
+    along = carried_along(features, far, camera, options)
+    total = sum(map(len, along.values()))
     return sum(int(one.sum()) for one in along.values()) / total if total else 0.0

@@ -25,7 +25,7 @@ from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
-from omnilines.posing.growth import Grown, Matches, grow, start_from
+from omnilines.posing.growth import Grown, Matches, PairMatches, grow, start_from
 from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
@@ -86,14 +86,7 @@ def sfm_poses(
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts, told = _mapped(given, Path(work_folder), seed, progress, options), tuple[str, ...]()
-    if not parts:
-        clear, faint = (without_carried(features, one, given.camera, options) for one in (matches.clear, matches.faint))
-        without = Matches(clear, faint)
-        parts = _mapped(replace(given, matches=clear), Path(work_folder), seed, progress, options)
-        if not parts:
-            raise GeometryError(_not_joined(features, matches, without, seed, options))
-        matches, told = without, (LEFT_OUT,)
+    parts, matches, told = _joined(given, matches, Path(work_folder), seed, progress, options)
     with one_torch_thread():
         start = start_from(Frames(torch.tensor(frame), rig), parts[0])
         grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
@@ -105,12 +98,25 @@ def sfm_poses(
     return replace(found, notes=(*found.notes, *told))
 
 
-def _mapped(
-    given: MapperInput, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
-) -> list[dict[int, Pose]]:
-    """The parts that COLMAP joins."""
-    with _own_folder(work) as folder:
-        return map_photos(given, folder, seed, progress, options)
+def _joined(
+    given: MapperInput, matches: Matches, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
+) -> tuple[list[dict[int, Pose]], Matches, tuple[str, ...]]:
+    """The parts that COLMAP joins, by all matches or, where there is none, by those that do not go along with the camera; these
+    matches, and what is to be said of them. Raises GeometryError where there is none either way."""
+
+    def mapped(clear: PairMatches) -> list[dict[int, Pose]]:
+        with _own_folder(work) as folder:
+            return map_photos(replace(given, matches=clear), folder, seed, progress, options)
+
+    parts = mapped(matches.clear)
+    if parts:
+        return parts, matches, ()
+    clear, faint = (without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint))
+    without = Matches(clear, faint)
+    parts = mapped(clear) if _number(clear) < _number(matches.clear) else []
+    if not parts:
+        raise GeometryError(_not_joined(given.features, matches, without, seed, options))
+    return parts, without, (LEFT_OUT,)
 
 
 @contextmanager
@@ -184,7 +190,7 @@ def _not_joined(features: Sequence[Features], matches: Matches, without: Matches
     )
 
 
-def _number(matches: Mapping[tuple[int, int], Int[Tensor, "_ 2"]]) -> int:
+def _number(matches: PairMatches) -> int:
     return sum(map(len, matches.values()))
 
 
