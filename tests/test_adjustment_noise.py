@@ -186,3 +186,9 @@ def test_outliers_under_a_robust_loss_do_not_widen_the_rest(cost: str, stated: s
     plain = adjust_lines(truth.arcs("stated", 5), truth.lines, truth.rig_from_world, cost="whitened", refine_poses=False)
     ratio = (loss.line_covariance / plain.line_covariance).diagonal(dim1=1, dim2=2)
     assert float(ratio.median()) == pytest.approx(0.3358 / 0.5543**2, rel=0.05)
+
+
+def test_uncertainties_are_not_too_large_where_many_observations_lie_far_off() -> None:
+    small = Noise(0.87, 5000.0, True)
+    assert "likely to be too large" in noise_notes(small)[0] and "likely to be too large" in noise_notes(small, 0.001)[0]
+    assert "yet 9 percent of the observations lie far" in noise_notes(small, 0.09)[0]

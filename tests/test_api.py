@@ -7,6 +7,7 @@ import math
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType, ModuleType
 
@@ -79,6 +80,15 @@ def test_every_name_resolves_where_type_checkers_find_it(module: ModuleType) -> 
     assert lazy <= known.keys() <= set(module.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = module.nothing
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert ol.__version__ == version("omnilines")
+
+
+def test_a_camera_of_another_name_is_answered_with_the_names() -> None:
+    with pytest.raises(KeyError, match="a camera of the name left, right was expected, found 'cam0'"):
+        ol.Calibration({"left": LENS, "right": LENS})["cam0"]
 
 
 def test_import_loads_nothing_heavy_and_takes_no_time() -> None:

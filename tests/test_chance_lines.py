@@ -132,6 +132,15 @@ def test_where_many_are_it_is_said() -> None:
     assert not [one.limit for one in advice(none, 0.0, "table", options, silent) if "by chance" in one.limit]
 
 
+def test_arcs_that_stay_where_they_are_go_along_with_a_camera_that_photos_place() -> None:
+    """Of a camera that boards place it is the camera that stood still."""
+    found, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
+    by_photos, by_boards = (advice(found, 0.5, source, options, silent) for source in ("sfm", "boards"))
+    assert by_photos[0].limit.startswith("50 % of the arcs in no line stay") and "go along with the camera" in by_photos[0].limit
+    assert "`mask`" in by_photos[0].do and "the camera stood still" in by_boards[0].limit
+    assert not any("stay where they are" in one.limit for one in advice(found, 0.1, "sfm", options, silent))
+
+
 def test_a_room_without_clutter_keeps_all_lines() -> None:
     share = lines_found(LIMITS.max_chance_share, clutter=0).scene.lines.chance_share
     assert len(share) >= 80 and share.max() < 0.02
