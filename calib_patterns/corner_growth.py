@@ -71,6 +71,11 @@ class _Growth:
         """The map at some corners, from all that is known or from some of it."""
         return local_map(known or self.known(), self.kind.corners_m[chosen], self.kind.spacing_m, self.options.map)
 
+    def places_of_good(self, chosen: Int[np.ndarray, " k"]) -> LocalMap:
+        """The map at accepted corners, from such alone where they are enough. Seeds may lie in the margin of the board, where a
+        wrong place bends the edges of the windows next to it."""
+        return self.places(chosen, self.corners if int(self.good.sum()) >= AROUND else None)
+
     def inside(self, pixels: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
         """Corners in the photo."""
         return inside_photo(pixels, self.grey.shape)
@@ -162,7 +167,7 @@ class _Growth:
         chosen, limits = np.flatnonzero(self.good), self.options.growth
         if not chosen.size:
             return
-        places = self.places(chosen)
+        places = self.places_of_good(chosen)
         self.take_if_clearer(self.kind.at(chosen).along_edges(self.options.fit), chosen, places, limits.clearer_factor)
         much = self.fit.residual[chosen] > limits.much_clearer_factor * np.median(self.fit.residual[chosen])
         much &= self.kind.square_px(places) >= limits.min_narrow_px
@@ -205,7 +210,7 @@ class _Growth:
         self.drop_what_disagrees()
         chosen = np.flatnonzero(self.good)
         if chosen.size:
-            self.look(chosen, self.places(chosen))
+            self.look(chosen, self.places_of_good(chosen))
 
 
 def places_at(places: LocalMap, chosen: Bool[np.ndarray, " n"]) -> LocalMap:

@@ -24,6 +24,9 @@ LEAST_SIDE_PX = 20
 _THINNED = 32
 _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 """Median absolute second difference of white noise of unit standard deviation."""
+_MAX_FITS, _SETTLED_SIGMAS = 4, 5.0
+"""Of the grid of a whole board: fits after the hasty one, and by how many standard deviations the last one moves corners at most,
+so that another would move them by half of one."""
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 Grey = np.ndarray
@@ -90,14 +93,21 @@ def searched(
 
 
 def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float, options: DetectionOptions) -> SaddleFit:
-    """Two fits: the second has its windows and curvatures from the grid that the first, hasty one refines."""
+    """Fits that take windows and curvatures from the grid that the one before, first a hasty one, refines. Each moves corners by
+    about a tenth of what the one before moved them by; the last are fitted where that is well below their noise."""
     finder_px = options.grid.finder_sigma_px
-    coarse = fit_saddles(grey, grid, finder_px / scale, options, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
-    sigma_px, blur_px = typical_sigma_px(coarse, finder_px), typical_blur_px(coarse)
-    fit = fit_saddles(grey, coarse.pixels, sigma_px, options, start_blur_px=blur_px)
-    good = good_corners(fit, options.fit.max_sigma_px)
-    few = good.mean() < options.grid.min_good_share
-    return fit if good.all() or few else _fitted_from_others(grey, fit, good, options)
+    fit = fit_saddles(grey, grid, finder_px / scale, options, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
+    for _ in range(_MAX_FITS):
+        before, sigma_px, blur_px = fit.pixels, typical_sigma_px(fit, finder_px), typical_blur_px(fit)
+        fit = fit_saddles(grey, before, sigma_px, options, start_blur_px=blur_px)
+        good = good_corners(fit, options.fit.max_sigma_px)
+        if good.mean() < options.grid.min_good_share:
+            break
+        if not good.all():
+            fit = _fitted_from_others(grey, fit, good, options)
+        if np.abs(fit.pixels - before).max() < _SETTLED_SIGMAS * typical_sigma_px(fit, finder_px):
+            break
+    return fit
 
 
 def _fitted_from_others(grey: Grey, fit: SaddleFit, good: Bool[np.ndarray, "ny nx"], options: DetectionOptions) -> SaddleFit:

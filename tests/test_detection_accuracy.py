@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -11,6 +12,7 @@ from calib_patterns import pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.rendering import render_target
 from camera_models.opencv_fisheye import OpenCVFisheye
+from camera_models.pose import Pose
 from omnilines.calibration.single import calibrate_camera
 from omnilines.records import Corners
 
@@ -62,3 +64,39 @@ def test_cameras_from_photos_are_as_good_as_from_true_corners() -> None:
     errors = np.array([[bearing_rms_rad(corners) for corners in photo_and_truth(seed)] for seed in range(50)])
     from_photos, from_truth = np.sqrt((errors**2).mean(0))
     assert len(errors) == 50 and from_photos <= 1.2 * from_truth, (from_photos, from_truth)
+
+
+SMALL = OpenCVFisheye([150.0, 150.0, 319.5, 239.5, -0.01, 0.003, -0.001, 0.0001], (640, 480))
+
+
+def corner_photo(pose: Pose, truth: np.ndarray, seed: int, *, covered: bool) -> tuple[np.ndarray, np.ndarray]:
+    """A photo with SMALL, a grey disc over one of the outermost corners where it is to be covered; which corners are seen."""
+    image = render_target(BOARD, SMALL, pose, blur_px=0.5, noise_grey=2.0, seed=seed)
+    seen = np.ones(len(truth), dtype=bool)
+    if covered:
+        hidden, inwards = ((0, 9), (7, 14), (40, 33), (47, 38))[seed % 4]
+        radius_px = 0.85 * float(np.linalg.norm(truth[hidden] - truth[inwards]))
+        cv2.circle(image, (round(truth[hidden, 0]), round(truth[hidden, 1])), round(radius_px), 120, -1, cv2.LINE_AA)
+        # What touches a corner's window spoils its fit, and shows in what the fit leaves.
+        seen = np.linalg.norm(truth - truth[hidden], axis=1) > 2.0 * radius_px
+    return image, seen
+
+
+@pytest.mark.parametrize(("asked", "covered"), [("8x6", False), ("8x6", True), ("9x7", False)])
+def test_outermost_corners_are_as_good_as_stated(asked: str, covered: bool) -> None:
+    """Whole boards, boards with one corner covered and boards that are smaller than was said, with squares from 10 px on: the
+    places that the search starts from (some lie in the margin, some are pixels off) do not bend the windows at the border."""
+    board = pattern(f"checkerboard:{asked}:{1000 * SQUARE_M:g}mm")
+    poses = random_board_poses(BOARD, SMALL, 10, math.radians(80.0), min_spacing_px=10.0, seed=1)
+    ratios = []
+    for index in range(10):
+        truth = SMALL.project(poses[index].transform(torch.as_tensor(BOARD.points_m)))[0].numpy()
+        image, seen = corner_photo(poses[index], truth, index, covered=covered)
+        found, reason = board.detect(image)
+        assert reason is None and len(found) >= 40
+        distance = np.linalg.norm(found.pixels[:, None] - truth, axis=-1)
+        nearest, column, row = distance.argmin(1), distance.argmin(1) % 8, distance.argmin(1) // 8
+        border = seen[nearest] & ((column == 0) | (column == 7) | (row == 0) | (row == 5))
+        ratios.append(distance.min(1)[border] / found.sigma_px[border])
+    over = np.concatenate(ratios) / math.sqrt(2.0)
+    assert len(over) > 180 and np.sqrt((over**2).mean()) < 0.9 and over.max() < 4.0
