@@ -268,7 +268,7 @@ def test_a_folder_holds_several_formats(tmp_path: Path, capsys) -> None:
     assert names == {f"{name}.{suffix}" for name in ("left", "right") for suffix in ("yaml", "json", "yml")}
     before = (tmp_path / "many" / "left.yaml").read_text()
     said = refused(capsys, tmp_path / "rig.yaml", tmp_path / "many", "--to", "ros")
-    assert "found the one that `convert many to kalibr` wrote; give another folder" in said
+    assert "left.yaml, which `convert many to kalibr` wrote; give another" in said
     assert (tmp_path / "many" / "left.yaml").read_text() == before
 
 

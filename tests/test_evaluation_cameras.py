@@ -112,6 +112,19 @@ def test_what_cannot_be_compared_is_refused() -> None:
         parameter_errors(plain, np.zeros((13, 13)), plain)
 
 
+def test_a_calibration_of_a_higher_degree_than_the_truth() -> None:
+    """Its further coefficient is compared with zero; a truth of a higher degree than the calibration is none of its kind."""
+    truth = SLANTED.calibrated_form()
+    higher = truth.of_variant({"degree": 5}, torch.zeros(0, dtype=torch.float64))
+    found = Scaramuzza([*higher.parameters.tolist()[:-1], 2e-12], SIZE)
+    covariance = np.diag(np.full(len(found.parameters), 1e-12) ** 2)
+    errors = parameter_errors(found, covariance, SLANTED)
+    assert errors.names[-1] == "a5" and errors.z[-1] == pytest.approx(2.0)
+    np.testing.assert_allclose(errors.error[:-1], 0.0, atol=1e-12)
+    with pytest.raises(GeometryError, match="Parameters of one model"):
+        parameter_errors(truth, covariance[:-1, :-1], higher)
+
+
 @functools.cache
 def _eight_poses() -> Pose:
     return random_board_poses(BOARD, FISHEYE, 8, math.radians(80.0), seed=1)

@@ -55,7 +55,7 @@ Size = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Mirror = Annotated[bool, typer.Option("--mirror", help="The camera looks into a mirror (a0 < 0).")]
 LossName = Annotated[str, typer.Option("--loss", help="none, huber or cauchy.")]
-FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view of the camera, degrees.")]
+FovDeg = Annotated[float, typer.Option("--fov-deg", help="Field of view across the shorter side, degrees.")]
 Views = Annotated[int, typer.Option("--views", help="Number of photos.")]
 NoiseGrey = Annotated[float, typer.Option("--noise", help="Standard deviation of the image noise, grey levels of 255.")]
 BlurPx = Annotated[float, typer.Option("--blur", help="Standard deviation of the blur, pixels.")]
@@ -212,7 +212,7 @@ def run(
         from omnilines.commands.plots import with_plots
         from omnilines.files.folders import check_results
 
-        check_results(plots, ())
+        check_results(plots, (), by="plots")
     goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
     if kept is None:
         goes_on = " before its results were whole; the same command begins anew"

@@ -220,7 +220,7 @@ def validate(
     ] = "opencv-fisheye",
     fov_deg: Annotated[
         float | None,
-        typer.Option("--fov-deg", help="Field of view, degrees; default 190, with --scene of a pinhole camera 80."),
+        typer.Option("--fov-deg", help="Across the shorter side, degrees; default 190, with --scene of a pinhole camera 80."),
     ] = None,
     views: Views = 20,
     size: Size = "1280x960",

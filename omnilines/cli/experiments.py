@@ -103,7 +103,9 @@ def house(
 def book(
     out: Out,
     model: Model = "pinhole",
-    fov_deg: Annotated[float | None, typer.Option("--fov-deg", help="Field of view, degrees; default 190, pinhole 60.")] = None,
+    fov_deg: Annotated[
+        float | None, typer.Option("--fov-deg", help="Across the shorter side, degrees; default 190, pinhole 60.")
+    ] = None,
     views: Annotated[int, typer.Option("--views", help="Number of photos.")] = 9,
     size: Size = "1280x960",
     noise: NoiseGrey = 2.0,

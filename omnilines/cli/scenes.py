@@ -29,7 +29,8 @@ def scene(
         str, typer.Option("--model", help="Any camera model, equirectangular and cylindrical too.")
     ] = "opencv-fisheye",
     fov_deg: Annotated[
-        float | None, typer.Option("--fov-deg", help="Field of view, degrees; default 190, pinhole 80, cylindrical 360.")
+        float | None,
+        typer.Option("--fov-deg", help="Across the shorter side, degrees; default 190, pinhole 80, cylindrical 360."),
     ] = None,
     views: Annotated[int, typer.Option("--views", help="Number of photos.")] = 20,
     size: Size = "1280x960",

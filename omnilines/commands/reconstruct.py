@@ -95,7 +95,7 @@ def reconstruct_photos(
     files = [calibration, *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
-    check_results(folder, names, read)
+    check_results(folder, names, read, by=SCENE)
     check_work_folder(work, read)
     wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
@@ -146,7 +146,7 @@ def reconstruct_segments(
     """
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
     names, read = (*SCENE_FILES, PAGE), [calibration, poses, segments, *_pose_files(str(poses))]
-    check_results(out, names, read)
+    check_results(out, names, read, by=SCENE)
     cameras, table = load(calibration), read_segments(segments)
     posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}

@@ -116,9 +116,12 @@ def parameter_errors(
 ) -> ParameterErrors:
     """Errors of a calibrated camera against its covariance, along `calibration_basis()`, the truth in its `calibrated_form()`.
 
-    `freedom` is that of the residuals which scaled the covariance. Raises GeometryError where the models differ in kind, or the
-    truth in a parameter that the calibration held, or where a direction has no variance.
+    Where the calibration took a higher degree than the truth has, the true coefficients are zero there. `freedom` is that of the
+    residuals which scaled the covariance. Raises GeometryError where the models differ in kind, or the truth in a parameter that
+    the calibration held, or where a direction has no variance.
     """
+    if estimated.NAME == truth.NAME and len(estimated.parameters) > len(truth.parameters):
+        truth = truth.of_variant(estimated.variant, torch.zeros(0, dtype=torch.float64))
     if estimated.PARAMETER_NAMES != truth.PARAMETER_NAMES or estimated.NAME != truth.NAME:
         raise GeometryError(
             f"Parameters of one model were expected, found those of {estimated.NAME} ({' '.join(estimated.PARAMETER_NAMES)}) and "

@@ -3,7 +3,7 @@
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -45,6 +45,10 @@ def check_output_folder(out: str | Path) -> None:
         ) from None
 
 
+OF_PAGE = "page "
+"""What the names of sets begin with that are a page by itself."""
+
+
 class Written(NamedTuple):
     """A file in the list of a folder."""
 
@@ -69,19 +73,25 @@ def write_list(folder: Path, rows: dict[str, Written]) -> None:
     write_atomically(folder / MANIFEST, json.dumps({"written": entries}, indent=1) + "\n")
 
 
-def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
+def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = (), *, by: str) -> None:
     """Refuse, before any work, results that may not be written; nothing is made.
 
-    Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads. Raises InputError
-    where a result would go over an input, over a file that is not in the list of the folder, or through a link out of it; and
-    where pictures would be written among the photos that the same command reads.
+    Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads; `by` is the set that
+    the results are of. Raises InputError where a result would go over an input, over a file that is not in the list of the folder
+    or of another set there (but for pages, which are made again at will), or through a link out of it; and where pictures would
+    be written among the photos that the same command reads.
     """
     check_output_folder(out)
     folder, given = Path(out), [Path(os.path.realpath(path)) for path in inputs]
     # While a set is moved into place its own list may lie beside it.
-    own = {*written(folder), *written(folder / MOVING)}
+    own = {name: row.by for name, row in {**written(folder), **written(folder / MOVING)}.items()}
     for name in sorted(set(names)):
         _check_result(folder, name, own, given)
+        its = own.get(name, by)
+        if its != by and not (its.startswith(OF_PAGE) or by.startswith(OF_PAGE)) and os.path.lexists(folder / name):
+            raise InputError(
+                f"A place for results of `{by}` was expected, found {folder / name}, which `{its}` wrote; give another `out`."
+            )
 
 
 def way_out(folder: Path, name: str) -> str | None:
@@ -99,7 +109,7 @@ def way_out(folder: Path, name: str) -> str | None:
     return None
 
 
-def _check_result(folder: Path, name: str, own: set[str], inputs: Sequence[Path]) -> None:
+def _check_result(folder: Path, name: str, own: Collection[str], inputs: Sequence[Path]) -> None:
     if (why := way_out(folder, name)) is not None:
         raise InputError(f"Results were expected inside {folder}, found {why}.")
     target = folder / name

@@ -23,7 +23,7 @@ from camera_models.errors import OmnilinesError
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING, locked
 from omnilines.files.fingerprint import content_hash
-from omnilines.files.folders import Written, check_results, way_out, write_list, written
+from omnilines.files.folders import OF_PAGE, Written, check_results, way_out, write_list, written
 
 _STAGED = re.compile(r"\.omnilines\.[a-z0-9_]{8}\.part")
 
@@ -43,7 +43,7 @@ def claimed(
     if places.keys() <= disk.staged.keys():
         yield folder
         return
-    check_results(folder, wanted, given)
+    check_results(folder, wanted, given, by=by)
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         with _told(folder):
@@ -58,7 +58,7 @@ def claimed(
                     disk.staged.pop(place, None)
             with _told(folder), _alone(folder):
                 _settle(folder)
-                check_results(folder, wanted, given)
+                check_results(folder, wanted, given, by=by)
                 _publish(folder, stage, wanted, by, set(kept))
     except BaseException:
         for path in made:
@@ -69,7 +69,7 @@ def claimed(
 
 def claimed_page(path: str | Path) -> AbstractContextManager[Path]:
     """A page by itself: `claimed` for one file, the folder of which may hold others."""
-    return claimed(Path(path).parent, [Path(path).name], by=f"page {Path(path).name}")
+    return claimed(Path(path).parent, [Path(path).name], by=f"{OF_PAGE}{Path(path).name}")
 
 
 @contextmanager

@@ -80,13 +80,16 @@ def checks_advice(checks: Sequence[Check]) -> tuple[Advice, ...]:
 
 def parameter_rows(validation: Validation) -> tuple[tuple[str, str], ...]:
     """Each parameter with its standard deviation and its true value; all in the form that calibration holds."""
-    true = validation.truth.camera.calibrated_form()
+    true = validation.truth.camera.calibrated_form().named_parameters()  # a higher degree than the truth's is zero there
     sigma = validation.calibration.estimates["cam0"].sigma or {}
     z = dict(zip(validation.parameters.names, validation.parameters.z.tolist(), strict=True))
-    pairs = zip(validation.model.named_parameters().items(), true.named_parameters().values(), strict=True)
     return tuple(
-        (name, f"{with_sigma(value, sigma.get(name, 0.0))}, true {actual:.7g}" + (f", {z[name]:+.2f} sigma" if name in z else ""))
-        for (name, value), actual in pairs
+        (
+            name,
+            f"{with_sigma(value, sigma.get(name, 0.0))}, true {true.get(name, 0.0):.7g}"
+            + (f", {z[name]:+.2f} sigma" if name in z else ""),
+        )
+        for name, value in validation.model.named_parameters().items()
     )
 
 

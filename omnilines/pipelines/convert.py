@@ -14,7 +14,6 @@ from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
 from camera_models.typed import typed
-from omnilines.files.folders import written
 from omnilines.files.sets import claimed
 from omnilines.provenance import provenance
 
@@ -68,14 +67,7 @@ class ConversionResult:
         if self.errors:
             files.append(out.with_name(f"{out.stem}_conversion.csv"))
         names = [path.relative_to(out.parent).as_posix() for path in files]
-        its = f"convert {which}"
-        others = {name: row.by for name, row in written(out.parent).items() if row.by != its and (out.parent / name).exists()}
-        if taken := [name for name in names if name in others]:
-            raise InputError(
-                f"{out.parent / taken[0]}: a place for a file of {self.writer.NAME} was expected, found the one that "
-                f"`{others[taken[0]]}` wrote; give another folder."
-            )
-        with claimed(out.parent, names, self.read, by=its):
+        with claimed(out.parent, names, self.read, by=f"convert {which}"):
             self.writer.write(out, self.calibration)
             if self.errors:
                 write_atomically(files[-1], self._table())
