@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
@@ -115,23 +115,6 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
             f"{shorter:.0f} px): the calibration is extrapolated there; add photos with the board near the rim.",
         )
     return notes
-
-
-def rejection_notes(
-    model: CameraModel, pixels: Float[Tensor, "n 2"], kept: Bool[Tensor, " n"], thresholds: DegeneracyThresholds
-) -> tuple[str, ...]:
-    """A sentence where the corners that were rejected gather at the rim: then the model, not the corners, is at fault."""
-    radius = (pixels - model.centre_px).norm(dim=-1)
-    outer = radius > 2 / 3 * float(radius.max())
-    if not bool(outer.any()) or bool(outer.all()):
-        return ()
-    lost = [float((~kept[part]).to(torch.float64).mean()) for part in (outer, ~outer)]
-    if lost[0] <= thresholds.rim_share or lost[0] <= thresholds.rim_factor * lost[1]:
-        return ()
-    return (
-        f"{100 * lost[0]:.0f} percent of the corners in the outer third were rejected and {100 * lost[1]:.1f} percent of the "
-        f"others: the {model.NAME} model does not follow this lens to the rim; try model auto.",
-    )
 
 
 def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], beyond_factor: float) -> bool:

@@ -18,7 +18,6 @@ from omnilines.calibration.diagnose import (
     refuse_open_camera,
     refuse_parallel_boards,
     refuse_unexplained,
-    rejection_notes,
     supported_angles_deg,
     tilt_notes,
 )
@@ -26,6 +25,7 @@ from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.rings import ring_misfit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.table_doubts import misfit_notes, refuse_disorder
 from omnilines.calibration.thresholds import CalibrationThresholds
@@ -37,8 +37,9 @@ from omnilines.records import Corners, ViewResult
 
 CURVED = (
     "Parameters make up for one another along a curved valley, where standard deviations of single ones do not hold: their 95 "
-    "percent intervals are those of the profile likelihood. The projection uncertainty holds all the same."
+    "percent intervals are those of the profile likelihood."
 )
+PROJECTION_HOLDS = " The projection uncertainty holds all the same."
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,18 @@ def camera_result(
         intervals = model.parameters[:, None] + (curved - model.parameters[:, None]) * wider[:, None]
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
-    notes += noise_notes(factor, stated, thresholds.noise) + certain.note + (() if curved is None else (CURVED,))
+    misfit = ring_misfit(
+        corners.view[everywhere],
+        corners.pixels[everywhere],
+        residual[everywhere],
+        model.centre_px.detach().numpy(),
+        final.limit_px,
+        thresholds.degeneracy.misfit_significance,
+    )
+    notes += () if misfit is None else (misfit.note(model.NAME),)
+    notes += noise_notes(factor, stated, thresholds.noise) + certain.note
+    if curved is not None:
+        notes += (CURVED + (PROJECTION_HOLDS if misfit is None and not certain.note else ""),)
     views = _views(final, state, residual, leverage)
     return CameraCalibration(
         model=model,
@@ -108,13 +120,14 @@ def camera_result(
         min_angle_deg=low,
         max_angle_deg=high,
         iterations=solution.iterations,
-        notes=notes + _data_notes(final, solution, everywhere, leverage),
+        notes=notes + _data_notes(final, solution, leverage),
         board=state.shape,
         board_sigma=dict(zip(state.shape.free_names, certain.covariance.diagonal()[q:].sqrt().tolist(), strict=True)),
         interval_95=intervals.numpy(),
         corner_sigma_px=math.sqrt(factor.value),
         beyond_noise=certain.beyond_noise,
         curved=curved is not None,
+        misfit=misfit,
     )
 
 
@@ -134,16 +147,12 @@ def _views(
     )
 
 
-def _data_notes(
-    final: LastFit, solution: Solution[CameraAndBoards], everywhere: Bool[np.ndarray, " n"], leverage: Float[Tensor, " v"]
-) -> tuple[str, ...]:
-    """What is to be said of corners, views, and how the fit ended; `everywhere` are all corners of the views used."""
+def _data_notes(final: LastFit, solution: Solution[CameraAndBoards], leverage: Float[Tensor, " v"]) -> tuple[str, ...]:
+    """What is to be said of corners, views, and how the fit ended."""
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
     notes = _rejected_corners(final)
     notes += coverage_notes(model, final.points.pixels, model.image_size)
     notes += tilt_notes(state.cam_from_board, thresholds.degeneracy.one_axis_deg)
-    seen, kept = torch.as_tensor(corners.pixels[everywhere]), torch.as_tensor(final.rows[everywhere])
-    notes += rejection_notes(model, seen, kept, thresholds.degeneracy)
     if float(leverage.max()) > thresholds.views.leverage_share:
         name = corners.view_names[final.views[int(leverage.argmax())]]
         notes += (

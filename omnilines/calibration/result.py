@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from camera_models import CameraModel
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.rings import Misfit
 from omnilines.records import ViewResult
 
 
@@ -43,6 +44,8 @@ class CameraCalibration:
     """Standard deviations of the parameters over those of that noise alone: more than 1 where photos contradict each other."""
     curved: bool = False
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
+    misfit: Misfit | None = None
+    """What residuals have in common in all photos, where the model does not follow the lens."""
     line_delay: LineDelay | None = None
     """Of a rolling shutter that was recognised or estimated."""
 

@@ -137,10 +137,9 @@ class DegeneracyThresholds(NamedTuple):
     unexplained_share: float = 0.5
     """Corners that lie from where the camera sees them by more than this share of their spread in the views (both root mean
     squares) are not seen by a camera at all."""
-    rim_share: float = 0.05
-    """Share of rejected corners among the outer ones from which the model may be at fault."""
-    rim_factor: float = 4.0
-    """The model is at fault where that is so many times the share among the inner corners."""
+    misfit_significance: float = 1e-3
+    """Of what residuals have in common in all photos by their distance from the centre, from which on the model is said not to
+    follow the lens."""
 
 
 class DoubtThresholds(NamedTuple):

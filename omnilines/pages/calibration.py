@@ -14,6 +14,7 @@ from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
 from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.rings import Misfit
 from omnilines.calibration.select import Selection
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.limits import board_advice
@@ -43,6 +44,8 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     notes = result.notes if selection is None else (selection.reason, *result.notes)
     parameters = tuple((name, _parameter_text(result, name, value)) for name, value in model.named_parameters().items())
     verdict = calibration_verdict(median, largest, (result.min_angle_deg, result.max_angle_deg))
+    if result.misfit is not None:
+        verdict = misfit_verdict(model.NAME, result.misfit, verdict)
     advice = board_advice(result, calibrated.next_views, calibrated.found.corners, compared=selection is not None)
     summaries = [
         Summary("Calibration", rows, notes, verdict=verdict, advice=advice),
@@ -56,7 +59,7 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
         summaries.append(Summary("Rolling shutter ± one standard deviation", (row,)))
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", trial_rows(selection, "views")))
-    if calibrated.next_views is not None:
+    if calibrated.next_views is not None and result.misfit is None:
         summaries.append(next_views_summary(calibrated.next_views))
     return tuple(summaries)
 
@@ -68,6 +71,14 @@ def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[floa
     return (
         f"The camera is known to {figure(median_px, '.2g', 'px')} in the median and {figure(worst_px, '.2g', 'px')} at worst, "
         f"from {reach_deg[0]:.0f} to {reach_deg[1]:.0f} degrees off axis."
+    )
+
+
+def misfit_verdict(model: str, misfit: Misfit, verdict: str) -> str:
+    """What `calibration_verdict` says is then not of the lens."""
+    return (
+        f"The {model} model does not follow this lens: all photos agree on up to {figure(misfit.largest_px, unit='px')}. Of a "
+        f"lens that it follows would hold: {verdict[0].lower()}{verdict[1:]}"
     )
 
 
@@ -92,6 +103,11 @@ def trial_rows(selection: Selection | LineSelection, left_out: str) -> tuple[tup
     return tuple(rows)
 
 
+def misfit_data(misfit: Misfit) -> dict[str, Any]:
+    """Of `calibration_data`."""
+    return {"radii_px": misfit.radii_px.tolist(), "outward_px": misfit.outward_px.tolist(), "p": misfit.chance}
+
+
 def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
     result, selection = calibrated.fit, calibrated.selection
@@ -103,6 +119,7 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
         "sigma": result.sigma,
         "interval_95": {name: [_or_none(end) for end in ends] for name, ends in result.intervals.items()},
         "curved": result.curved,
+        "misfit": None if result.misfit is None else misfit_data(result.misfit),
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "min_angle_deg": result.min_angle_deg,
@@ -174,7 +191,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
     curve_theta, curve_rho = projection_curve(result)
     values = model.parameters.numpy()
     sigmas = np.array(list(result.sigma.values()))
-    advice = calibrated.next_views
+    advice = calibrated.next_views if result.misfit is None else None
     uncertainty = UncertaintyMap.of(result, None if advice is None else advice.known.field)
     sections = [
         report.verdict_section(summaries[0]),

@@ -14,6 +14,7 @@ from omnilines.calibration.next_pose import TEN, NextViews
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rings import Misfit
 from omnilines.calibration.thresholds import RigThresholds
 from omnilines.pipelines.copies import is_copy
 from omnilines.records import Advice, Corners, ViewResult
@@ -42,6 +43,10 @@ def named(names: Sequence[str]) -> str:
 def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corners, *, compared: bool) -> tuple[Advice, ...]:
     """Of a camera that was calibrated with a board: the places without corners, the noise of corners, photos that stand out, and
     photos without use. `compared`: the model is the best of several."""
+    unused = unused_advice([v for v in fit.views if not v.used], len(fit.views))
+    if fit.misfit is not None:
+        # Where to hold the board next, and the noise of corners, are figures of a camera that is not this one.
+        return (_of_misfit(fit.model.NAME, fit.misfit, compared), *unused)
     found = []
     noise = _of_noise(fit.views, fit.board_terms, compared)
     stated_px = None if corners.sigma_px is None else float(np.sqrt(np.mean(corners.sigma_px[fit.kept] ** 2)))
@@ -53,7 +58,17 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
             found.insert(0, Advice(views.limits[-1], noise))
     if stated_px and not (views is not None and views.noisy) and fit.corner_sigma_px > UNEXPLAINED * stated_px:
         found.append(_unexplained("", fit.corner_sigma_px / stated_px, stated_px, noise))
-    return (*found, *_standing_out(fit.views), *unused_advice([v for v in fit.views if not v.used], len(fit.views)))
+    return (*found, *_standing_out(fit.views), *unused)
+
+
+def _of_misfit(model: str, misfit: Misfit, compared: bool) -> Advice:
+    """A model that does not follow the lens."""
+    limit = f"The {model} model does not follow this lens: all photos agree on up to {rounded(misfit.largest_px)} px."
+    if compared:
+        do = f"No model that was compared follows it better: rely on it to {rounded(misfit.largest_px)} px at best."
+    else:
+        do = "Try `model` auto, which compares all."
+    return Advice(limit, do)
 
 
 def next_photo(views: NextViews, start: str = "") -> str:
