@@ -1,6 +1,7 @@
 """What errors of a calibration leave uncertain of lines: against cameras that are drawn from its covariance."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -194,6 +195,22 @@ def test_what_somebody_says_of_the_calibration_is_in_the_uncertainty_of_lines() 
         ol.adjust(segments, poses, CAMERA, replace(plain, calibration_error_px=-1.0))
     with pytest.raises(InputError, match="counts only with cameras that are held"):
         ol.adjust(segments, poses, CAMERA, replace(plain, refine=("lines", "poses", "intrinsics"), calibration_error_px=1.0))
+
+
+@pytest.mark.parametrize("refine", PARTS)
+def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
+    """How many times as uncertain lines and photos are with cameras off by half a pixel, as a run that is told so states."""
+    segments, poses, _ = world()
+    plain = replace(OF_TABLES, refine=refine)
+    exact, half = (ol.adjust(segments, poses, CAMERA, replace(plain, calibration_error_px=error)) for error in (None, 0.5))
+    times = float(np.median(half.lines.sigma_m / exact.lines.sigma_m))
+    said = next(note for note in exact.told if "Errors of cam0 are not in" in note)
+    found = [float(number) for number in re.findall(r"([0-9.]+) times", said)]
+    assert found[0] == pytest.approx(times, rel=0.1) and times > 1.2 and "Where it is off by 0.5 px (RMS)" in said
+    assert len(found) == (2 if "poses" in refine else 1)
+    if "poses" in refine:
+        of_photos = [np.trace(one.poses.covariance[1:, 3:, 3:], axis1=1, axis2=2) for one in (half, exact)]
+        assert found[1] == pytest.approx(float(np.median(np.sqrt(of_photos[0] / of_photos[1]))), rel=0.2)
 
 
 def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:

@@ -68,6 +68,7 @@ class Followed:
     points: Mapping[int, PosePoints]
     """Of photos whose pose was found from points, where poses are held."""
     prior: PosePrior | None = None
+    iterations: int = MOST_ITERATIONS
 
     def with_calibration(self, known: KnownCalibration) -> tuple[PlueckerLines, Pose]:
         """The lines, and `cam_from_world` of all photos, as they are found with other cameras."""
@@ -78,7 +79,7 @@ class Followed:
             poses = followed_poses(poses, self.points, known)
         found = adjust_lines(
             arcs, self.lines, poses, cost=self.cost, refine_poses=self.refine_poses, rig=rig, prior=self.prior,
-            loss=self.loss, max_iterations=MOST_ITERATIONS,
+            loss=self.loss, max_iterations=self.iterations,
         )  # fmt: skip
         return found.state.chart.lines(), found.state.cam_from_world
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from camera_models import Calibration, InputError, load
 from omnilines.adjustment.arcs import cameras_of_images
 from omnilines.commands.result import CommandResult
-from omnilines.commands.resume import Stamp
+from omnilines.commands.resume import OF_STAMP, Stamp
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import (
     Photo,
@@ -45,7 +45,7 @@ from omnilines.report import write_report
 
 WORK, STAMP = "work", "done.json"
 PAGE, RECORDING = "report.html", "scene.rrd"
-RESULTS = (*SCENE_FILES, "lines.obj", PAGE, STAMP)
+RESULTS = (*SCENE_FILES, "lines.obj", PAGE)
 """Of photos, always."""
 COLMAP = tuple(f"colmap/{name}" for name in (*COLMAP_FILES, LINES_FILE))
 MADE_BY = ("camera_models", "calib_patterns", "omnilines")
@@ -96,6 +96,7 @@ def reconstruct_photos(
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
     check_results(folder, names, read, by=SCENE)
+    check_results(folder, [STAMP], read, by=OF_STAMP)
     check_work_folder(work, read)
     wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
@@ -118,7 +119,7 @@ def reconstruct_photos(
     scene = reconstruct(
         arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, executor=executor, progress=progress
     )
-    with claimed(folder, names - {STAMP}, read, by=SCENE):
+    with claimed(folder, names, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
     if result.holds:
         stamp.write(result)

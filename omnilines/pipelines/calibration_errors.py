@@ -11,7 +11,7 @@ from torch import Tensor
 from camera_models import Calibration
 from camera_models.pose import Pose
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.by_calibration import CalibrationErrors, Followed, KnownCalibration, calibration_errors
+from omnilines.adjustment.by_calibration import MOST_ITERATIONS, CalibrationErrors, Followed, KnownCalibration, calibration_errors
 from omnilines.adjustment.line_table import too_uncertain
 from omnilines.adjustment.lines import end_sigma_m
 from omnilines.adjustment.rig import rig_of_photos
@@ -30,8 +30,9 @@ def states_errors(cameras: Calibration) -> bool:
     return any(covariance is not None for covariance in known)
 
 
-def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str, ...]:
-    """What is not in the uncertainty of lines: errors that the file of the calibration states, or states of no camera."""
+def unfollowed_errors(cameras: Calibration, options: SceneOptions, supposed: str = "") -> tuple[str, ...]:
+    """What is not in the uncertainty of lines: errors that the file of the calibration states, or states of no camera; what
+    these would make of it is a sentence that follows."""
     if "intrinsics" in options.refine:
         return ()
     if options.partition and states_errors(cameras):
@@ -45,7 +46,7 @@ def unfollowed_errors(cameras: Calibration, options: SceneOptions) -> tuple[str,
         return ()
     return (
         f"Errors of {exact} are not in the uncertainty of lines and poses: the calibration states no covariance "
-        "(`scene.calibration_error_px` takes how far pixels are off).",
+        f"(`scene.calibration_error_px` takes how far pixels are off).{supposed}",
     )
 
 
@@ -60,13 +61,14 @@ def errors_by_calibration(
     *,
     pose_sigma: tuple[float, float] | None = None,
     given: ImagePoses | None = None,
+    iterations: int = MOST_ITERATIONS,
 ) -> CalibrationErrors | None:
     """Covariances from errors of the calibration alone, of each line (NaN where there is none) and pose; None where cameras were
     refined or the file does not state its errors.
 
     The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. `points` are those that poses were
     found from, which move with the cameras unless lines refine them; `pose_sigma` (rad, m) is that of the prior, the poses
-    `given`, where there is one.
+    `given`, where there is one; `iterations` are those of the lines and poses that follow.
     """
     if not states_errors(cameras) or "intrinsics" in options.refine or options.partition or not lines.known.any():
         return None
@@ -78,7 +80,7 @@ def errors_by_calibration(
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
     places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
     prior = None if given is None else pose_prior(known_calibration(given, cameras, options)[1], pose_sigma)
-    followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior)
+    followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior, iterations)
     found = calibration_errors(followed, calibration, own, torch.as_tensor(line))
     of_lines = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)
     of_lines[torch.as_tensor(rows)] = found.lines
@@ -97,19 +99,19 @@ def lines_with_calibration_errors(lines: Lines, errors: CalibrationErrors | None
     uncertain then are weak."""
     if errors is None or lines.covariance is None:
         return lines
-    return replace(wider_lines(lines, errors.lines, weak_share), calibration_sigma_m=_sigma_m(lines, errors.lines))
+    return replace(wider_lines(lines, errors.lines, weak_share), calibration_sigma_m=sigma_m(lines, errors.lines))
 
 
 def wider_lines(lines: Lines, errors: Float[Tensor, "n 4 4"], weak_share: float) -> Lines:
     """Lines whose covariances hold other errors too; those that are too uncertain then are weak."""
     assert lines.covariance is not None
     whole = torch.as_tensor(lines.covariance) + errors
-    wider = replace(lines, covariance=whole.numpy(), sigma_m=np.where(lines.known, _sigma_m(lines, whole), lines.sigma_m))
+    wider = replace(lines, covariance=whole.numpy(), sigma_m=np.where(lines.known, sigma_m(lines, whole), lines.sigma_m))
     weak = too_uncertain(wider, weak_share)
     return replace(wider, status=tuple("weak" if weak[k] and one == "ok" else one for k, one in enumerate(lines.status)))
 
 
-def _sigma_m(lines: Lines, covariance: Float[Tensor, "n 4 4"]) -> Float[np.ndarray, " n"]:
+def sigma_m(lines: Lines, covariance: Float[Tensor, "n 4 4"]) -> Float[np.ndarray, " n"]:
     """Of the ends of each line; NaN where there is none."""
     rows, sigma = np.flatnonzero(lines.known), np.full(len(lines), np.nan)
     known = covariance[torch.as_tensor(rows)]

@@ -50,6 +50,7 @@ from omnilines.pipelines.same_place import without_same_place
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.still_camera import still_share
+from omnilines.pipelines.supposed_errors import supposed_errors
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
@@ -198,6 +199,7 @@ def _scene(
     cameras = with_assumed_errors(cameras, arcs_of_lines, options)
     progress("asking lines for the calibration", 0, 0)
     errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
+    supposed = supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
     by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)
     asked = asked_cameras(lines, arcs_of_lines, found.track, poses, cameras, options)
     poses = poses_with_calibration_errors(poses, errors)
@@ -220,7 +222,7 @@ def _scene(
     told = (
         *arcs.notes,
         *_by_chance(found),
-        *unfollowed_errors(cameras, options),
+        *unfollowed_errors(cameras, options, supposed),
         *_of_few(len(arcs.used), options.min_views),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
         *((OF_GIVEN,) if "poses" in options.refine and posed.source != SFM else ()),
