@@ -80,6 +80,12 @@ def test_a_model_that_cannot_follow_the_lens(lens: str, model: str) -> None:
     assert data["p"] < ALPHA and len(data["radii_px"]) == len(data["outward_px"]) + 1 == RINGS + 1
 
 
+def test_a_degree_that_no_photos_determine() -> None:
+    """More photos are not the only remedy."""
+    with pytest.raises(ol.GeometryError, match=r"leave a\d+ open; a lower `degree` may do, or add photos"):
+        ol.calibrate(simulated("scaramuzza", 150.0, 3), model="scaramuzza", image_size=SIZE, degree=12)
+
+
 @pytest.mark.parametrize("seeds", [6, pytest.param(60, marks=pytest.mark.full)])
 def test_a_model_that_follows_the_lens_is_not_blamed(seeds: int) -> None:
     """Nor where corners of one photo at the rim are wrong."""

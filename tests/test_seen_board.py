@@ -53,6 +53,16 @@ def test_the_error_says_what_the_photos_show(shown, asked, said):
         detect({f"{k}.png": photo(shown, k) for k in range(2)}, asked)
 
 
+def test_photos_that_were_flipped_are_said_to_be() -> None:
+    """Whose tags read as the board asked for, in a mirror: flipped by software or a mirror, no board with other tags."""
+    asked = "charuco:9x7:30mm:22mm:DICT_5X5_100"
+    flipped = {f"{k}.png": np.ascontiguousarray(photo(asked, k)[:, ::-1]) for k in range(2)}
+    with pytest.raises(
+        InputError, match=r"look like charuco:9x7:30mm:22mm:DICT_5X5_100 in a mirror: .*flip them back; .*`mirrored`"
+    ):
+        detect(flipped, asked)
+
+
 def test_a_board_given_too_large_is_named_although_one_photo_shows_less():
     photos = {f"{k}.png": photo("checkerboard:8x6:30mm", k) for k in range(4)}
     photos["3.png"][300:] = 220

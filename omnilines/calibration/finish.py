@@ -186,9 +186,11 @@ def _unit_covariance(final: LastFit, solution: Solution[CameraAndBoards], basis:
     where the data leave a direction open."""
     if solution.outcome is Outcome.DEGENERATE or _freedom(final, solution) <= 0:
         refuse_parallel_boards(solution.state.cam_from_board, final.thresholds.degeneracy.nearly_parallel_deg)
+        # A polynomial of a high degree is open however many photos there are.
+        lower = "".join(f"a lower `{name}` may do, or " for name in solution.state.model.variant)
         raise GeometryError(
             f"The corners of {len(final.views)} views were expected to determine the camera, found that they leave "
-            f"{_weakest_name(solution, basis)} open; add photos with the board at other tilts and nearer to the rim."
+            f"{_weakest_name(solution, basis)} open; {lower}add photos with the board at other tilts and nearer to the rim."
         )
     return solution.kept_covariance()
 

@@ -66,7 +66,13 @@ def _may_be(seen: SeenBoard, asked: Pattern, mirrored: bool) -> bool:
     if asked.plain_grid is not None:
         grid = sorted((asked.plain_grid.columns, asked.plain_grid.rows))
         return all(part <= whole for part, whole in zip(sorted((seen.columns, seen.rows)), grid, strict=True))
-    assert isinstance(asked, ChArUco | AprilGrid)
+    return _alike(seen, asked)
+
+
+def _alike(seen: SeenBoard, asked: Pattern) -> bool:
+    """Whether a board with tags is the one asked for, or part of it, however it is shown."""
+    if seen.name != asked.NAME or not isinstance(asked, ChArUco | AprilGrid):
+        return False
     tags = asked.dictionary if isinstance(asked, ChArUco) else asked.tag_family
     return tags.rsplit("_", 1)[0] == seen.tags.rsplit("_", 1)[0] and seen.columns in (0, asked.nx) and seen.rows <= asked.ny
 
@@ -86,6 +92,11 @@ def _sentence(seen: SeenBoard, asked: Pattern, mirrored: bool) -> str:
         text += f" with its sizes and {seen.tags}"
     if seen.shown == "negative":
         return f"The photos look like {what} that is printed white on black, which is not read: invert the photos."
+    if seen.shown and not mirrored and _alike(seen, asked):
+        return (
+            f"The photos look like {asked.specification} in a mirror: if they were flipped, as selfies often are, flip them "
+            "back; if they were taken by way of a mirror, give `mirrored`."
+        )
     if seen.shown and not mirrored:
         what, text = f"{what} in a mirror", f"{text}, and `mirrored`"
     return f"The photos look like {what}: if that is the target, give {text}."
