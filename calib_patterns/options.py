@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 INF = float("inf")
 
@@ -258,8 +258,8 @@ class SharpnessOptions(NamedTuple):
     """Standard deviation of the least blur that is named, in quadrature over that of the sharp photos: motion by 1.7 px."""
 
 
-@dataclass(frozen=True)
-class DetectionOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class DetectionOptions(Options):
     """All that decides which corners are found in photos."""
 
     min_corners: int = 6

@@ -18,7 +18,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, Field, asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import Any, Literal, ParamSpec, TypeVar
 
@@ -57,6 +57,25 @@ class Typed:
 
     def __post_init__(self) -> None:
         require_fields(self)
+
+
+@dataclass(frozen=True)
+class Options(Typed):
+    """Of a dataclass of options, made with `repr=False`: signatures, help and interpreters show what is not as by default."""
+
+    def __repr__(self) -> str:
+        """Only what was changed."""
+        changed = (f"{one.name}={value!r}" for one in fields(self) if (value := getattr(self, one.name)) != _default(one))
+        return f"{type(self).__name__}({', '.join(changed)})"
+
+    @property
+    def stated(self) -> str:
+        """All values, for what a result was made from."""
+        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in asdict(self).items())})"
+
+
+def _default(one: Field[Any]) -> Any:
+    return one.default if one.default_factory is MISSING else one.default_factory()
 
 
 def require_fields(record: Any) -> None:

@@ -1,12 +1,16 @@
 """Options: walked, set by name, and refused where a name or a value is not known."""
 
+import inspect
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import pytest
 
+import omnilines as ol
 from camera_models import InputError
 from omnilines.options import walk, with_settings
+from omnilines.posing.options import FeatureOptions, PosingOptions
+from omnilines.provenance import provenance
 
 
 class Edges(NamedTuple):
@@ -66,3 +70,14 @@ def test_settings_replace_what_they_name_and_leave_the_rest() -> None:
 def test_what_is_not_known_is_refused(setting: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         with_settings(Options(), [setting])
+
+
+def test_options_show_what_is_not_as_by_default_and_state_all() -> None:
+    """Signatures in `help` are short; what a result was made from holds every value."""
+    changed = ol.SceneOptions(seed=3, posing=PosingOptions(features=FeatureOptions(max_features=9)))
+    assert repr(ol.SceneOptions()) == "SceneOptions()"
+    assert repr(changed).startswith("SceneOptions(seed=3, posing=PosingOptions(features=FeatureOptions(max_features=9, ")
+    assert "min_views=4" in changed.stated and "'mapper': MapperOptions(" in changed.stated
+    assert changed.stated != ol.SceneOptions(seed=3).stated
+    assert "min_views=4" in provenance({"options": changed})["inputs"]["options"]
+    assert all(len(str(inspect.signature(function))) < 1000 for function in (ol.calibrate, ol.reconstruct, ol.extract))

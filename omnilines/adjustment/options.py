@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
-@dataclass(frozen=True)
-class AdjustmentOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class AdjustmentOptions(Options):
     """What decides how lines are started, weighed and judged."""
 
     loss_scale: float = 2.0

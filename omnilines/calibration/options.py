@@ -14,7 +14,7 @@ REFINABLE = ("surface", "aspect", "flatness")
 """What can be estimated of a board (`board_shape`)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibrationOptions(CalibrationThresholds):
     """What can be asked of a calibration, and its thresholds. Raises InputError where it cannot work, before any photo is looked
     at."""

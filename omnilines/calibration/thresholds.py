@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from camera_models.typed import Options
+
 
 class ViewThresholds(NamedTuple):
     """Which views can be used, and which are named."""
@@ -278,8 +280,8 @@ class ClockThresholds(NamedTuple):
     """Probability that a rolling shutter is named where frames are of one instant."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrationThresholds:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CalibrationThresholds(Options):
     """All thresholds of a calibration, the groups of its options."""
 
     views: ViewThresholds = ViewThresholds()

@@ -98,7 +98,8 @@ def reconstruct_photos(
     check_results(folder, names, read, by=SCENE)
     check_results(folder, [STAMP], read, by=OF_STAMP)
     check_work_folder(work, read)
-    wanted = repr((options, extraction, poses, pattern, distance, colmap, recording, [photo.name for photo in refs]))
+    names_of = [photo.name for photo in refs]
+    wanted = repr((options.stated, extraction.stated, poses, pattern, distance, colmap, recording, names_of))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
     if done is not None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
 class EdgeOptions(NamedTuple):
@@ -223,8 +223,8 @@ class ImageCircleOptions(NamedTuple):
     """Of the light at the inner end of that: here the rim ends."""
 
 
-@dataclass(frozen=True)
-class ExtractionOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class ExtractionOptions(Options):
     """Of `extract_arcs`."""
 
     min_length_px: float = 25.0
@@ -274,8 +274,8 @@ class SmoothOptions(NamedTuple):
     """Times that pairs of curves are joined."""
 
 
-@dataclass(frozen=True)
-class SmoothChainOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class SmoothChainOptions(Options):
     """Of `smooth_chains`."""
 
     edges: EdgeOptions = EdgeOptions()

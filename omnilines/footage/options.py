@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
-@dataclass(frozen=True)
-class FrameOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class FrameOptions(Options):
     """Of every video of a command."""
 
     most_of_target: int = 40

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
 class AppearanceOptions(NamedTuple):
@@ -202,8 +202,8 @@ class PlacingOptions(NamedTuple):
     """Lines that a pose is sought by, the longest."""
 
 
-@dataclass(frozen=True)
-class MatchingOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class MatchingOptions(Options):
     """All options of matching."""
 
     appearance: AppearanceOptions = AppearanceOptions()

@@ -235,5 +235,6 @@ class _Kept:
             return None
         look, model = self.look, self.look.cameras[item.camera]
         camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.known_rad[item.camera])
-        what.update(f"{revision(*MADE_BY, __name__)} {(camera, look.options, look.appearance, item.photo.levels)!r}".encode())
+        asked = (camera, look.options.stated, look.appearance, item.photo.levels)
+        what.update(f"{revision(*MADE_BY, __name__)} {asked!r}".encode())
         return what.hexdigest()[:32]

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 from omnilines.pipelines.line_options import LinesOptions
 
 
-@dataclass(frozen=True)
-class CheckOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class CheckOptions(Options):
     """Of `check`."""
 
     significance: float = 0.001

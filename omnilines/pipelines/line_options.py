@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 from omnilines.calibration.lines.options import LineOptions
 from omnilines.extraction import ExtractionOptions
 from omnilines.extraction.options import SmoothChainOptions
 from omnilines.structure.options import DirectionsOptions, RightAngleOptions
 
 
-@dataclass(frozen=True)
-class LinesOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class LinesOptions(Options):
     """Options of the stages."""
 
     chains: SmoothChainOptions = SmoothChainOptions()

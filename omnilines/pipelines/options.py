@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.matching.options import MatchingOptions
 from omnilines.posing.options import PosingOptions
@@ -154,8 +154,8 @@ class JudgeOptions(NamedTuple):
     degrees of freedom."""
 
 
-@dataclass(frozen=True)
-class SceneOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class SceneOptions(Options):
     """How a line scene is made."""
 
     refine: tuple[str, ...] = ("lines",)

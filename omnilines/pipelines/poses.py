@@ -249,7 +249,7 @@ def _made_from(asked: _Asked) -> str:
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
         if isinstance(photo.mask, np.ndarray):
             seen.update(np.packbits(photo.mask).tobytes())
-    options = repr((asked.source, asked.pattern, asked.options, asked.seed, names, masks, known, rig, seen.hexdigest()))
+    options = repr((asked.source, asked.pattern, asked.options.stated, asked.seed, names, masks, known, rig, seen.hexdigest()))
     files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
     return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__))
 

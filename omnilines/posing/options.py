@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
 class FeatureOptions(NamedTuple):
@@ -185,8 +185,8 @@ class CarriedOptions(NamedTuple):
     """Of the matches of such photos at one bearing, from which on that is said."""
 
 
-@dataclass(frozen=True)
-class PosingOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class PosingOptions(Options):
     """All options of posing."""
 
     features: FeatureOptions = FeatureOptions()

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 
 
 class ClippingOptions(NamedTuple):
@@ -103,8 +103,8 @@ class UprightOptions(NamedTuple):
     """A family is horizontal whose angle to the vertical differs by no more from a right one."""
 
 
-@dataclass(frozen=True)
-class StructureOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class StructureOptions(Options):
     """All options of the structure of a scene."""
 
     clipping: ClippingOptions = ClippingOptions()
@@ -119,8 +119,8 @@ class StructureOptions(Typed):
     """Which way is up."""
 
 
-@dataclass(frozen=True)
-class DirectionsOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class DirectionsOptions(Options):
     """All options of the directions in which the lines of one photo meet."""
 
     used_arcs: int = 400

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from camera_models.typed import Typed
+from camera_models.typed import Options
 from omnilines.calibration.thresholds import LineStartThresholds
 
 
-@dataclass(frozen=True)
-class LineOptions(Typed):
+@dataclass(frozen=True, repr=False)
+class LineOptions(Options):
     """Of the adjustment of a camera to chains of edge points."""
 
     most_chains: int = 200
