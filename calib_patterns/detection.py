@@ -97,9 +97,11 @@ def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float, optio
     about a tenth of what the one before moved them by; the last are fitted where that is well below their noise."""
     finder_px = options.grid.finder_sigma_px
     fit = fit_saddles(grey, grid, finder_px / scale, options, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
+    own_px = None
     for _ in range(_MAX_FITS):
         before, sigma_px, blur_px = fit.pixels, typical_sigma_px(fit, finder_px), typical_blur_px(fit)
-        fit = fit_saddles(grey, before, sigma_px, options, start_blur_px=blur_px)
+        fit = fit_saddles(grey, before, sigma_px, options, start_blur_px=blur_px, blur_px=own_px)
+        own_px = np.clip(fit.blur_px, 0.5 * blur_px, 2.0 * blur_px)
         good = good_corners(fit, options.fit.max_sigma_px)
         if good.mean() < options.grid.min_good_share:
             break
