@@ -131,8 +131,9 @@ def fit_saddles(
 ) -> SaddleFit:
     """Refine a grid of checkerboard corners known to `sigma_px`, at worst to within about twice `start_blur_px` + 1 px.
 
-    `image`: (h, w) grey, any depth. `blur_px` is that of both edges of each corner, where a fit before this one tells it. Corners whose window holds too few pixels or whose fit ran away come back unmoved with
-    `converged` false and infinite `sigma_px`.
+    `image`: (h, w) grey, any depth. `blur_px` is that of both edges of each corner, where a fit before this one tells it.
+    Corners whose window holds too few pixels or whose fit ran away come back unmoved with `converged` false and infinite
+    `sigma_px`.
     """
     first, second = grid_derivatives(grid, sigma_px, options.grid)
     fit = fit_corners(
