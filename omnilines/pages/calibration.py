@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 
 from camera_models.pose import Pose
+from camera_models.wording import rounded
 from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
@@ -77,8 +78,8 @@ def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[floa
 def misfit_verdict(model: str, misfit: Misfit, verdict: str) -> str:
     """What `calibration_verdict` says is then not of the lens."""
     return (
-        f"The {model} model does not follow this lens: all photos agree on up to {figure(misfit.largest_px, unit='px')}. Of a "
-        f"lens that it follows would hold: {verdict[0].lower()}{verdict[1:]}"
+        f"The {model} model does not follow this lens: all photos agree that corners lie off by up to "
+        f"{rounded(misfit.largest_px)} px. Only if it did would hold: {verdict[0].lower()}{verdict[1:]}"
     )
 
 

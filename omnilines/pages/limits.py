@@ -63,9 +63,10 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
 
 def _of_misfit(model: str, misfit: Misfit, compared: bool) -> Advice:
     """A model that does not follow the lens."""
-    limit = f"The {model} model does not follow this lens: all photos agree on up to {rounded(misfit.largest_px)} px."
+    off = rounded(misfit.largest_px)
+    limit = f"The {model} model does not follow this lens: corners lie off by up to {off} px in all photos alike."
     if compared:
-        do = f"No model that was compared follows it better: rely on it to {rounded(misfit.largest_px)} px at best."
+        do = f"No model that was compared follows it better: rely on it to {off} px at best."
     else:
         do = "Try `model` auto, which compares all."
     return Advice(limit, do)
