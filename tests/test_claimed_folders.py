@@ -34,9 +34,9 @@ def test_a_new_folder_is_made_and_lists_what_was_written(tmp_path: Path) -> None
     out = tmp_path / "a" / "b"
     put(out, ["lines.csv", "pictures/0.png"])
     assert list(written(out)) == ["lines.csv", "pictures/0.png"]
-    put(out, ["report.html"], "2", by="another")
+    put(out, ["lines.csv", "report.html"], "2", by="another")
     assert list(written(out)) == ["lines.csv", "pictures/0.png", "report.html"]
-    assert everything(out) == {"lines.csv": "1", "pictures/0.png": "1", "report.html": "2"}
+    assert everything(out) == {"lines.csv": "2", "pictures/0.png": "1", "report.html": "2"}
     assert oct((out / "pictures/0.png").stat().st_mode & 0o777) == oct(0o666 & ~umask())
 
 
@@ -92,8 +92,8 @@ def test_an_input_is_not_written_over_even_if_it_is_a_result_of_before(tmp_path:
             check_results(tmp_path, ["calibration.yaml"], [tmp_path / given], by="test")
 
 
-def test_what_another_command_wrote_stays(tmp_path: Path) -> None:
-    """The truth beside rendered photos, for one; a page by itself is made again at will."""
+def test_the_truth_of_rendered_photos_stays(tmp_path: Path) -> None:
+    """Where photos are calibrated into their own folder; a page by itself is made again at will."""
     put(tmp_path, ["calibration.yaml", "report.html"], "truth", by="render")
     with pytest.raises(InputError, match=r"`test` was expected, found .*calibration\.yaml, which `render` wrote; give another"):
         put(tmp_path, ["calibration.yaml"])

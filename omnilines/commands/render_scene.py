@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from omnilines.commands.result import CommandResult
-from omnilines.files.folders import check_output_folder
+from omnilines.files.folders import OF_RENDER, check_output_folder
 from omnilines.files.sets import claimed
 from omnilines.pipelines.render import MODEL, RenderOptions
 from omnilines.pipelines.render import render_scene as rendered_scene
@@ -42,7 +42,7 @@ def render_scene(
     rendered = rendered_scene(
         scene, model, options, textures=textures, texture_m=texture_m, textured=textured, progress=progress
     )  # fmt: skip
-    with claimed(out, rendered.file_names, [] if textures is None else [textures], by="render"):
+    with claimed(out, rendered.file_names, [] if textures is None else [textures], by=OF_RENDER):
         files = rendered.save(out, progress)
     camera, stretches = rendered.camera, rendered.stretches
     field = 2.0 * math.degrees(largest_angle(camera, rendered.circle_rad))

@@ -45,8 +45,8 @@ def check_output_folder(out: str | Path) -> None:
         ) from None
 
 
-OF_PAGE = "page "
-"""What the names of sets begin with that are a page by itself."""
+OF_PAGE, OF_RENDER, OF_CONVERT = "page ", "render", "convert "
+"""What the names of sets begin with: a page by itself, photos with their truth, files for other tools."""
 
 
 class Written(NamedTuple):
@@ -77,9 +77,9 @@ def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | 
     """Refuse, before any work, results that may not be written; nothing is made.
 
     Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads; `by` is the set that
-    the results are of. Raises InputError where a result would go over an input, over a file that is not in the list of the folder
-    or of another set there (but for pages, which are made again at will), or through a link out of it; and where pictures would
-    be written among the photos that the same command reads.
+    the results are of. Raises InputError where a result would go over an input, over a file that is not in the list of the
+    folder, over the truth of rendered photos, over a file that was converted (or that one over others), or through a link out of
+    it; and where pictures would be written among the photos that the same command reads.
     """
     check_output_folder(out)
     folder, given = Path(out), [Path(os.path.realpath(path)) for path in inputs]
@@ -88,7 +88,8 @@ def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | 
     for name in sorted(set(names)):
         _check_result(folder, name, own, given)
         its = own.get(name, by)
-        if its != by and not (its.startswith(OF_PAGE) or by.startswith(OF_PAGE)) and os.path.lexists(folder / name):
+        lasts = its.startswith((OF_RENDER, OF_CONVERT)) or by.startswith(OF_CONVERT)
+        if its != by and lasts and not by.startswith(OF_PAGE) and os.path.lexists(folder / name):
             raise InputError(
                 f"A place for results of `{by}` was expected, found {folder / name}, which `{its}` wrote; give another `out`."
             )

@@ -14,6 +14,7 @@ from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
 from camera_models.typed import typed
+from omnilines.files.folders import OF_CONVERT
 from omnilines.files.sets import claimed
 from omnilines.provenance import provenance
 
@@ -67,7 +68,7 @@ class ConversionResult:
         if self.errors:
             files.append(out.with_name(f"{out.stem}_conversion.csv"))
         names = [path.relative_to(out.parent).as_posix() for path in files]
-        with claimed(out.parent, names, self.read, by=f"convert {which}"):
+        with claimed(out.parent, names, self.read, by=f"{OF_CONVERT}{which}"):
             self.writer.write(out, self.calibration)
             if self.errors:
                 write_atomically(files[-1], self._table())

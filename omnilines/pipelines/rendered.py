@@ -15,6 +15,7 @@ from camera_models.formats.calibration_data import ViewRecord
 from camera_models.pose import Pose
 from camera_models.typed import typed
 from omnilines.files import write_corners, write_png, write_poses
+from omnilines.files.folders import OF_RENDER
 from omnilines.files.sets import claimed
 from omnilines.files.true_edges import Stretches, TrueEdges, write_stretches, write_true_edges
 from omnilines.progress import ProgressCallback, silent
@@ -73,7 +74,7 @@ class Rendered:
 
         Raises InputError for a folder that cannot be made.
         """
-        with claimed(folder, self.file_names, by="render") as out:
+        with claimed(folder, self.file_names, by=OF_RENDER) as out:
             photos = [out / name for name in self.photos]
             progress("rendering photos", 0, len(photos))
             for k, path in enumerate(photos):
