@@ -35,7 +35,7 @@ def test_every_stage_is_listed() -> None:
                 module = ".".join(parts)
                 found |= {f"{module}:{node.name}" for node in ast.parse(path.read_text()).body if is_options(node)}
     listed = {place for stage, _ in STAGES for place in places(options_of(stage))}
-    assert found == listed
+    assert found == listed | {"camera_models.typed:Options"}  # the base of them all
 
 
 def places(options: Any) -> set[str]:
