@@ -27,6 +27,8 @@ _BEND_OF_NOISE = 0.6745 * 6.0**0.5
 _MAX_FITS, _SETTLED_SIGMAS = 4, 5.0
 """Of the grid of a whole board: fits after the hasty one, and by how many standard deviations the last one moves corners at most,
 so that another would move them by half of one."""
+_ALIKE_BLUR = 2.0
+"""By what factor the blur that a corner is fitted with again may differ from the usual one."""
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 Grey = np.ndarray
@@ -97,11 +99,10 @@ def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float, optio
     about a tenth of what the one before moved them by; the last are fitted where that is well below their noise."""
     finder_px = options.grid.finder_sigma_px
     fit = fit_saddles(grey, grid, finder_px / scale, options, start_blur_px=max(1.0, 1.0 / scale), hasty=True)
-    own_px = None
+    start: float | Float[np.ndarray, "ny nx 2"] = typical_blur_px(fit)
     for _ in range(_MAX_FITS):
-        before, sigma_px, blur_px = fit.pixels, typical_sigma_px(fit, finder_px), typical_blur_px(fit)
-        fit = fit_saddles(grey, before, sigma_px, options, start_blur_px=blur_px, blur_px=own_px)
-        own_px = np.clip(fit.blur_px, 0.5 * blur_px, 2.0 * blur_px)
+        before = fit.pixels
+        fit = fit_saddles(grey, before, typical_sigma_px(fit, finder_px), options, start_blur_px=start)
         good = good_corners(fit, options.fit.max_sigma_px)
         if good.mean() < options.grid.min_good_share:
             break
@@ -109,6 +110,9 @@ def _refined(grey: Grey, grid: Float[np.ndarray, "ny nx 2"], scale: float, optio
             fit = _fitted_from_others(grey, fit, good, options)
         if np.abs(fit.pixels - before).max() < _SETTLED_SIGMAS * typical_sigma_px(fit, finder_px):
             break
+        # A fit ends where its corner comes to rest: one that begins at rest would leave the blur where it begins.
+        usual_px = typical_blur_px(fit)
+        start = np.clip(np.nan_to_num(fit.blur_px, nan=usual_px), usual_px / _ALIKE_BLUR, usual_px * _ALIKE_BLUR)
     return fit
 
 

@@ -125,15 +125,13 @@ def fit_saddles(
     sigma_px: float,
     options: DetectionOptions,
     *,
-    start_blur_px: float = 1.0,
-    blur_px: Float[np.ndarray, "ny nx 2"] | None = None,
+    start_blur_px: float | Float[np.ndarray, "ny nx 2"] = 1.0,
     hasty: bool = False,
 ) -> SaddleFit:
     """Refine a grid of checkerboard corners known to `sigma_px`, at worst to within about twice `start_blur_px` + 1 px.
 
-    `image`: (h, w) grey, any depth. `blur_px` is that of both edges of each corner, where a fit before this one tells it.
-    Corners whose window holds too few pixels or whose fit ran away come back unmoved with `converged` false and infinite
-    `sigma_px`.
+    `image`: (h, w) grey, any depth. `start_blur_px` is that of all edges, or of both edges of each corner. Corners whose window
+    holds too few pixels or whose fit ran away come back unmoved with `converged` false and infinite `sigma_px`.
     """
     first, second = grid_derivatives(grid, sigma_px, options.grid)
     fit = fit_corners(
@@ -142,8 +140,7 @@ def fit_saddles(
         first.reshape(-1, 2, 2),
         second.reshape(-1, 2, 2),
         options.fit,
-        start_blur_px=start_blur_px,
-        blur_px=None if blur_px is None else blur_px.reshape(-1, 2),
+        start_blur_px=start_blur_px if isinstance(start_blur_px, float) else start_blur_px.reshape(-1, 2),
         settled_px=SETTLED_GRID_PX,
         hasty=hasty,
     )
@@ -158,8 +155,7 @@ def fit_corners(
     options: FitOptions,
     *,
     plain: Float[np.ndarray, "n 2 2"] | None = None,
-    start_blur_px: float = 1.0,
-    blur_px: Float[np.ndarray, "n 2"] | None = None,
+    start_blur_px: float | Float[np.ndarray, "n 2"] = 1.0,
     max_steps: int = MAX_STEPS,
     settled_px: float = SETTLED_PX,
     hasty: bool = False,
@@ -170,10 +166,8 @@ def fit_corners(
     quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag. `hasty`:
     only for another fit to start from.
     """
-    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, start_blur_px)
-    if blur_px is not None:
-        # A fit ends where its corner comes to rest: one that begins at rest would leave the blur where it begins.
-        parameters[:, 4:6] = np.log(np.minimum(np.maximum(0.2 * narrowest, 0.5)[:, None], blur_px))
+    blur_px = np.broadcast_to(start_blur_px, corners.shape)
+    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, np.ascontiguousarray(blur_px))
     enough_px = HASTY_PX if hasty else settled_px
     widest_blur_px = max(options.max_blur_squares * median(narrowest), 1.5)
     # In this order what is no number is the least.

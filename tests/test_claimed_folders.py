@@ -89,14 +89,17 @@ def test_an_input_is_not_written_over_even_if_it_is_a_result_of_before(tmp_path:
     (tmp_path / "link.yaml").symlink_to("calibration.yaml")
     for given in ("calibration.yaml", "link.yaml"):
         with pytest.raises(InputError, match="without the inputs"):
-            check_results(tmp_path, ["calibration.yaml"], [tmp_path / given], by="test")
+            check_results(tmp_path, ["calibration.yaml"], [tmp_path / given])
 
 
 def test_the_truth_of_rendered_photos_stays(tmp_path: Path) -> None:
     """Where photos are calibrated into their own folder; a page by itself is made again at will."""
     put(tmp_path, ["calibration.yaml", "report.html"], "truth", by="render")
-    with pytest.raises(InputError, match=r"`test` was expected, found .*calibration\.yaml, which `render` wrote; give another"):
+    refused = r"A place for results was expected, found .*calibration\.yaml, which `render` wrote; give another"
+    with pytest.raises(InputError, match=refused):
         put(tmp_path, ["calibration.yaml"])
+    with pytest.raises(InputError, match=refused):
+        check_results(tmp_path, ["calibration.yaml"])
     put(tmp_path, ["report.html"], "page", by="page report.html")
     assert everything(tmp_path) == {"calibration.yaml": "truth", "report.html": "page"}
     (tmp_path / "calibration.yaml").unlink()
@@ -126,8 +129,8 @@ def test_pictures_are_not_written_among_the_photos(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     for out in (tmp_path / "photos", tmp_path / "photos/views"):
         with pytest.raises(InputError, match="taken for photos"):
-            check_results(out, ["0.png"], [tmp_path / "photos"], by="test")
-    check_results(tmp_path / "photos/tables", ["segments.csv"], [tmp_path / "photos"], by="test")
+            check_results(out, ["0.png"], [tmp_path / "photos"])
+    check_results(tmp_path / "photos/tables", ["segments.csv"], [tmp_path / "photos"])
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"written": 3}', '{"written": {"a.csv": null}}', "[" * 100000, "\x00"])
@@ -253,7 +256,7 @@ def test_what_is_kept_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
 def test_a_folder_that_only_seems_writable_is_named_before_any_work() -> None:
     """To root every folder does; one on a file system of another kind, or of another machine, may be none."""
     with pytest.raises(InputError, match=r"expected at /proc/omnilines, found that .*/proc.*; name another"):
-        check_results("/proc/omnilines", (), by="test")
+        check_results("/proc/omnilines", ())
 
 
 def test_a_command_runs_again_in_its_folder_beside_files_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

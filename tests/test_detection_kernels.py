@@ -64,7 +64,7 @@ def test_starts_are_the_edges_of_the_derivatives() -> None:
     first = 12.0 * np.eye(2) + rng.uniform(-4, 4, (20, 2, 2))
     first[7] = [[0.2, 0.0], [0.0, 0.3]]  # squares of less than half a pixel
     second = rng.normal(0.0, 0.3, (20, 2, 2))
-    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, 1.0)
+    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, np.ones((len(corners), 2)))
     np.testing.assert_allclose(narrowest, np.linalg.svd(first, compute_uv=False)[:, -1], rtol=1e-12)
     first[7] = np.eye(2)
     np.testing.assert_allclose(into_squares, np.linalg.inv(first), rtol=1e-12, atol=1e-15)

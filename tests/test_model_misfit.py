@@ -8,7 +8,7 @@ import pytest
 import omnilines as ol
 from calib_patterns import pattern
 from calib_patterns.board_poses import random_board_poses
-from omnilines.calibration.rings import LEAST_PHOTOS, RINGS, Misfit, ring_misfit
+from omnilines.calibration.model_misfit import LEAST_PHOTOS, RINGS, ModelMisfit, model_misfit
 from omnilines.calibration.single import calibrate_camera
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.records import Corners
@@ -40,10 +40,10 @@ def drawn(seed: int, common_px: float, photos: int = 10) -> tuple[np.ndarray, np
 
 def test_what_photos_have_in_common_is_told_from_what_they_do_not() -> None:
     """1000 sets without it are said to have it as often as the significance says; sets with it have its size."""
-    alarms = sum(ring_misfit(*drawn(seed, 0.0), CENTRE, None, 0.02) is not None for seed in range(1000))
+    alarms = sum(model_misfit(*drawn(seed, 0.0), CENTRE, None, 0.02) is not None for seed in range(1000))
     assert 5 <= alarms <= 40
     for seed in range(5):
-        found = ring_misfit(*drawn(seed, 1.0), CENTRE, None, ALPHA)
+        found = model_misfit(*drawn(seed, 1.0), CENTRE, None, ALPHA)
         assert found is not None and found.chance < 1e-6 and 0.6 < found.largest_px < 1.3
         assert len(found.outward_px) == RINGS and (np.diff(found.radii_px) > 0).all()
 
@@ -51,15 +51,15 @@ def test_what_photos_have_in_common_is_told_from_what_they_do_not() -> None:
 def test_what_is_too_few_tells_nothing() -> None:
     view, pixels, residual = drawn(0, 1.0)
     few = view < LEAST_PHOTOS - 1
-    assert ring_misfit(view[few], pixels[few], residual[few], CENTRE, None, ALPHA) is None
+    assert model_misfit(view[few], pixels[few], residual[few], CENTRE, None, ALPHA) is None
     same = np.zeros_like(pixels) + CENTRE
-    assert ring_misfit(view, same, residual, CENTRE, None, ALPHA) is None
+    assert model_misfit(view, same, residual, CENTRE, None, ALPHA) is None
 
 
 def test_a_rejected_corner_counts_no_more_than_the_limit() -> None:
     view, pixels, residual = drawn(3, 0.0)
     residual[view == 0] *= 1000.0
-    assert ring_misfit(view, pixels, residual, CENTRE, 1.0, ALPHA) is None
+    assert model_misfit(view, pixels, residual, CENTRE, 1.0, ALPHA) is None
 
 
 @pytest.mark.parametrize(("lens", "model"), [("opencv-fisheye", "pinhole"), ("opencv-fisheye", "double-sphere")])
@@ -104,6 +104,6 @@ def test_real_lenses(shared_data) -> None:
     corners = ol.read_corners(shared_data / "calibration/fisheye1/corners.csv")
     size = tuple(json.loads((shared_data / "calibration/fisheye1/reference.json").read_text())["image_size"])
     pinhole = calibrate_camera(corners, size, "pinhole").misfit
-    assert isinstance(pinhole, Misfit) and pinhole.largest_px > 0.5
+    assert isinstance(pinhole, ModelMisfit) and pinhole.largest_px > 0.5
     for model in ("opencv-fisheye", "scaramuzza", "double-sphere"):
         assert calibrate_camera(corners, size, model).misfit is None

@@ -25,14 +25,15 @@ LEAST_SQUARE_PX = 0.5
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def starts(
-    corners: np.ndarray, first: np.ndarray, second: np.ndarray, blur_px: float
+    corners: np.ndarray, first: np.ndarray, second: np.ndarray, blur_px: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
     """What fits start from, for n corners with derivatives (n x 2 x 2) as `saddle.fit_corners` states.
 
-    Returns the parameters (n x 11), from the directions of the edges (tangents +x and -y, normals +y and +x) and `blur_px` or
-    less where squares are small; the signed curvatures (n x 2, 1/px) of both edges, positive towards the normals (-t_v, t_u) of
-    these tangents; the matrices (n x 2 x 2) that take pixels to squares; by how many pixels (n) a step of one square moves the
-    least, the smaller singular value; and half the width of the largest box (px) around a square and its neighbours.
+    Returns the parameters (n x 11), from the directions of the edges (tangents +x and -y, normals +y and +x) and `blur_px`
+    (n x 2, of both edges) or less where squares are small; the signed curvatures (n x 2, 1/px) of both edges, positive towards
+    the normals (-t_v, t_u) of these tangents; the matrices (n x 2 x 2) that take pixels to squares; by how many pixels (n) a step
+    of one square moves the least, the smaller singular value; and half the width of the largest box (px) around a square and its
+    neighbours.
     """
     count, widest = len(corners), 0.0
     parameters, curvature = np.zeros((count, PARAMETERS)), np.empty((count, 2))
@@ -47,8 +48,8 @@ def starts(
         widest = max(widest, max(abs(a) + abs(b), abs(c) + abs(d)))
         p = parameters[i]
         p[0], p[1], p[2], p[3] = corners[i, 0], corners[i, 1], math.atan2(c, a), math.atan2(-d, -b)
-        p[4] = math.log(min(max(0.2 * narrowest[i], 0.5), blur_px))
-        p[5] = p[4]
+        for k in range(2):
+            p[4 + k] = math.log(min(max(0.2 * narrowest[i], 0.5), blur_px[i, k]))
         curvature[i, 0] = (a * second[i, 1, 0] - c * second[i, 0, 0]) / (a * a + c * c) ** 1.5
         curvature[i, 1] = -(b * second[i, 1, 1] - d * second[i, 0, 1]) / (b * b + d * d) ** 1.5
         per = 1.0 / (a * d - b * c)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models import GeometryError
+from camera_models import CameraModel, GeometryError
 from camera_models.formats.camera_doubts import model_doubts
 from camera_models.wording import rounded
 from omnilines.calibration.by_views import stated_covariance
@@ -23,9 +23,9 @@ from omnilines.calibration.diagnose import (
 )
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
+from omnilines.calibration.model_misfit import ModelMisfit, model_misfit
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
-from omnilines.calibration.rings import ring_misfit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.table_doubts import misfit_notes, refuse_disorder
 from omnilines.calibration.thresholds import CalibrationThresholds
@@ -96,14 +96,7 @@ def camera_result(
         intervals = model.parameters[:, None] + (curved - model.parameters[:, None]) * wider[:, None]
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
-    misfit = ring_misfit(
-        corners.view[everywhere],
-        corners.pixels[everywhere],
-        residual[everywhere],
-        model.centre_px.detach().numpy(),
-        final.limit_px,
-        thresholds.degeneracy.misfit_significance,
-    )
+    misfit = _misfit(final, model, residual)
     notes += () if misfit is None else (misfit.note(model.NAME),)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
     if curved is not None:
@@ -129,6 +122,13 @@ def camera_result(
         curved=curved is not None,
         misfit=misfit,
     )
+
+
+def _misfit(final: LastFit, model: CameraModel, residual: Float[np.ndarray, "n 2"]) -> ModelMisfit | None:
+    """Of the corners of the views used, rejected ones too: where a model does not follow, those are what it misses most."""
+    corners, used = final.corners, np.isfinite(residual).all(1)
+    centre_px, significance = model.centre_px.detach().numpy(), final.thresholds.degeneracy.misfit_significance
+    return model_misfit(corners.view[used], corners.pixels[used], residual[used], centre_px, final.limit_px, significance)
 
 
 def _views(

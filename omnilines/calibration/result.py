@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from camera_models import CameraModel
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
-from omnilines.calibration.rings import Misfit
+from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.records import ViewResult
 
 
@@ -44,7 +44,7 @@ class CameraCalibration:
     """Standard deviations of the parameters over those of that noise alone: more than 1 where photos contradict each other."""
     curved: bool = False
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
     """What residuals have in common in all photos, where the model does not follow the lens."""
     line_delay: LineDelay | None = None
     """Of a rolling shutter that was recognised or estimated."""

@@ -212,7 +212,7 @@ def run(
         from omnilines.commands.plots import with_plots
         from omnilines.files.folders import check_results
 
-        check_results(plots, (), by="plots")
+        check_results(plots, ())
     goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
     if kept is None:
         goes_on = " before its results were whole; the same command begins anew"

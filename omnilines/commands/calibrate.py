@@ -38,7 +38,7 @@ def calibrate_photos(
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
     options.require_of_models([options.model])
-    check_results(out, NAMES, photos, by="calibrate")
+    check_results(out, NAMES, photos)
     result = calibrate(photos, pattern_spec, options, detection=detection, executor=executor, progress=progress)
     assert isinstance(result, CalibrationResult)
     done = _written(result, out, photos, progress)
@@ -63,7 +63,7 @@ def calibrate_corners(
 
     Raises InputError naming file, line and column where the table is malformed.
     """
-    check_results(out, NAMES, [corners_csv], by="calibrate")
+    check_results(out, NAMES, [corners_csv])
     corners = read_corners(corners_csv)
     found = PhotoCorners.of_table(corners, image_size, corners_csv, photos_beside(corners_csv, corners.images[0]))
     return _written(calibrate(found, options=options, progress=progress), out, [corners_csv], progress)

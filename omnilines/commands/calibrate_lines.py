@@ -40,7 +40,7 @@ def calibrate_line_photos(
     """
     refs = with_masks(find_photos(photos), mask)
     read = [*photos, *mask_files(refs)]
-    check_results(out, (CALIBRATION, PAGE), read, by="calibrate")
+    check_results(out, (CALIBRATION, PAGE), read)
     result = calibrate(refs, pattern, options, lines=lines, detection=detection, progress=progress)
     assert isinstance(result, LineResult)
     with claimed(out, (CALIBRATION, PAGE), read, by="calibrate"):

@@ -37,7 +37,7 @@ def calibrate_rig_photos(
     Raises InputError or GeometryError with one sentence.
     """
     setup.require_photos()
-    check_results(out, (*RIG_FILES, PAGE), [*folders, *read], by="calibrate")
+    check_results(out, (*RIG_FILES, PAGE), [*folders, *read])
     inside = sorted(folders[0].iterdir()) if len(folders) == 1 and folders[0].is_dir() else folders
     cameras = [path.name for path in inside if path.is_dir()] if camera is None else [camera]
     setup.require_cameras(cameras)
@@ -69,7 +69,7 @@ def calibrate_rig_corners(
 
     Raises InputError naming file, line and column where the table is malformed, and GeometryError where the rig is left open.
     """
-    check_results(out, (*RIG_FILES, PAGE), [corners_csv, *read], by="calibrate")
+    check_results(out, (*RIG_FILES, PAGE), [corners_csv, *read])
     corners = read_rig_corners(corners_csv)
     found = RigCorners.of_table(corners, image_sizes, corners_csv, photos_beside(corners_csv, corners.images[0]))
     return _written(found, setup, out, [corners_csv, *read], None, progress)

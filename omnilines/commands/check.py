@@ -33,7 +33,7 @@ def check(
     cameras, refs = load(calibration), with_masks(find_photos(photos), mask)
     read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
     if out is not None:
-        check_results(out, [CHECK], read, by="check")
+        check_results(out, [CHECK], read)
     result = pipeline(refs, cameras, options, progress=progress)
     files: tuple[Path, ...] = ()
     if out is not None:

@@ -38,7 +38,7 @@ def detect(
     """
     camera = None if calibration is None else _one_camera(calibration)
     read = [*photos, *([] if calibration is None else [calibration])]
-    check_results(out, [CORNERS], read, by="detect")
+    check_results(out, [CORNERS], read)
     found = pipeline.detect(
         photos, pattern_spec, camera=camera, mirrored=mirror, options=options, executor=executor, progress=progress
     )

@@ -46,7 +46,7 @@ def directions(
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
     turns = (POSES, COVARIANCE) if orthogonal or vertical else ()
-    check_results(out, [DIRECTIONS, ARCS, REPORT, *turns, *pictures], read, by="directions")
+    check_results(out, [DIRECTIONS, ARCS, REPORT, *turns, *pictures], read)
     arcs = extract(refs, cameras, options=extraction, progress=progress)
     found = pipeline(arcs, orthogonal=orthogonal, vertical=vertical, options=options, progress=progress)
     with claimed(out, [*found.file_names, *pictures, REPORT], read, by="directions") as folder:

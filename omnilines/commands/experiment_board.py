@@ -38,7 +38,7 @@ def experiment_board(
 
     Raises InputError for unusable data and GeometryError where boards or lines determine nothing.
     """
-    check_results(out, NAMES, _read(Path(data)), by="experiment board")
+    check_results(out, NAMES, _read(Path(data)))
     found = board_corners(data, pattern_spec, progress)
     calibration = board_calibration(found, model, progress)
     experiment = board_experiment(found, calibration, options, progress)

@@ -36,7 +36,7 @@ def experiment_book(
         rendering = replace(rendering, fov_deg=NARROW_DEG)
     folder = Path(out)
     shown = folder / "photos"
-    check_results(folder, FILES, by="experiment book")
+    check_results(folder, FILES)
     check_work_folder(folder / "work")
     rendered = render_scene("books", model, rendering, progress=progress)
     rendered.save(shown, progress)

@@ -29,7 +29,7 @@ def experiment_house(
 
     `averaging` holds the options of that triangulation. Raises InputError for a folder that does not hold the data.
     """
-    check_results(out, FILES, [data], by="experiment house")
+    check_results(out, FILES, [data])
     study = house_study(data, averaging, progress)
     scene = study.shown
     with claimed(out, FILES, [data], by="experiment house") as folder:

@@ -24,7 +24,7 @@ def experiment_lines(
 
     Raises InputError for an unknown study and GeometryError where the scene does not determine its lines.
     """
-    check_results(out, FILES, by="experiment lines")
+    check_results(out, FILES)
     found, checks = line_experiment(study, options, progress)
     about = (*study_about(found), ("poses disturbed by", f"{options.perturb_deg:g} degrees and {options.perturb_m:g} m"))
     summaries = study_summaries(found, TITLES[study], about)

@@ -41,7 +41,7 @@ def extract(
     require_distinct_stems(refs)
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
-    check_results(out, [TABLE, *pictures], read, by="extract")
+    check_results(out, [TABLE, *pictures], read)
     arcs = pipeline(refs, cameras, options=options, executor=executor, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))

@@ -42,7 +42,7 @@ def frames(
 
     Frames of an earlier run that are not taken any more are removed. Raises InputError as `pipelines.frames.frames` does.
     """
-    check_results(out, [TABLE], videos, by="frames")
+    check_results(out, [TABLE], videos)
     chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
     files = chosen.save(out, progress)
     then = () if pattern_spec is None else ("calibrate", str(out), "--pattern", pattern_spec, "--out", "result")

@@ -9,7 +9,7 @@ from pathlib import Path
 from camera_models import Calibration, InputError, load
 from omnilines.adjustment.arcs import cameras_of_images
 from omnilines.commands.result import CommandResult
-from omnilines.commands.resume import OF_STAMP, Stamp
+from omnilines.commands.resume import Stamp
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import (
     Photo,
@@ -45,7 +45,7 @@ from omnilines.report import write_report
 
 WORK, STAMP = "work", "done.json"
 PAGE, RECORDING = "report.html", "scene.rrd"
-RESULTS = (*SCENE_FILES, "lines.obj", PAGE)
+RESULTS = (*SCENE_FILES, "lines.obj", PAGE, STAMP)
 """Of photos, always."""
 COLMAP = tuple(f"colmap/{name}" for name in (*COLMAP_FILES, LINES_FILE))
 MADE_BY = ("camera_models", "calib_patterns", "omnilines")
@@ -95,8 +95,7 @@ def reconstruct_photos(
     files = [calibration, *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
-    check_results(folder, names, read, by=SCENE)
-    check_results(folder, [STAMP], read, by=OF_STAMP)
+    check_results(folder, names, read)
     check_work_folder(work, read)
     names_of = [photo.name for photo in refs]
     wanted = repr((options.stated, extraction.stated, poses, pattern, distance, colmap, recording, names_of))
@@ -120,7 +119,7 @@ def reconstruct_photos(
     scene = reconstruct(
         arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, executor=executor, progress=progress
     )
-    with claimed(folder, names, read, by=SCENE):
+    with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
     if result.holds:
         stamp.write(result)
@@ -148,7 +147,7 @@ def reconstruct_segments(
     """
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
     names, read = (*SCENE_FILES, PAGE), [calibration, poses, segments, *_pose_files(str(poses))]
-    check_results(out, names, read, by=SCENE)
+    check_results(out, names, read)
     cameras, table = load(calibration), read_segments(segments)
     posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}

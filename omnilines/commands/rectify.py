@@ -59,7 +59,7 @@ def rectify(
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
     if upright:
-        check_results(folder, ["calibration.yaml", LEVELS], read, by="rectify")
+        check_results(folder, ["calibration.yaml", LEVELS], read)
     inputs: dict[str, Any] = {"calibration": calibration, "poses": poses, "view": view, **asked}
     if upright:
         inputs |= {"upright": True, "extraction": extraction, "directions": options}

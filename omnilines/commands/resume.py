@@ -13,8 +13,6 @@ from omnilines.files.fingerprint import content_hash
 from omnilines.files.sets import claimed
 from omnilines.records import Advice, Detail, Summary
 
-OF_STAMP = "done"
-"""The set that a stamp is of: it is written after all others."""
 NOTE = "Inputs and options are those of the last run, and so is the result; nothing was done."
 
 
@@ -57,7 +55,7 @@ class Stamp:
             "details": [asdict(detail) for detail in result.details],
             "photos": result.photos,
         }
-        with claimed(self.path.parent, [self.path.name], by=OF_STAMP):
+        with claimed(self.path.parent, [self.path.name], by="done"):
             write_atomically(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
 
     def _name(self, file: Path) -> str:

@@ -34,7 +34,7 @@ def validate(
     holds when every check does. Raises InputError for options out of range and GeometryError where the data determine nothing.
     """
     folder = Path(out)
-    check_results(folder, NAMES, by="validate")
+    check_results(folder, NAMES)
     shown = folder / PHOTOS
     truth = render_targets(pattern_spec, model, options)
     files = truth.save(shown, progress)

@@ -5,11 +5,10 @@ from pathlib import Path
 from omnilines.commands.reconstruct import RESULTS, WORK, reconstruct_photos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PAGE, PHOTOS
-from omnilines.files.folders import OF_PAGE, check_results, check_work_folder
+from omnilines.files.folders import check_results, check_work_folder
 from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene
-from omnilines.pipelines.scene import SCENE as SCENE_SET
 from omnilines.progress import ProgressCallback, silent
 from omnilines.studies.scene_validation import compare_scene, read_rebuilt
 
@@ -35,8 +34,8 @@ def validate_scene(
     of range and GeometryError naming the stage where no line is left, or where no edge is seen by enough photos.
     """
     folder = Path(out)
-    check_results(folder, [PAGE], by=f"{OF_PAGE}{PAGE}")
-    check_results(folder / SCENE, RESULTS, by=SCENE_SET)
+    check_results(folder, [PAGE])
+    check_results(folder / SCENE, RESULTS)
     check_work_folder(folder / SCENE / WORK)
     truth = render_scene(scene, model, options, progress=progress)
     shown = truth.save(folder / PHOTOS, progress)

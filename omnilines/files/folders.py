@@ -73,13 +73,13 @@ def write_list(folder: Path, rows: dict[str, Written]) -> None:
     write_atomically(folder / MANIFEST, json.dumps({"written": entries}, indent=1) + "\n")
 
 
-def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = (), *, by: str) -> None:
+def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = (), *, by: str = "") -> None:
     """Refuse, before any work, results that may not be written; nothing is made.
 
     Names are POSIX paths relative to the folder; `inputs` are the files and folders that the command reads; `by` is the set that
-    the results are of. Raises InputError where a result would go over an input, over a file that is not in the list of the
-    folder, over the truth of rendered photos, over a file that was converted (or that one over others), or through a link out of
-    it; and where pictures would be written among the photos that the same command reads.
+    the results are of, where one is written. Raises InputError where a result would go over an input, over a file that is not in
+    the list of the folder, over the truth of rendered photos, over a file that was converted (or that one over others), or
+    through a link out of it; and where pictures would be written among the photos that the same command reads.
     """
     check_output_folder(out)
     folder, given = Path(out), [Path(os.path.realpath(path)) for path in inputs]
@@ -90,9 +90,7 @@ def check_results(out: str | Path, names: Iterable[str], inputs: Iterable[str | 
         its = own.get(name, by)
         lasts = its.startswith((OF_RENDER, OF_CONVERT)) or by.startswith(OF_CONVERT)
         if its != by and lasts and not by.startswith(OF_PAGE) and os.path.lexists(folder / name):
-            raise InputError(
-                f"A place for results of `{by}` was expected, found {folder / name}, which `{its}` wrote; give another `out`."
-            )
+            raise InputError(f"A place for results was expected, found {folder / name}, which `{its}` wrote; give another `out`.")
 
 
 def way_out(folder: Path, name: str) -> str | None:

@@ -69,7 +69,7 @@ class Session:
         self.over = threading.Event()
         self._lock = threading.Lock()
         self._needed = options.first_frames
-        check_results(out, RESULTS, inputs, by="guide")
+        check_results(out, RESULTS, inputs)
         before = sorted(name for name in written(out) if re.fullmatch(FRAMES + r"/[0-9]{4,8}\.png", name))
         self._number = 1 + max((int(Path(name).stem) for name in before), default=-1)
         for name in before:

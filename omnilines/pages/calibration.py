@@ -14,8 +14,8 @@ from omnilines import report
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
+from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.calibration.result import CameraCalibration
-from omnilines.calibration.rings import Misfit
 from omnilines.calibration.select import Selection
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.limits import board_advice
@@ -60,7 +60,7 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
         summaries.append(Summary("Rolling shutter ± one standard deviation", (row,)))
     if selection is not None:
         summaries.append(Summary("Camera models: RMS px per point in sample, held out", trial_rows(selection, "views")))
-    if calibrated.next_views is not None and result.misfit is None:
+    if result.misfit is None and calibrated.next_views is not None:
         summaries.append(next_views_summary(calibrated.next_views))
     return tuple(summaries)
 
@@ -75,7 +75,7 @@ def calibration_verdict(median_px: float, worst_px: float, reach_deg: tuple[floa
     )
 
 
-def misfit_verdict(model: str, misfit: Misfit, verdict: str) -> str:
+def misfit_verdict(model: str, misfit: ModelMisfit, verdict: str) -> str:
     """What `calibration_verdict` says is then not of the lens."""
     return (
         f"The {model} model does not follow this lens: all photos agree that corners lie off by up to "
@@ -104,7 +104,7 @@ def trial_rows(selection: Selection | LineSelection, left_out: str) -> tuple[tup
     return tuple(rows)
 
 
-def misfit_data(misfit: Misfit) -> dict[str, Any]:
+def misfit_data(misfit: ModelMisfit) -> dict[str, Any]:
     """Of `calibration_data`."""
     return {"radii_px": misfit.radii_px.tolist(), "outward_px": misfit.outward_px.tolist(), "p": misfit.chance}
 

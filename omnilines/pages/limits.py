@@ -10,11 +10,11 @@ from camera_models.wording import rounded
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.lines.camera import LineCamera, focal_length
+from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.calibration.next_pose import TEN, NextViews
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.rings import Misfit
 from omnilines.calibration.thresholds import RigThresholds
 from omnilines.pipelines.copies import is_copy
 from omnilines.records import Advice, Corners, ViewResult
@@ -61,7 +61,7 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
     return (*found, *_standing_out(fit.views), *unused)
 
 
-def _of_misfit(model: str, misfit: Misfit, compared: bool) -> Advice:
+def _of_misfit(model: str, misfit: ModelMisfit, compared: bool) -> Advice:
     """A model that does not follow the lens."""
     off = rounded(misfit.largest_px)
     limit = f"The {model} model does not follow this lens: corners lie off by up to {off} px in all photos alike."

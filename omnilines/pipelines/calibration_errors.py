@@ -44,10 +44,11 @@ def unfollowed_errors(cameras: Calibration, options: SceneOptions, supposed: str
     exact = ", ".join(name for name, model in cameras.items() if name not in known and model.CALIBRATED)
     if not exact:
         return ()
-    return (
+    said = (
         f"Errors of {exact} are not in the uncertainty of lines and poses: the calibration states no covariance "
-        f"(`scene.calibration_error_px` takes how far pixels are off).{supposed}",
+        "(`scene.calibration_error_px` takes how far pixels are off)."
     )
+    return (f"{said} {supposed}".rstrip(),)
 
 
 def errors_by_calibration(

@@ -17,7 +17,7 @@ def claimed_report(path: str | Path, plots: str | Path | None) -> Iterator[None]
     Raises InputError as `claimed` does; for the folder, before anything is written.
     """
     if plots is not None:
-        check_results(plots, (), by="plots")
+        check_results(plots, ())
     with claimed_page(path):
         yield
     if plots is not None:

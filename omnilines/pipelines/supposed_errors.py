@@ -53,7 +53,7 @@ def supposed_errors(
         more = np.trace(errors.poses.numpy()[:, 3:, 3:], axis1=1, axis2=2)
         of_poses = np.sqrt(1.0 + more[stated > 0] / stated[stated > 0])
         said += [f"places of photos {rounded(float(np.median(of_poses)))} times"] if len(of_poses) else []
-    return f" Where it is off by {SUPPOSED_PX} px (RMS), {' and '.join(said)} (median)." if said else ""
+    return f"Where it is off by {SUPPOSED_PX} px (RMS), {' and '.join(said)} (median)." if said else ""
 
 
 def _some(

@@ -21,7 +21,7 @@ RINGS, LEAST_PHOTOS = 8, 3
 
 
 @dataclass(frozen=True)
-class Misfit:
+class ModelMisfit:
     """What residuals have in common in all photos."""
 
     outward_px: Float[np.ndarray, " k"]
@@ -52,14 +52,14 @@ class Misfit:
         )
 
 
-def ring_misfit(
+def model_misfit(
     view: Int[np.ndarray, " n"],
     pixels: Float[np.ndarray, "n 2"],
     residual_px: Float[np.ndarray, "n 2"],
     centre_px: Float[np.ndarray, "2"],
     limit_px: float | None,
     significance: float,
-) -> Misfit | None:
+) -> ModelMisfit | None:
     """What residuals (projected minus observed) have in common in all photos; None where nothing is that significant, or where
     photos or corners are too few to tell. Residuals beyond `limit_px`, those of rejected corners, count as of that length."""
     offset = pixels - centre_px
@@ -83,4 +83,4 @@ def ring_misfit(
     within = float(((mean - common) ** 2 * seen).sum()) / freedom
     statistic = float((photos * common**2).mean()) / max(within, 1e-300)
     chance = float(stats.f.sf(statistic, RINGS, freedom))
-    return Misfit(common, edges, chance) if math.isfinite(chance) and chance < significance else None
+    return ModelMisfit(common, edges, chance) if math.isfinite(chance) and chance < significance else None
