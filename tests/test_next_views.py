@@ -240,3 +240,13 @@ def test_the_map_ends_where_the_lens_does():
     assert np.array_equal(np.isfinite(shown.sigma_px), inside & np.isfinite(every.sigma_px))
     assert np.nanmax(every.sigma_px) > 1.5 * np.nanmax(shown.sigma_px)
     assert shown.figures == every.figures
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nowhere_in_the_image_is_less_known_than_the_image(seed: int) -> None:
+    """Photos that reach all over it: what is said of the image at worst is not below what is said of the part with corners."""
+    truth = LENSES["scaramuzza"]
+    fit, corners = calibrated(truth, board_views(truth, 95.0, 12, seed))
+    advice = next_views(fit, corners, board_m=BOARD)
+    found = UncertaintyMap.of(fit, advice.known.field)
+    assert advice.worst_px == pytest.approx(np.nanmax(found.sigma_px), rel=1e-9) and advice.worst_px >= found.figures[1]

@@ -11,8 +11,8 @@ from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.uncertainty import projection_jacobian, supported_grid, worst_sigma_px
 
-FIELD_STEPS = 24
-"""Places along the longer side of the image at which the projection uncertainty is taken."""
+MAP_STEPS, SEARCH_STEPS = 64, 24
+"""Places along the longer side of the image at which the projection uncertainty is stated, and at which poses are compared."""
 VIEWS_AT_ONCE = 128
 """Whose uncertainties are in memory together."""
 EDGE_RAYS, EDGE_STEPS = 120, 250
@@ -40,7 +40,7 @@ class ImageField:
             inside = inside & (angle >= self.blind_rad)
         return inside
 
-    def grid(self, steps: int = FIELD_STEPS) -> Float[Tensor, "n 2"]:
+    def grid(self, steps: int) -> Float[Tensor, "n 2"]:
         """Pixels of a uniform grid over the field."""
         pixels = supported_grid(self.model, torch.pi, points=steps)
         return pixels[self.shows(pixels)]
@@ -77,9 +77,15 @@ class KnownProjection:
     """d pixel / d unknowns after the best common rotation (`calibration.uncertainty`)."""
 
     @staticmethod
-    def of(field: ImageField, covariance: Float[Tensor, "p p"], min_angle_rad: float, max_angle_rad: float) -> "KnownProjection":
-        """Of a camera whose corners reach between these angles off axis."""
-        pixels = field.grid()
+    def of(
+        field: ImageField,
+        covariance: Float[Tensor, "p p"],
+        min_angle_rad: float,
+        max_angle_rad: float,
+        steps: int = MAP_STEPS,
+    ) -> "KnownProjection":
+        """Of a camera whose corners reach between these angles off axis, at so many places along the longer side of its image."""
+        pixels = field.grid(steps)
         jacobian, valid = projection_jacobian(field.model, pixels, supported_grid(field.model, max_angle_rad, min_angle_rad))
         # Parameters have many units and trade off against one another: the factor is that of their correlations.
         sigma = covariance.diagonal().clamp_min(0).sqrt()

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.calibration.image_field import ImageField, KnownProjection
+from omnilines.calibration.image_field import SEARCH_STEPS, ImageField, KnownProjection
 from omnilines.calibration.pose_candidates import Candidates, SeenBoards, candidates, view_information
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.shooting_words import limits_of, place_words, pose_words, px_words
@@ -112,7 +112,8 @@ def next_views(
     place[used] = np.arange(len(used))
     seen = SeenBoards.of(torch.as_tensor(board), poses, torch.as_tensor(place[corners.view[fit.kept]]), pixels)
     view_sigma_px = fit.corner_sigma_px * fit.beyond_noise
-    proposed = _best_in_turn(known, seen, view_sigma_px, thresholds)
+    coarse = KnownProjection.of(field, torch.as_tensor(fit.covariance), low, high, SEARCH_STEPS)
+    proposed = _best_in_turn(coarse, known, seen, view_sigma_px, thresholds)
     sigma = known.sigma_px
     worst = known.pixels[int(sigma.argmax())]
     assumed = not rim_seen and rim_px is not None and rim_px < fit.model.image_radius_px
@@ -145,24 +146,26 @@ def _board_of(corners: Corners, kept: Bool[np.ndarray, " n"]) -> Float[np.ndarra
 
 
 def _best_in_turn(
-    known: KnownProjection, seen: SeenBoards, view_sigma_px: float, thresholds: ShootingThresholds
+    known: KnownProjection, stated: KnownProjection, seen: SeenBoards, view_sigma_px: float, thresholds: ShootingThresholds
 ) -> tuple[NextPose, ...]:
-    """The pose that helps most, then the one that helps most with it, and so on, as long as they help."""
+    """The pose that helps most, then the one that helps most with it, and so on, as long as they help. Many are compared at few
+    places of the image (`known`); what is `stated` of those that are taken is of as many as all figures of the camera are."""
     tried = candidates(known.field, seen, thresholds)
     found: list[NextPose] = []
     if not len(tried):
         return ()
     of_parameters = view_information(known.field, tried.poses, seen.board_m) / view_sigma_px**2
     information = known.factor.mT @ of_parameters @ known.factor
-    before = float(known.sigma_px.max())
+    before = float(stated.sigma_px.max())
     left = torch.ones(len(tried), dtype=torch.bool)
     while len(found) < thresholds.poses and bool(left.any()):
         after = known.sigma_after_px(information)
         best = int(torch.where(left, after.amax(-1), torch.inf).argmin())
-        worst = float(after[best].max())
+        stated, _ = stated.with_view(information[best])
+        worst = float(stated.sigma_px.max())
         if worst > (1 - thresholds.least_gain) * before:
             break
-        found.append(_described(known.field, seen, tried, best, (worst, float(after[best].median()))))
+        found.append(_described(known.field, seen, tried, best, (worst, float(stated.sigma_px.median()))))
         apart = (tried.places_px - tried.places_px[best]).norm(dim=-1)
         left &= apart >= thresholds.apart_share * max(known.field.model.image_size)
         known, change = known.with_view(information[best])

@@ -10,11 +10,8 @@ from torch import Tensor
 
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
-from omnilines.calibration.image_field import ImageField
+from omnilines.calibration.image_field import MAP_STEPS, ImageField
 from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
-
-MAP_STEPS = 64
-"""Pixels along the longer side of the image at which the projection uncertainty is drawn."""
 
 
 @runtime_checkable
