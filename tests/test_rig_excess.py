@@ -11,6 +11,7 @@ from rig_views import BOARD, RigScene, pair, setups
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.numbering import Numbering
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.records import Corners
@@ -70,6 +71,26 @@ def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated(
     true = float(rig.cam_from_rig[1].centre.norm())
     link = moving.links[0]
     assert abs(link.baseline_m - true) < 3 * link.baseline_sigma_m and link.baseline_sigma_m > 3 * still.links[0].baseline_sigma_m
+
+
+@pytest.mark.parametrize("numberings", [None, {"board": Numbering()}], ids=["lattice", "tags"])
+def test_views_of_another_instant_stay_out_where_the_board_moves(numberings: dict[str, Numbering] | None) -> None:
+    """Two photos of one camera exchanged: a motion of the board that held them would be a hundred times that of all others."""
+    rig = pair(12)
+    corners = seen(rig, BoardShape(), 1.5e-3, 2)
+    as_taken = calibrate_rig(corners, setups(rig), numberings=numberings)
+    of = {(camera, frame): v for v, (camera, frame) in enumerate(zip(corners.cameras or (), corners.frames or (), strict=True))}
+    shared = [frame for camera, frame in of if camera == rig.names[1] and (rig.names[0], frame) in of]
+    first, second = (of[rig.names[1], frame] for frame in (shared[2], shared[-2]))
+    frames = list(corners.frames or ())
+    frames[first], frames[second] = frames[second], frames[first]
+    exchanged = calibrate_rig(replace(corners, frames=tuple(frames)), setups(rig), numberings=numberings)
+    lost = [view for view in exchanged.views if not view.used]
+    # Of the two views of a frame nothing tells which is of another instant.
+    assert sorted(view.frame or "" for view in lost) == sorted([shared[2], shared[-2]])
+    (note,) = (note for note in exchanged.notes if note.startswith("Left out"))
+    assert all("wrong frame" in (view.reason or "") and view.name in note for view in lost)
+    assert exchanged.links[0].baseline_sigma_m < 1.3 * as_taken.links[0].baseline_sigma_m
 
 
 @pytest.mark.full

@@ -5,6 +5,7 @@ estimated in turn.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
-from camera_models.wording import rounded
+from camera_models.wording import listed, rounded
 from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -24,7 +25,8 @@ from omnilines.calibration.rig.own_motion import OwnMotion, alone
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.seen_alone import SeenAlone
-from omnilines.calibration.rig.shutters import SeenPoses, Shutters, estimated
+from omnilines.calibration.rig.shutters import SeenPoses, Shutters, elsewhere, estimated
+from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
 
 ROUNDS = 8
@@ -32,6 +34,11 @@ SAME = 0.02
 """Relative change of the standard deviations below which the rounds end."""
 START = 2e-3, 1e-3
 """Standard deviations (rad, m) from which they begin."""
+
+ELSEWHERE = (
+    "its board is {} times as far from where the other cameras see it as a board that moves between the shutters (wrong frame, "
+    "detection or numbering)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +50,8 @@ class LooseFit:
     solution: Solution[RigState]
     shutters: Shutters
     notes: tuple[str, ...]
+    reasons: Mapping[int, str]
+    """Views whose board no such motion takes to where the others see it, and how far off it is."""
 
 
 def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcome:
@@ -51,13 +60,15 @@ def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcom
     if not outcome.worse or outcome.data.views.parts > 1:
         return outcome
     thresholds = outcome.thresholds
-    found = loose_fit(outcome.data, outcome.fit, start, seen, thresholds.noise.significance)
+    found = loose_fit(outcome.data, outcome.fit, start, seen, list(outcome.reasons), thresholds)
     if found is None:
         return outcome
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, thresholds.rig)
     notes = (*(() if cause is None else (cause,)), motion_note(found.shutters), *found.notes)
-    # Views that no run follows stay out.
-    reasons = {} if outcome.data.runs is None else outcome.reasons
+    reasons = {**outcome.reasons, **found.reasons}
+    names = [outcome.data.views.corners.view_names[v] for v in sorted(reasons) if v not in found.fit.views]
+    if names:
+        notes = (f"Left out, as the board is not where the other cameras of the frame see it: {listed(names)}.", *notes)
     return replace(
         outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons=reasons
     )
@@ -72,10 +83,13 @@ def motion_note(shutters: Shutters) -> str:
     )
 
 
-def loose_fit(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, significance: float) -> LooseFit | None:
-    """The fit with a motion of each view; None where the poses of the board differ by no more than chance (`significance`).
+def loose_fit(
+    data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, doubted: list[int], thresholds: CalibrationThresholds
+) -> LooseFit | None:
+    """The fit with a motion of each view; None where the poses of the board differ by no more than chance.
 
-    `fit` has one pose for each frame, `start` the models of the cameras alone.
+    `fit` has one pose for each frame, `start` the models of the cameras alone. Of views that do not agree with one pose for each
+    frame (`doubted`) those take part that are no farther off than a board that moves.
     """
     state, placed = _placed(data, fit, start, seen)
     chosen = np.array([v for v in range(len(data.views.camera)) if v in fit.views or v in seen.cam_from_board])
@@ -87,6 +101,7 @@ def loose_fit(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, sign
     sigma = np.tile(np.repeat(START, 3), (len(data.views.camera), 1))
     middle = torch.as_tensor(np.unique(data.board_m, axis=0).mean(0))
     found: LooseFit | None = None
+    reasons: dict[int, str] = {}
     for _ in range(ROUNDS):
         loose = replace(data, motion=OwnMotion(torch.as_tensor(sigma), middle))
         points, views, rows = loose.points(chosen)
@@ -94,18 +109,24 @@ def loose_fit(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone, sign
         some = points.chosen(kept)
         if state.moved is None:
             state = replace(state, moved=_motion_alone(some, views, state, seen))
-        lost = 6.0 * (len(data.cameras) - 1)
         shared = _shared(some, views, seen)
-        before = None if found is None else found.shutters
-        shutters = _estimated(loose.problem(some), state, shared, lost, before)
-        if shutters is None or not shutters.clear(significance):
+        if len(shared) < 2:
+            return None
+        poses, before = _seen_poses(loose.problem(some), state, shared), None if found is None else found.shutters
+        # Not before a first fit: cameras as they stand where the board is at one pose in each frame are no measure.
+        far = {} if before is None else _elsewhere(poses, views[shared], doubted, before, thresholds.noise.significance)
+        if far:
+            reasons, chosen, state = reasons | far, np.setdiff1d(chosen, list(far)), replace(state, moved=None)
+            continue
+        shutters = estimated(poses, START if before is None else before.sigmas, 6.0 * (len(data.cameras) - 1))
+        if not shutters.clear(thresholds.noise.significance):
             return None
         sigma = _sigma(sigma, views, points, shared, shutters)
         loose = replace(data, motion=OwnMotion(torch.as_tensor(sigma), middle))
         points, views, rows = loose.points(chosen)
         start_fit = RigFit(points, loose.problem(points), views, rows, state, kept, 1.0)
         loose, whole, solution, notes = least_squares_rig(loose, start_fit, "cauchy")
-        state, found = solution.state, LooseFit(loose, whole, solution, shutters, notes)
+        state, found = solution.state, LooseFit(loose, whole, solution, shutters, notes, reasons)
         if before is not None and shutters.change(before) < SAME:
             break
     return found
@@ -153,13 +174,18 @@ def _shared(points: RigPoints, views: Int[np.ndarray, " v"], seen: SeenAlone) ->
     return torch.nonzero(has & (counts[points.instant] > 1)).flatten()
 
 
-def _estimated(
-    problem: RigProblem, state: RigState, shared: Int[Tensor, " s"], lost: float, before: Shutters | None
-) -> Shutters | None:
-    """How far the board moves by the poses of the views around a state."""
+def _elsewhere(
+    poses: SeenPoses, views: Int[np.ndarray, " s"], doubted: list[int], moved: Shutters, significance: float
+) -> dict[int, str]:
+    """Views of another instant, which would make the board seem to move everywhere, and why they are left out."""
+    far = elsewhere(poses, torch.as_tensor(np.isin(views, doubted)), moved.sigmas, significance).tolist()
+    return {int(v): ELSEWHERE.format(rounded(sigma)) for v, sigma in zip(views, far, strict=True) if sigma > 0}
+
+
+def _seen_poses(problem: RigProblem, state: RigState, shared: Int[Tensor, " s"]) -> SeenPoses:
+    """Where each view alone sees the board, around a state with a motion of each."""
     points = problem.points
-    if len(shared) < 2 or points.motion is None or state.moved is None:
-        return None
+    assert points.motion is not None and state.moved is not None
     at, pose = problem.linearise_corners(state), state.cam_from_board(points)
     more, information = torch.zeros_like(state.moved), torch.zeros(len(pose), 6, 6, dtype=torch.float64)
     for part, own in zip(at.parts, points.parts, strict=True):
@@ -167,8 +193,7 @@ def _estimated(
         more[views], information[views] = alone(part, at.residual[slice(*own.rows)], pose[views], points.motion)
     _, frame = torch.unique(points.instant[shared], return_inverse=True)
     covariance = torch.linalg.inv(information[shared])
-    seen = SeenPoses(frame, (state.moved + more)[shared], 0.5 * (covariance + covariance.mT))
-    return estimated(seen, START if before is None else (before.turn_rad, before.shift_m), lost)
+    return SeenPoses(frame, (state.moved + more)[shared], 0.5 * (covariance + covariance.mT))
 
 
 def _sigma(

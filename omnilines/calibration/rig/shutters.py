@@ -18,7 +18,7 @@ import numpy as np
 import scipy.optimize
 import scipy.stats
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 SCALES = 12
@@ -41,6 +41,12 @@ class SeenPoses:
     def frames(self) -> int:
         """How many there are."""
         return int(self.frame.max()) + 1 if len(self.frame) else 0
+
+    def of_several(self, some: Bool[Tensor, " v"]) -> "SeenPoses":
+        """Of some views, those of frames that several of them see."""
+        several = some & (torch.bincount(self.frame[some], minlength=self.frames)[self.frame] > 1)
+        _, frame = torch.unique(self.frame[several], return_inverse=True)
+        return SeenPoses(frame, self.twist[several], self.covariance[several])
 
     def log_likelihood(self, variance: Float[Tensor, " 6"], scale: Float[Tensor, " s"]) -> Float[Tensor, "s f"]:
         """Restricted, of every frame for each scale u of the variance, up to a constant."""
@@ -75,6 +81,11 @@ class Shutters:
     gain: float
     """Twice the gain of the logarithmic likelihood over a board that stands still."""
 
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """Both standard deviations (rad, m)."""
+        return self.turn_rad, self.shift_m
+
     def change(self, before: "Shutters") -> float:
         """Largest relative change of a standard deviation."""
         return max(abs(self.shift_m / before.shift_m - 1), abs(self.turn_rad / before.turn_rad - 1))
@@ -82,6 +93,56 @@ class Shutters:
     def clear(self, significance: float) -> bool:
         """Whether that gain is beyond chance: on the edge of what is possible, chi-square of two is an upper bound."""
         return self.gain > float(scipy.stats.chi2.isf(significance, 2))
+
+
+def elsewhere(
+    seen: SeenPoses, doubted: Bool[Tensor, " v"], start: tuple[float, float], significance: float
+) -> Float[Tensor, " v"]:
+    """Of views that are doubted, how many standard deviations of the board's motion they are from where the other views of their
+    frame see it, where chance would not take one of them that far (F test of six, and of the tails); 0 of all others.
+
+    The motion is that of the views that are not doubted, then with those of the doubted that chance takes there, until none is
+    added: what moves a little more than the others goes on with them, what is of another instant stays apart.
+    """
+    admitted, far = ~doubted, torch.zeros(len(doubted), dtype=torch.float64)
+    while True:
+        some = seen.of_several(admitted)
+        if not some.frames:
+            return torch.zeros_like(far)
+        moved = estimated(some, start)
+        spread = seen.covariance + torch.diag(_variance((moved.turn_rad, moved.shift_m)))
+        weight = torch.linalg.inv(spread) * admitted[:, None, None]
+        total = torch.zeros(seen.frames, 6, 6, dtype=torch.float64).index_add_(0, seen.frame, weight)
+        right = torch.zeros(seen.frames, 6, dtype=torch.float64).index_add_(
+            0, seen.frame, (weight @ seen.twist[..., None])[..., 0]
+        )
+        others = torch.bincount(seen.frame[admitted], minlength=seen.frames) > 0
+        certain = torch.linalg.inv(torch.where(others[:, None, None], total, torch.eye(6, dtype=torch.float64)))
+        off = seen.twist - (certain @ right[..., None])[seen.frame, :, 0]
+        squares = (off * torch.linalg.solve(spread + certain[seen.frame], off)).sum(-1)
+        beyond = squares > _by_chance(significance / max(int(doubted.sum()), 1), moved.tails)
+        far = torch.where(~admitted & others[seen.frame] & beyond, (squares / 6).sqrt(), 0.0)
+        near = ~admitted & (far == 0)
+        if not bool(near.any()):
+            return far
+        # Of frames that no admitted view sees one view at a time.
+        admitted = admitted | (near & others[seen.frame]) | _first_of_frames(seen.frame, near & ~others[seen.frame])
+
+
+def _by_chance(probability: float, tails: float) -> float:
+    """The square of six standardised numbers with these tails that is exceeded with this probability."""
+    if math.isinf(tails):
+        return float(scipy.stats.chi2.isf(probability, 6))
+    return 6 * float(scipy.stats.f.isf(probability, 6, tails))
+
+
+def _first_of_frames(frame: Int[Tensor, " v"], some: Bool[Tensor, " v"]) -> Bool[Tensor, " v"]:
+    """The first of some views in each of their frames."""
+    rows = torch.nonzero(some).flatten()
+    _, place = np.unique(frame[rows].numpy(), return_index=True)
+    found = torch.zeros_like(some)
+    found[rows[torch.as_tensor(place)]] = True
+    return found
 
 
 def estimated(seen: SeenPoses, start: tuple[float, float], lost: float = 0.0) -> Shutters:
