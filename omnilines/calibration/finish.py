@@ -12,6 +12,7 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError
 from camera_models.formats.camera_doubts import model_doubts
 from camera_models.wording import rounded
+from omnilines.calibration.bent_board import bent_board
 from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,
@@ -99,6 +100,10 @@ def camera_result(
     misfit = _misfit(final, model, residual)
     notes += () if misfit is None else (misfit.note(model.NAME),)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
+    if misfit is None and _of_one_drawing(final, state):
+        reach = math.radians(low), math.radians(high)
+        bent = bent_board(final.points, state, basis, final.weight, covariance, reach, thresholds.degeneracy.misfit_significance)
+        notes += () if bent is None else (bent.note,)
     if curved is not None:
         notes += (CURVED + (PROJECTION_HOLDS if misfit is None and not certain.note else ""),)
     views = _views(final, state, residual, leverage)
@@ -122,6 +127,12 @@ def camera_result(
         curved=curved is not None,
         misfit=misfit,
     )
+
+
+def _of_one_drawing(final: LastFit, state: CameraAndBoards) -> bool:
+    """Whether all views are of one plane board, taken to be as drawn."""
+    one = final.corners.boards is None or len(set(final.corners.boards)) == 1
+    return one and state.shape.plain and not bool(final.points.board[:, 2].any())
 
 
 def _misfit(final: LastFit, model: CameraModel, residual: Float[np.ndarray, "n 2"]) -> ModelMisfit | None:

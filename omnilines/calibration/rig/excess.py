@@ -89,7 +89,8 @@ def _of_board(bent: RigState, points: RigPoints) -> str:
         "is a board that is not flat: estimated, its surface leaves a plane by up to "
         f"{rounded(1e3 * _off_plane_m(bent.shape, points))} mm, and the cameras fit to "
         f"{_rms_px(bent.residual_px(points)):.3g} px "
-        "together (give `refine_board` surface, or a board on glass or metal)"
+        "together (give `refine_board` surface, or a board on glass or metal: all photos share it, so that standard deviations "
+        "do not hold it)"
     )
 
 
