@@ -132,7 +132,7 @@ def shown(path: Path) -> str:
     if path.suffix in (".printed", ".yaml"):
         text = re.sub(r"/[\w/.-]{1,200}/\d+/in/", "in/", text)
     if path.suffix == ".printed":
-        return re.sub(r"[0-9.]+ s\b", "", text)
+        return re.sub(r"(?m)^\[\d+:\d\d\] .*\n|[0-9.]+ s\b", "", text)  # times, and how far the command was then
     if path.suffix == ".html":
         return "\n".join(re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", text))
     return re.sub(r"(?m)^\s*(software|command|cam_made_by):.*$", "", text)

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from omnilines.cli import _shared
+from omnilines.cli import progress
 from omnilines.cli.counts import Call
 from omnilines.cli.jobs import jobs
 from omnilines.compiled_cache import VARIABLE
@@ -161,7 +161,7 @@ def test_all_that_a_command_needs_is_compiled_where_it_needs_one_function(
     monkeypatch.setattr("omnilines.compiling.not_compiled", lambda *jobs: its)
     monkeypatch.setattr("omnilines.compiling.compile_ahead", lambda entries, progress: progress(2, 2) or left)
     first, second = (numba.njit(lambda x: x + 1) for _ in range(2))
-    with _shared.progress() as tell:
+    with progress.progress() as tell:
         tell("finding arcs", 0, 2)
         assert capsys.readouterr().err == ""
         assert first(1) == second(1) == 2
@@ -177,6 +177,6 @@ def test_doctor_compiles_all_functions_at_once(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr("omnilines.compiling.not_compiled", lambda *jobs: tuple(jobs))
     monkeypatch.setattr("omnilines.compiling.seconds_for", lambda wanted: 31.0)
     monkeypatch.setattr("omnilines.compiling.compile_ahead", lambda wanted, progress: ())
-    monkeypatch.setattr(_shared, "running_jobs", lambda: (EVERYTHING,))
-    with _shared.progress():
+    monkeypatch.setattr(progress, "running_jobs", lambda: (EVERYTHING,))
+    with progress.progress():
         assert capsys.readouterr().err == "first use: 1 functions are compiled, which takes about 40 s.\n"

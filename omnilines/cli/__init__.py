@@ -11,8 +11,9 @@ from typing import Any, NoReturn
 import typer
 
 from camera_models.errors import OmnilinesError
-from omnilines.cli._shared import app, bounded, printable
+from omnilines.cli._shared import app
 from omnilines.cli._stopping import stoppable
+from omnilines.cli.notes import bounded, printable
 from omnilines.cli.spelling import with_flags
 
 # The order of the commands in the help is the order of these imports.

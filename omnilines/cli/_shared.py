@@ -1,13 +1,11 @@
 """The application, its options and how a command is run and its result printed."""
 
 import json
-import math
 import os
-import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,15 +14,14 @@ import typer
 
 from camera_models.errors import InputError
 from omnilines.cli._stopping import say_when_stopped
-from omnilines.cli.notes import rows_shown, shortened, told
-from omnilines.cli.spelling import Application, flag_of, running_jobs, with_flags
+from omnilines.cli.notes import printable, rows_shown, shortened, told
+from omnilines.cli.progress import progress
+from omnilines.cli.spelling import Application, flag_of, with_flags
 from omnilines.compiled_cache import note_on_cache
 from omnilines.machine import agree_on_threads
 from omnilines.spelling import spelled_as
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from omnilines.commands.result import CommandResult
     from omnilines.progress import ProgressCallback
 
@@ -98,104 +95,6 @@ def _root(
 ) -> None:
     """Options of the command as a whole."""
     agree_on_threads(threads)
-
-
-LONGEST_WORD = 300
-"""Letters; of a longer one the beginning and the end are told."""
-
-
-def printable(text: str) -> str:
-    """A text in one line, without what a terminal would obey and words without end: names and cells may hold anything."""
-    text = re.sub(
-        rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][: LONGEST_WORD // 2]}...{word[0][-LONGEST_WORD // 4 :]}", text
-    )
-    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
-
-
-LONGEST_SENTENCE = 1400
-
-
-def bounded(sentence: str) -> str:
-    """A sentence without its middle where it is endless: values may have any length."""
-    half = LONGEST_SENTENCE // 2
-    return sentence if len(sentence) <= LONGEST_SENTENCE else f"{sentence[:half]} ... {sentence[-half:]}"
-
-
-@contextmanager
-def progress() -> "Iterator[ProgressCallback]":
-    """A progress line on standard error of a terminal; meanwhile, functions are compiled together where one has to be."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        SpinnerColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("left"),
-    )
-    console = Console(stderr=True, markup=False, emoji=False)
-    # Where nobody looks, a line that is taken away again leaves an empty one.
-    line = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-    with line as bar, _compiling_together(bar, console.is_terminal):
-        tasks: dict[str, Any] = {}
-        now = ""
-
-        def tell(stage: str, done: int, total: int) -> None:
-            """Show how far a stage is."""
-            nonlocal now
-            if stage != now:
-                # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
-                if now:
-                    bar.update(tasks[now], total=1, completed=1, visible=False)
-                if stage in tasks:
-                    bar.reset(tasks[stage], total=total or None, visible=True)
-                else:
-                    tasks[stage] = bar.add_task(stage, total=total or None)
-                now = stage
-            bar.update(tasks[stage], completed=done, total=total or None)
-
-        yield tell
-
-
-@contextmanager
-def _compiling_together(bar: "Progress", on_a_terminal: bool) -> "Iterator[None]":
-    """The first use of an installation, or of a command, compiles all that the command needs as soon as it needs one function."""
-    from omnilines.compiling import EVERYTHING, before_first_compiled, compile_ahead, not_compiled, seconds_for
-
-    wanted = not_compiled(*running_jobs())
-
-    def compile_all() -> None:
-        """Compile what the command needs, with a word and a line about it."""
-        if not on_a_terminal:
-            # A pipe or a CI has no line that moves: minutes of silence look like a program that hangs.
-            about = math.ceil(seconds_for(wanted) / 10) * 10
-            typer.echo(f"first use: {len(wanted)} functions are compiled, which takes about {about} s.", err=True)
-        task = bar.add_task("compiling, for the first use", total=len(wanted))
-        left = compile_ahead(wanted, lambda done, _: bar.update(task, completed=done))
-        bar.update(task, visible=False)
-        if left:
-            typer.echo(
-                f"note: {len(left)} functions could not be compiled beforehand: {left[0]}; they are when called.", err=True
-            )
-
-    until_needed: AbstractContextManager[None] = nullcontext()
-    if wanted and EVERYTHING in running_jobs():
-        compile_all()
-    elif wanted:
-        until_needed = before_first_compiled(compile_all)
-    with until_needed:
-        yield
 
 
 def run(

@@ -13,9 +13,26 @@ SHOWN_LETTERS = 60
 """Of a name."""
 SHOWN_ROWS = 20
 """Of a table with a row for each photo."""
+LONGEST_WORD = 300
+"""Letters; of a longer one the beginning and the end are told."""
+LONGEST_SENTENCE = 1400
 _FILE = re.compile(r"\S*\.(jpe?g|png|tiff?|bmp|webp|pgm)\b", re.IGNORECASE)
 _FIGURE = re.compile(r"\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _JOINT = re.compile(r"^(: | is | has )(skipped: )?")
+
+
+def printable(text: str) -> str:
+    """A text in one line, without what a terminal would obey and words without end: names and cells may hold anything."""
+    text = re.sub(
+        rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][: LONGEST_WORD // 2]}...{word[0][-LONGEST_WORD // 4 :]}", text
+    )
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
+def bounded(sentence: str) -> str:
+    """A sentence without its middle where it is endless: values may have any length."""
+    half = LONGEST_SENTENCE // 2
+    return sentence if len(sentence) <= LONGEST_SENTENCE else f"{sentence[:half]} ... {sentence[-half:]}"
 
 
 def told(details: "Sequence[Detail]", given: int | None, whole: str) -> Iterator[str]:

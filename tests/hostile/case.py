@@ -20,6 +20,8 @@ TIME_S = 240.0
 """Of one command; the first of a fresh clone compiles for a minute or two, on a busy machine."""
 MEMORY_BYTES = 2 * 1024**3
 """By which the process may grow."""
+PROGRESS = r"(?m)^\[\d+:\d\d\] .*\n"
+"""How far a command is, that takes long on a busy machine."""
 START = "import sys, torch, cv2\nfrom omnilines.cli import main\ntorch.set_num_threads(1)\nmain(sys.argv[1:])\n"
 
 
@@ -49,6 +51,7 @@ def play(case: Case, folder: Path) -> None:
     case.prepare(folder)
     before = contents(folder)
     status, out, err = _alone(case, folder) if case.alone else _here(case, folder)
+    err = re.sub(PROGRESS, "", err)
     after = contents(folder)
     assert "Traceback" not in err, err[-2000:]
     assert status in case.status, f"exit status {status}: {out[-500:]} {err[-1500:]}"
