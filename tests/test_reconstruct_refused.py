@@ -2,13 +2,18 @@
 
 import shutil
 import sys
+from dataclasses import replace
 
 import pytest
 from reconstruct_call import call
 
+from camera_models import Calibration, InputError, load, save
 from omnilines.cli import main
 from omnilines.commands import reconstruct as command
 from omnilines.commands.render_scene import render_scene
+from omnilines.files import find_photos, read_poses, write_poses
+from omnilines.pipelines.arcs import extract
+from omnilines.pipelines.poses import estimate_poses
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +84,43 @@ def test_photos_or_segments_are_asked_for(room, tmp_path, capsys):
         main([str(item) for item in arguments])
     assert stopped.value.code == 2
     assert "found neither" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("named", "folder", "said"),
+    [
+        (("near", "far", "far"), "photos", ""),
+        (("near", "far", "far"), "near", "found far in the column camera and the folder near"),
+        (("near", "far", "wide"), "photos", "one of the cameras near, far, found the camera wide in the column camera"),
+        (None, "near", ""),
+        (None, "photos", "or with one in the column camera of poses.csv"),
+    ],
+)
+def test_the_column_camera_says_whose_photos_are_in_no_folder_of_a_camera(
+    room, tmp_path, capsys, monkeypatch, named, folder, said
+):
+    camera = load(room / "calibration.yaml")["cam0"]
+    save(tmp_path / "calibration.yaml", Calibration({"near": camera, "far": camera}))
+    write_poses(tmp_path / "poses.csv", replace(read_poses(room / "poses.csv"), cameras=named))
+    shutil.copytree(room / "photos", tmp_path / folder)
+    asked = []
+
+    def looked(refs, cameras, *, camera_of, **options):
+        asked.extend(camera_of[photo.name] for photo in refs)
+        raise InputError("enough")
+
+    monkeypatch.setattr(command, "extract", looked)
+    assert call(tmp_path / folder, tmp_path, tmp_path / "out") == 2
+    assert (said or "enough") in capsys.readouterr().err
+    assert asked == ([] if said else list(named or 3 * [folder]))
+
+
+def test_arcs_are_found_with_the_camera_that_is_named_for_a_photo(room):
+    camera = load(room / "calibration.yaml")["cam0"]
+    cameras = Calibration({"near": camera, "far": camera})
+    named = dict(zip([photo.name for photo in find_photos([room / "photos"])], ("near", "far", "near"), strict=True))
+    arcs = extract(room / "photos", cameras, camera_of=named)
+    assert arcs.camera_of == named
+    poses = replace(read_poses(room / "poses.csv"), cameras=tuple(named.values()))
+    write_poses(room / "named.csv", poses)
+    assert estimate_poses(room / "photos", cameras, room / "named.csv").poses.cameras == poses.cameras

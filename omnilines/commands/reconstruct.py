@@ -32,7 +32,7 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.pose_tables import unit_of_file, unit_of_poses
+from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
@@ -81,7 +81,7 @@ def reconstruct_photos(
     input, and GeometryError naming the stage where no line is left.
     """
     refs, cameras = with_masks(find_photos(photos), mask), load(calibration)
-    camera_of = cameras_of_photos(refs, cameras)
+    camera_of = cameras_of_photos(refs, cameras, None if from_photos(poses) else named_cameras(poses))
     given = _given(segments, mask, refs, camera_of)
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
@@ -107,11 +107,14 @@ def reconstruct_photos(
         require_poses(distance, estimate_poses(refs, cameras, poses))
     if given is None:
         arcs = extract(
-            refs, cameras, options=extraction, appearance=options.matching.appearance, work=work, executor=executor,
-            progress=progress,
+            refs, cameras, camera_of=camera_of, options=extraction, appearance=options.matching.appearance, work=work,
+            executor=executor, progress=progress,
         )  # fmt: skip
     else:
-        arcs = given_arcs(given, refs, cameras, appearance=options.matching.appearance, name=str(segments), progress=progress)
+        arcs = given_arcs(
+            given, refs, cameras, camera_of=camera_of, appearance=options.matching.appearance, name=str(segments),
+            progress=progress,
+        )  # fmt: skip
     posed = estimate_poses(
         arcs, cameras, poses, pattern=pattern, options=options.posing, seed=options.seed, work=work, progress=progress
     )

@@ -43,6 +43,7 @@ def extract(
     photos: Photos,
     camera: CameraModel | Calibration,
     *,
+    camera_of: Mapping[str, str] | None = None,
     mask: Mask | None = None,
     options: ExtractionOptions = SHORT_ARCS,
     appearance: AppearanceOptions = AppearanceOptions(),
@@ -53,7 +54,8 @@ def extract(
     """The arcs of straight lines in photos (a folder, files, or arrays), on all cores, one photo per core in memory,
     or by the workers of an `executor`.
 
-    Of a calibration of several cameras, a photo is of the one whose name a folder of its path has. `mask` is where photos are
+    Of a calibration of several cameras, a photo is of the one whose name a folder of its path has, or that `camera_of` has under
+    the photo's name. `mask` is where photos are
     looked at, for arcs and for poses after that: an array that is true there, an image that is white there, a folder of such
     images (`files.masks`), or arrays by the names of photos. `appearance` is which pixels beside an arc are its colours. Arcs are
     kept in the folder `work`, where one is given, and read from there by another run that would find the same. A photo that
@@ -69,7 +71,7 @@ def extract(
     """
     cameras = calibration_of(camera)
     refs = with_masks(photos_of(photos), mask)
-    camera_of = cameras_of_photos(refs, cameras)
+    camera_of = cameras_of_photos(refs, cameras, camera_of)
     check_masks(refs, {name: cameras[camera].image_size for name, camera in camera_of.items()})
     refs = of_one_range(refs, progress)
     turned = by_camera(refs, camera_of)
@@ -118,21 +120,35 @@ def calibration_of(camera: CameraModel | Calibration) -> Calibration:
     return cameras
 
 
-def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration) -> dict[str, str]:
-    """Of each photo, by name, the only camera, or the one that a folder of its path is named like; raises InputError where none
-    is."""
+def cameras_of_photos(photos: Sequence[Photo], cameras: Calibration, named: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Of each photo, by name, the only camera, or the one that a folder of its path is named like, or that is `named` for it.
+
+    Raises InputError where neither says it, both contradict each other, or the calibration has no camera of that name.
+    """
     if len(cameras) == 1:
         return dict.fromkeys((photo.name for photo in photos), next(iter(cameras)))
     found = {}
     for photo in photos:
         parent = photo.path.parent if isinstance(photo, PhotoRef) else Path(photo.name).parent
-        folders = [part for part in reversed(parent.parts) if part in cameras]
-        if not folders:
+        folder = next((part for part in reversed(parent.parts) if part in cameras), None)
+        told = None if named is None else named.get(photo.name)
+        camera = folder if told is None else told
+        if camera is None:
             raise InputError(
-                f"The photo {photo.name} was expected in a folder named like one of the cameras {listed(cameras)}, found "
-                f"{parent}; move it, or give the calibration of its camera alone."
+                f"The photo {photo.name} was expected in a folder named like one of the cameras {listed(cameras)}, or with "
+                f"one in the column camera of poses.csv, found {parent}; move it, or give the calibration of its camera alone."
             )
-        found[photo.name] = folders[0]
+        if camera not in cameras:
+            raise InputError(
+                f"The photo {photo.name} was expected to be of one of the cameras {listed(cameras)}, found the camera {camera} "
+                "in the column camera; correct it, or give the calibration of that camera."
+            )
+        if folder not in (None, camera):
+            raise InputError(
+                f"The photo {photo.name} was expected to be of one camera, found {camera} in the column camera and the folder "
+                f"{folder} in {parent}; correct the one that is wrong."
+            )
+        found[photo.name] = camera
     return found
 
 

@@ -23,6 +23,7 @@ def given_arcs(
     photos: Photos,
     camera: CameraModel | Calibration,
     *,
+    camera_of: Mapping[str, str] | None = None,
     sigma_px: float = 0.2,
     appearance: AppearanceOptions = AppearanceOptions(),
     name: str = "The table of segments",
@@ -30,9 +31,9 @@ def given_arcs(
 ) -> PhotoArcs:
     """The segments of every photo with the colours beside them; those with an end that the camera cannot see are left out.
 
-    `sigma_px` is the standard deviation of an end where the table states none: that of a good detector; what is missing is found
-    as the tolerance. `name` is what messages call the table. A photo without segments, or one that cannot be read, is skipped
-    with its reason.
+    `camera_of` is as for `extract`. `sigma_px` is the standard deviation of an end where the table states none: that of a good
+    detector; what is missing is found as the tolerance. `name` is what messages call the table. A photo without segments, or one
+    that cannot be read, is skipped with its reason.
 
     Raises InputError where the table is not of these photos (`check_given`), a segment lies outside its image, or none is left.
 
@@ -42,7 +43,7 @@ def given_arcs(
         True
     """
     cameras, refs = calibration_of(camera), photos_of(photos)
-    camera_of = cameras_of_photos(refs, cameras)
+    camera_of = cameras_of_photos(refs, cameras, camera_of)
     check_given(segments, refs, camera_of, name)
     require_inside(segments, [camera_of[image] for image in segments.images], cameras)
     covariance = _covariance_px2(segments, sigma_px)

@@ -22,6 +22,15 @@ def instants(names: Sequence[str]) -> dict[str, str]:
     return {name: PurePosixPath(name).stem for name in names}
 
 
+def named_cameras(source: str) -> dict[str, str]:
+    """The camera of every photo for which a poses.csv names one; none of another source. Raises as `read_poses`."""
+    path = Path(source)
+    if not path.is_file() or is_corners_table(path):
+        return {}
+    table = read_poses(path)
+    return {image: name for image, name in zip(table.images, table.cameras or (), strict=False) if name}
+
+
 def from_table(
     path: Path, names: Sequence[str], cameras: Calibration, camera_of: Mapping[str, str], options: PosingOptions
 ) -> PhotoPoses:

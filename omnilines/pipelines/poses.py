@@ -23,7 +23,7 @@ from omnilines.files.masks import looked_at, mask_files
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
-from omnilines.pipelines.pose_tables import from_table, instants, unit_of_poses
+from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -111,7 +111,8 @@ def estimate_poses(
     if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):
         arcs = extract(photos, cameras, work=work, progress=progress)
     refs = [one.photo for one in photos.used] if isinstance(photos, PhotoArcs) else photos_of(photos)
-    camera_of = cameras_of_photos(refs, cameras) if arcs is None else arcs.camera_of
+    named = {} if from_photos(source) else named_cameras(source)
+    camera_of = cameras_of_photos(refs, cameras, named) if arcs is None else arcs.camera_of
     require_pattern(source, pattern)
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)
