@@ -34,6 +34,8 @@ cameras:
     model: pinhole
 """
 
+FORMATS = Path(__file__).resolve().parents[1] / "docs" / "formats.md"
+
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -386,3 +388,21 @@ def test_what_a_file_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"parameter fx of camera a must be a finite number, .* found inf"):
         save(tmp_path / "c.yaml", {"a": full_calibration()["left"].with_parameters([math.inf, 1, 1, 1, 0, 0, 0, 0])})
     assert not list(tmp_path.iterdir())
+
+
+def without_dots(value: Any) -> Any:
+    """A part of the example of the documents; None where it stands for more than it says."""
+    if isinstance(value, list):
+        whole = [without_dots(item) for item in value]
+        return None if None in whole or "..." in value else whole
+    if isinstance(value, dict):
+        parts = {key: without_dots(item) for key, item in value.items() if key != "..."}
+        return {key: item for key, item in parts.items() if item is not None or value[key] is None}
+    return value
+
+
+def test_the_example_of_the_documents_is_read(tmp_path: Path) -> None:
+    example = FORMATS.read_text().partition("## calibration.yaml")[2].partition("```yaml")[2].partition("```")[0]
+    (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(without_dots(yaml.safe_load(example)), sort_keys=False))
+    read = load(tmp_path / "calibration.yaml")
+    assert list(read) == list(read.rig) == ["cam0", "cam1"] and len(read.views) == 1
