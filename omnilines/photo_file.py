@@ -8,17 +8,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt, UInt8
+from jaxtyping import Bool, UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
 from camera_models.typed import typed
 from omnilines.machine import available_bytes
-from omnilines.photo_size import size_of_photo
+from omnilines.photo_size import may_be_transparent, size_of_photo
 
 MOST_PIXELS = 1 << 29
 """Of a photo: a panorama of 32766 x 16383, the widest that `rectify` takes. Larger ones in a few bytes are made to harm."""
 
+_HEADER_BYTES = 1 << 16
+"""Of a photo, that mostly hold all before its pixels."""
 LONGEST_JPEG_PX = 65_500
 """A side of what libjpeg writes."""
 
@@ -27,21 +29,39 @@ LONGEST_JPEG_PX = 65_500
 def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
     """The pixels of a photo: (h, w) grey or (h, w, 3) BGR, 8 or 16 bits, turned upright as its EXIF orientation says.
 
-    Transparency is dropped. Raises InputError naming the photo where it does not exist, is empty, damaged, cut short, holds
-    other numbers than 8 or 16 bit ones, or more pixels than MOST_PIXELS or than fit into memory.
+    Transparency is dropped (`opaque_pixels`). Raises InputError naming the photo where it does not exist, is empty, damaged, cut
+    short, holds other numbers than 8 or 16 bit ones, or more pixels than MOST_PIXELS or than fit into memory.
     """
     return decoded_photo(read_bytes(Path(path)), str(Path(path)))
 
 
 def decoded_photo(content: bytes, name: str) -> UInt[np.ndarray, "h w *channels"]:
     """As `read_photo`, of the content of a file; errors say its name."""
+    return _decoded(content, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+
+
+@typed
+def opaque_pixels(path: str | Path) -> Bool[np.ndarray, "h w"] | None:
+    """Where a PNG or WebP shows anything: true where it is not wholly transparent, rows and columns as they stand in the file,
+    whatever its EXIF orientation; None where that is everywhere, and of other files. Raises InputError as `read_photo`."""
+    if not may_be_transparent(read_bytes(Path(path), _HEADER_BYTES)):
+        return None
+    pixels = _decoded(read_bytes(Path(path)), str(Path(path)), cv2.IMREAD_UNCHANGED)
+    if pixels.shape[2:] != (4,):
+        return None
+    opaque: Bool[np.ndarray, "h w"] = pixels[..., 3] > 0
+    return None if opaque.all() else opaque
+
+
+def _decoded(content: bytes, name: str, flags: int) -> UInt[np.ndarray, "h w *channels"]:
+    """The pixels, of which OpenCV's flags say which channels they have."""
     data = np.frombuffer(content, dtype=np.uint8)
     if not len(data):
         raise InputError(f"The image {name} is empty (0 bytes); copy it again.")
     _require_room(name, size_of_photo(content))
     try:
         with quiet_codecs():
-            pixels = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+            pixels = cv2.imdecode(data, flags)
     except cv2.error:
         pixels = None
     if pixels is None:

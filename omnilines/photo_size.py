@@ -1,4 +1,5 @@
-"""How large a photo is, from its first bytes: asked before it is decoded, since few bytes may stand for gigabytes of pixels."""
+"""What the first bytes of a photo say: how large it is, asked before it is decoded, since few bytes may stand for gigabytes of
+pixels, whether it may have 16 bits a channel, and whether it may be transparent."""
 
 import re
 import struct
@@ -45,6 +46,15 @@ def wrong_size(what: str, size: tuple[int, int], camera_size: tuple[int, int]) -
 def may_have_16_bits(data: bytes) -> bool:
     """Whether the first 25 bytes of a photo leave it open that it has 16 bits a channel: a PNG says it, a TIFF or PNM later."""
     return data[24:25] == b"\x10" if data.startswith(b"\x89PNG") else data[:2] in (b"II", b"MM", b"P2", b"P3", b"P5", b"P6")
+
+
+def may_be_transparent(data: bytes) -> bool:
+    """Whether a PNG, by its kind of colour or a table before its pixels, or a WebP, by its first bytes, has transparency."""
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return data[25:26] in (b"\x04", b"\x06") or b"tRNS" in data.partition(b"IDAT")[0]
+    if data[:4] == b"RIFF" and len(data) >= 30:
+        return bool((data[12:16] == b"VP8X" and data[20] & 0x10) or (data[12:16] == b"VP8L" and data[24] & 0x10))
+    return False
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:

@@ -1,18 +1,23 @@
 """Masks of photos: which is whose, and that arcs, chains and features keep to them."""
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import omnilines as ol
 from camera_models import Calibration, GeometryError, InputError, Pinhole, save
 from omnilines.cli import main
 from omnilines.files import find_photos, photos_of
 from omnilines.files.masks import check_masks, looked_at, mask_files, masks_note, with_masks
+from omnilines.photo_file import opaque_pixels
 from omnilines.pipelines.chains import chains_of
 
 SIZE = (320, 240)
@@ -88,6 +93,54 @@ def test_arcs_and_chains_lie_where_each_mask_is_true(photos: Path, tmp_path: Pat
     chains = chains_of(photos, mask=masks).chains
     across = [chains.pixels[chains.image[chains.chain] == k, 0] for k in range(3)]
     assert across[0].max() < 160 < across[1].min() and across[2].min() < 100 and across[2].max() > 220
+
+
+def with_alpha(opaque: np.ndarray) -> np.ndarray:
+    return np.dstack([*[halves()] * 3, opaque.astype(np.uint8) * 255])
+
+
+def test_what_is_transparent_is_left_out_as_by_a_mask(photos: Path, tmp_path: Path) -> None:
+    for name, opaque in (("a.png", side(True)), ("b.png", np.zeros(SIZE[::-1])), ("c.png", np.ones(SIZE[::-1]))):
+        write(photos / name, with_alpha(opaque))
+    arcs = ol.extract(photos, CAMERA, work=tmp_path / "work")
+    assert list(arcs.skipped) == ["b.png"] and "found every pixel transparent" in arcs.skipped["b.png"]
+    half, whole = (one.endpoints_px[..., 0] for one in arcs.used)
+    assert len(half) >= 4 and half.max() < 160 and whole.max() > 220
+    upper = np.zeros(SIZE[::-1], dtype=bool)
+    upper[:120] = True
+    first, _, last = with_masks(find_photos([photos]), upper)
+    np.testing.assert_array_equal(looked_at(first, SIZE), side(True) & upper)
+    assert looked_at(replace(last, mask=None), SIZE) is None
+    with pytest.raises(InputError, match="Its transparency has 320x240 px, where the photo has 320x10"):
+        looked_at(replace(first, mask=None), (320, 10))
+    chains = chains_of(photos).chains
+    assert chains.pixels[chains.image[chains.chain] == 0, 0].max() < 160
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_transparency_is_turned_as_the_photo_is(tmp_path: Path, orientation: int) -> None:
+    """A pixel is as transparent as it is dark, turned by OpenCV and by us."""
+    grey = (np.arange(24).reshape(4, 6) % 3 == 0).astype(np.uint8) * 255
+    tags = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+    chunk = struct.pack(">I", len(tags)) + b"eXIf" + tags + struct.pack(">I", zlib.crc32(b"eXIf" + tags))
+    plain = cv2.imencode(".png", np.dstack([grey] * 4))[1].tobytes()
+    (tmp_path / "a.png").write_bytes(plain[:33] + chunk + plain[33:])
+    photo = find_photos([tmp_path])[0]
+    pixels = photo.read()
+    np.testing.assert_array_equal(looked_at(photo, pixels.shape[1::-1]), pixels[..., 0] > 0)
+
+
+@pytest.mark.parametrize(("name", "mode"), [("a.png", "LA"), ("a.png", "P"), ("a.webp", "RGBA"), ("lossy.webp", "RGBA")])
+def test_transparency_of_all_kinds_of_files_is_found(tmp_path: Path, name: str, mode: str) -> None:
+    picture = Image.fromarray(with_alpha(side(True)), "RGBA")
+    more: dict[str, object] = {"lossless": name == "a.webp"} if name.endswith("webp") else {}
+    if mode == "P":
+        picture, more = Image.fromarray(side(True).astype(np.uint8), "P"), {"transparency": 0}
+        picture.putpalette([40, 40, 40, 200, 200, 200])
+    picture.convert(mode).save(tmp_path / name, **more)
+    np.testing.assert_array_equal(opaque_pixels(tmp_path / name), side(True))
+    cv2.imwrite(str(tmp_path / "plain.jpg"), halves())
+    assert opaque_pixels(tmp_path / "plain.jpg") is None
 
 
 def test_a_photo_whose_mask_cannot_be_used_is_skipped(photos: Path, tmp_path: Path) -> None:

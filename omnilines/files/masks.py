@@ -1,4 +1,4 @@
-"""Masks: where photos are looked at.
+"""Masks: where photos are looked at. What is wholly transparent in a photo shows nothing, and is left out as by a mask.
 
 One image for all photos, or a folder in which a photo has a mask of its own, or a camera one for all of its photos. Of the photo
 `cam0/a.jpg` the mask is the first that is there of
@@ -20,8 +20,9 @@ from jaxtyping import Bool
 
 from camera_models.errors import InputError
 from camera_models.wording import listed
+from omnilines.files.orientation import exif_orientation, upright
 from omnilines.files.photos import PHOTO_SUFFIXES, Photo, PhotoRef
-from omnilines.photo_file import read_photo
+from omnilines.photo_file import opaque_pixels, read_photo
 
 Mask: TypeAlias = Bool[np.ndarray, "h w"] | str | Path | Mapping[str, Any]
 """What a user may give: where all photos are looked at, an image or a folder of images that are white there, or by the names of
@@ -69,12 +70,25 @@ def check_masks(photos: Sequence[Photo], sizes: Mapping[str, tuple[int, int]]) -
 
 
 def looked_at(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
-    """Where a photo of this size (width, height) is looked at, None where that is everywhere; raises InputError where its mask
-    cannot be read, is white nowhere or has another size."""
+    """Where a photo of this size (width, height) is looked at: where its mask is true and it is not wholly transparent; None
+    where that is everywhere. Raises InputError where its mask cannot be read, is white nowhere or has another size, and where all
+    of it is transparent."""
     keep = white(photo.mask) if isinstance(photo.mask, Path) else photo.mask
-    if keep is not None and keep.shape[::-1] != size:
-        raise InputError(f"Its mask has {keep.shape[1]}x{keep.shape[0]} px, where the photo has {size[0]}x{size[1]}.")
-    return keep
+    shown = _opaque(photo)
+    for what, area in (("mask", keep), ("transparency", shown)):
+        if area is not None and area.shape[::-1] != size:
+            raise InputError(f"Its {what} has {area.shape[1]}x{area.shape[0]} px, where the photo has {size[0]}x{size[1]}.")
+    return keep if shown is None else shown if keep is None else shown & keep
+
+
+def _opaque(photo: Photo) -> Bool[np.ndarray, "h w"] | None:
+    """Where a photo shows anything, upright; None where that is everywhere. Raises InputError where it is nowhere."""
+    opaque = opaque_pixels(photo.path) if isinstance(photo, PhotoRef) else None
+    if opaque is None:
+        return None
+    if not opaque.any():
+        raise InputError("It was expected to show something, found every pixel transparent; give it without transparency.")
+    return upright(opaque, exif_orientation(photo))
 
 
 def white(path: Path) -> Bool[np.ndarray, "h w"]:

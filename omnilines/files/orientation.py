@@ -9,6 +9,9 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+from jaxtyping import Shaped
+
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
 from omnilines.files.photos import Photo, PhotoRef
@@ -69,6 +72,12 @@ def exif_orientation(photo: Photo) -> int:
     except struct.error:  # cut short
         return 1
     return value if value in _TURNS else 1
+
+
+def upright(pixels: Shaped[np.ndarray, "h w"], orientation: int) -> Shaped[np.ndarray, "..."]:
+    """Pixels as they stand in a file, turned as its orientation says."""
+    stood = pixels.T if orientation >= 5 else pixels
+    return stood[:: -1 if orientation in (3, 4, 7, 8) else 1, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
 def _tiffs(head: bytes) -> Iterator[bytes]:

@@ -252,7 +252,7 @@ def _made_from(asked: _Asked) -> str:
             seen.update(np.packbits(photo.mask).tobytes())
     options = repr((asked.source, asked.pattern, asked.options.stated, asked.seed, names, masks, known, rig, seen.hexdigest()))
     files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
-    return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__))
+    return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__, looked_at.__module__))
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
