@@ -1,5 +1,7 @@
 """A board that is bent alike in all photos: it is told from one that is flat, or bent anew in each, and so is what it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -75,3 +77,17 @@ def test_a_board_that_is_flat_or_bends_anew_in_each_photo_is_not_blamed(anew: fl
 
 def test_few_views_tell_nothing() -> None:
     assert said(calibrate_camera(seen(1.0, 0.0, 2, views=4), LENS.image_size, "opencv-fisheye")) == []
+
+
+def test_a_false_corner_is_rejected_however_uncertain_it_is_stated_where_boards_bend() -> None:
+    """What boards do moves a corner that is known to 0.15 px no farther than one that is known to a tenth of that. Where they are
+    flat the same corner is as good as it is stated to be."""
+    for anew, off_px, stays in ((2.0, 8.0, False), (0.0, 0.75, True)):
+        corners = seen(0.0, anew, 5)
+        sigma = np.full(len(corners), NOISE_PX if anew == 0 else 0.1 * NOISE_PX)
+        sigma[40] *= 10.0
+        pixels = corners.pixels.copy()
+        pixels[40] += [off_px, 0.0]
+        fit = calibrate_camera(replace(corners, pixels=pixels, sigma_px=sigma), LENS.image_size, "opencv-fisheye")
+        assert fit.kept[40] == stays
+        assert "rejected" in " ".join(fit.notes) or stays

@@ -28,7 +28,7 @@ class RobustFit:
     kept: Bool[Tensor, " n"]
     scale_px: float
     limit_px: float
-    """Length of a weighted residual beyond which a corner is rejected."""
+    """Length of the residual of a corner of ordinary weight beyond which it is rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,8 @@ class RobustTask:
     weight: Float[Tensor, " n"] | None
     loss: str
     thresholds: RobustThresholds
+    stated_px: float = 0.0
+    """Root mean square of the corners' stated standard deviations, that of weight 1; 0 where none are stated."""
     callback: Callable[[Progress], None] | None = None
 
     def residual_px(self, state: CameraAndBoards) -> Float[Tensor, "n 2"]:
@@ -48,12 +50,21 @@ class RobustTask:
         return whitened(state.residual_px(self.points), self.weight)
 
     def judged(self, state: CameraAndBoards, unknowns: int) -> RobustFit:
-        """The scale of the residuals of a state, and the corners that are near enough."""
+        """The scale of the residuals of a state, and the corners that are near enough.
+
+        What residuals are larger by than corners are stated to be (a board that bends, a model that does not suit) is as large
+        for all: with a corner of weight w that is stated to s / w the limit is that of (scale^2 - s^2) + s^2 / w^2.
+        """
         residual = self.residual_px(state)
         share = self.thresholds.many_unknowns_share
         scale = max(robust_scale_px(residual, share, unknowns), LEAST_SCALE_PX)
         limit = self.thresholds.reject_sigma * scale
-        return RobustFit(state, residual.norm(dim=-1) <= limit, scale, limit)
+        near = residual.norm(dim=-1) <= limit
+        if self.weight is not None:
+            noise = min(scale, self.stated_px)
+            own = self.thresholds.reject_sigma * (scale**2 - noise**2 + (noise / self.weight) ** 2).sqrt()
+            near = residual.norm(dim=-1) <= own * self.weight
+        return RobustFit(state, near, scale, limit)
 
 
 def robust_fit(

@@ -176,7 +176,7 @@ def _fit(
     """One candidate fitted robustly to all corners, or why it cannot be."""
     try:
         kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
-        return robust_camera(usable.points, usable.weight, kind, loss, thresholds)
+        return robust_camera(usable.points, usable.weight, kind, loss, thresholds, stated_px=usable.stated_px)
     except (GeometryError, InputError) as error:
         return error
 

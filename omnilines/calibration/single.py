@@ -56,7 +56,7 @@ def calibrate_camera(
     kind = CameraKind(image_size, model, mirror, options)
     return calibrate_from_fit(
         usable,
-        robust_camera(usable.points, usable.weight, kind, loss, thresholds, callback=callback),
+        robust_camera(usable.points, usable.weight, kind, loss, thresholds, stated_px=usable.stated_px, callback=callback),
         loss=loss,
         refine_board=refine_board,
         hold_unsupported=kind.variant_open,
@@ -130,17 +130,19 @@ def robust_camera(
     loss: str,
     thresholds: CalibrationThresholds,
     *,
+    stated_px: float,
     callback: Callable[[Progress], None] | None = None,
     least_passes: int = 3,
 ) -> RobustFit:
-    """The robust fit from the best start and, as long as the fit is poor, from the next ones; the one with the least scale."""
+    """The robust fit from the best start and, as long as the fit is poor, from the next ones; the one with the least scale.
+
+    `stated_px` is what is stated of corners of weight 1, 0 where nothing is.
+    """
     # Plain least squares needs a robust fit too, to come near its minimum.
     robust_loss = "cauchy" if loss == "none" else loss
     smooth, in_order = smooth_corners(points, thresholds.screening)
     clean = points.chosen(smooth)
-    task = RobustTask(
-        points=points, clean=clean, weight=weight, loss=robust_loss, thresholds=thresholds.robust, callback=callback
-    )
+    task = RobustTask(points, clean, weight, robust_loss, thresholds.robust, stated_px, callback)
     found: list[RobustFit] = []
     for start in ranked_starts(clean, in_order, kind, thresholds)[: thresholds.start.most_starts]:
         found.append(robust_fit(task, start.state, least_passes=least_passes))

@@ -36,6 +36,11 @@ def corner_weights(corners: Corners, rows: Bool[np.ndarray, " n"]) -> Float[Tens
     return (sigma**2).mean().sqrt() / sigma
 
 
+def stated_rms_px(corners: Corners, rows: Bool[np.ndarray, " n"]) -> float:
+    """Root mean square of their stated standard deviations, to which weights are relative; 0 where none are given."""
+    return 0.0 if corners.sigma_px is None else float(np.sqrt(np.mean(corners.sigma_px[rows] ** 2)))
+
+
 @dataclass(frozen=True)
 class UsableCorners:
     """The corners of the views that can be used whatever the camera is."""
@@ -47,6 +52,8 @@ class UsableCorners:
     rows: Bool[np.ndarray, " n"]
     points: BoardPoints
     weight: Float[Tensor, " m"] | None
+    stated_px: float
+    """Of weight 1."""
 
     @staticmethod
     def of(corners: Corners, thresholds: ViewThresholds) -> "UsableCorners":
@@ -62,6 +69,7 @@ class UsableCorners:
             rows=rows,
             points=board_points(corners, rows, views),
             weight=corner_weights(corners, rows),
+            stated_px=stated_rms_px(corners, rows),
         )
 
 

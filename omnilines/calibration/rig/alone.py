@@ -23,7 +23,7 @@ from omnilines.calibration.select import select_model
 from omnilines.calibration.single import calibrate_camera, robust_camera
 from omnilines.calibration.start import CameraKind
 from omnilines.calibration.thresholds import CalibrationThresholds
-from omnilines.calibration.views import board_points, corner_weights, require_views, unusable_views, views_lost
+from omnilines.calibration.views import board_points, corner_weights, require_views, stated_rms_px, unusable_views, views_lost
 from omnilines.least_squares import Progress
 from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
@@ -95,7 +95,8 @@ def alone_camera(
         raise InputError("At least one view with enough corners for a pose was expected, found none; add photos of the board.")
     rows: Bool[np.ndarray, " n"] = np.isin(corners.view, usable)
     points, weight = board_points(corners, rows, usable), corner_weights(corners, rows)
-    fit = _robust(corners, points, weight, setup, loss, thresholds=thresholds, callback=callback)
+    stated_px = stated_rms_px(corners, rows)
+    fit = _robust(corners, points, weight, setup, loss, stated_px=stated_px, thresholds=thresholds, callback=callback)
     state, kept = fit.state, fit.kept
     if loss == "none":
         problem = BoardProblem(points, state.model.calibration_basis()[:, : 0 if setup.hold else None], weight)
@@ -140,17 +141,18 @@ def _robust(
     setup: CameraSetup,
     loss: str,
     *,
+    stated_px: float,
     thresholds: CalibrationThresholds,
     callback: Callable[[Progress], None] | None,
 ) -> RobustFit:
     """The robust fit from the given calibration or from none."""
     if setup.start is not None:
-        return _begun(points, weight, setup.start, loss, thresholds, hold=setup.hold)
+        return _begun(points, weight, setup.start, loss, thresholds, stated_px=stated_px, hold=setup.hold)
     if setup.model == AUTO:
         chosen = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds).result
-        return _begun(points, weight, chosen.model, loss, thresholds)
+        return _begun(points, weight, chosen.model, loss, thresholds, stated_px=stated_px)
     kind = CameraKind(setup.image_size, setup.model, setup.mirror, setup.options)
-    fit = robust_camera(points, weight, kind, loss, thresholds, callback=callback, least_passes=2)
+    fit = robust_camera(points, weight, kind, loss, thresholds, stated_px=stated_px, callback=callback, least_passes=2)
     model = fit.state.model
     if type(model).rivals is CameraModel.rivals or not model.rivals(float(angles_off_axis(model, points.pixels).max())):
         return fit
@@ -158,7 +160,7 @@ def _robust(
     best = calibrate_camera(
         corners, setup.image_size, setup.model, loss=loss, mirror=setup.mirror, options=setup.options, thresholds=thresholds
     )
-    return _begun(points, weight, best.model, loss, thresholds)
+    return _begun(points, weight, best.model, loss, thresholds, stated_px=stated_px)
 
 
 def _begun(
@@ -168,6 +170,7 @@ def _begun(
     loss: str,
     thresholds: CalibrationThresholds,
     *,
+    stated_px: float,
     hold: bool = False,
 ) -> RobustFit:
     """Boards resected by a known camera, which is refined with them unless it is held."""
@@ -184,7 +187,7 @@ def _begun(
     bearings, _ = model.unproject(clean.pixels)
     basis = model.calibration_basis()
     start = CameraAndBoards(model, resect_boards(clean, bearings))
-    task = RobustTask(points, clean, weight, "cauchy" if loss == "none" else loss, thresholds.robust)
+    task = RobustTask(points, clean, weight, "cauchy" if loss == "none" else loss, thresholds.robust, stated_px)
     return robust_fit(task, start, basis=basis[:, :0] if hold else basis)
 
 
