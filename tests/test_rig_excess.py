@@ -73,7 +73,9 @@ def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated(
     assert abs(link.baseline_m - true) < 3 * link.baseline_sigma_m and link.baseline_sigma_m > 3 * still.links[0].baseline_sigma_m
 
 
-@pytest.mark.parametrize("numberings", [None, {"board": Numbering()}], ids=["lattice", "tags"])
+@pytest.mark.parametrize(
+    "numberings", [pytest.param(None, id="lattice", marks=pytest.mark.full), pytest.param({"board": Numbering()}, id="tags")]
+)
 def test_views_of_another_instant_stay_out_where_the_board_moves(numberings: dict[str, Numbering] | None) -> None:
     """Two photos of one camera exchanged: a motion of the board that held them would be a hundred times that of all others."""
     rig = pair(12)
