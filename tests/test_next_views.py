@@ -18,8 +18,10 @@ from omnilines.calibration.pose_candidates import view_information
 from omnilines.calibration.shooting_words import px_words
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import ShootingThresholds
+from omnilines.calibration.uncertainty import most_stated_px
 from omnilines.files import photos_of
 from omnilines.pages.calibration import calibration_data, calibration_summaries
+from omnilines.pages.next_views import next_views_data, next_views_summary
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.pipelines.next_views import lens_rim_px, seen_rim_px
 
@@ -153,6 +155,24 @@ def test_words_say_what_is_missing():
     fit, corners = calibrated(truth, left)
     advice = next_views(fit, corners, rim_px=rim_px(truth, 85.0), board_m=BOARD)
     assert "right" in advice.limits[0] and "the left rim" not in advice.limits[0]
+
+
+def test_where_errors_are_not_small_the_projection_is_said_not_to_be_known():
+    """Corners of the middle alone extrapolate to hundreds of pixels, which no derivative tells; the numbers stay in the data."""
+    truth = LENSES["opencv-fisheye"]
+    corners = board_corners(truth, board_views(truth, 50.0, 5, 1, tilt_deg=30.0), NOISE_PX, 0)
+    result = ol.calibrate(corners, SIZE, model="opencv-fisheye")
+    advice = next_views(result.fit, corners, rim_px=rim_px(truth, 85.0), board_m=BOARD)
+    limit = most_stated_px(result.camera)
+    assert advice.median_px < limit == 16.0 < advice.worst_px and next_views_data(advice)["worst_px"] == advice.worst_px
+    assert f"px in the median of the image, but not {advice.worst_where}, a single" in advice.conclusion
+    assert "the largest uncertainty, not known now, would be" in advice.sentences[0]
+    rows = dict(next_views_summary(advice).rows)
+    assert rows["largest uncertainty"].startswith(f"not known {advice.worst_where}; {px_words(advice.median_px)} px in the")
+    assert not any(px_words(advice.worst_px) in text for text in (*rows.values(), advice.conclusion, *advice.sentences))
+    found = UncertaintyMap.of(result.fit)
+    assert np.nanmax(found.sigma_px) > limit >= np.nanmax(found.stated_px) and found.stated_largest[0] == math.inf
+    assert advice.stated_worst_px == math.inf
 
 
 def test_much_is_said_to_be_good_enough():

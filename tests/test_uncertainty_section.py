@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 import re
 from types import SimpleNamespace
 
@@ -41,6 +42,11 @@ def words(shown: Section) -> str:
 def growing(low: float, factor: float) -> np.ndarray:
     """From `low` at the left border to `factor` times that at the right one, evenly in the logarithm."""
     return np.broadcast_to(low * factor ** (U / U[-1]), (len(V), len(U))).copy()
+
+
+def test_a_largest_value_that_is_not_known_is_said_so() -> None:
+    said = words(section(growing(0.01, 10.0), largest=("the image", math.inf, (12.0, 7.0))))
+    assert "Over the image it is not known everywhere, least at (12, 7) px." in said and "inf" not in said
 
 
 def test_colours_are_logarithmic_and_capped() -> None:

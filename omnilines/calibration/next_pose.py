@@ -14,14 +14,14 @@ from dataclasses import field as dataclass_field
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
 
 from camera_models.pose import Pose
 from omnilines.calibration.image_field import SEARCH_STEPS, ImageField, KnownProjection
 from omnilines.calibration.pose_candidates import Candidates, SeenBoards, candidates, view_information
 from omnilines.calibration.result import CameraCalibration
-from omnilines.calibration.shooting_words import limits_of, place_words, pose_words, px_words
+from omnilines.calibration.shooting_words import fall_words, limits_of, place_words, pose_words, px_words, sigma_words
 from omnilines.calibration.thresholds import ShootingThresholds
+from omnilines.calibration.uncertainty import most_stated_px
 from omnilines.records import Corners
 
 TEN = 10
@@ -77,11 +77,28 @@ class NextViews:
     def sentences(self) -> tuple[str, ...]:
         """What to do, one sentence for each pose."""
         expected = [self.worst_px, *(pose.worst_px for pose in self.poses)]
-        falls = [f"would fall from {px_words(now)} to {px_words(then)} px" for now, then in itertools.pairwise(expected)]
-        return tuple(
-            f"hold the board {pose.words}: the largest uncertainty {falls_by}"
-            for pose, falls_by in zip(self.poses, falls, strict=True)
-        )
+        falls = [fall_words(now, then, self.most_px) for now, then in itertools.pairwise(expected)]
+        return tuple(f"hold the board {pose.words}: {falls_by}" for pose, falls_by in zip(self.poses, falls, strict=True))
+
+    @property
+    def most_px(self) -> float:
+        """Above it a standard deviation of the projection is stated as not known."""
+        return most_stated_px(self.known.field.model)
+
+    @property
+    def stated_worst_px(self) -> float:
+        """`worst_px` for people: infinite where it is stated as not known."""
+        return self.worst_px if self.worst_px <= self.most_px else math.inf
+
+    @property
+    def worst_words(self) -> str:
+        """The largest standard deviation of the projection."""
+        return sigma_words(self.worst_px, self.most_px)
+
+    @property
+    def median_words(self) -> str:
+        """The median one."""
+        return sigma_words(self.median_px, self.most_px)
 
 
 def next_views(
@@ -116,20 +133,21 @@ def next_views(
     proposed = _best_in_turn(coarse, known, seen, view_sigma_px, thresholds)
     sigma = known.sigma_px
     worst = known.pixels[int(sigma.argmax())]
+    where = place_words(field, worst)
     assumed = not rim_seen and rim_px is not None and rim_px < fit.model.image_radius_px
     image = f"the image within {rim_px:.0f} px of its centre (no photo shows where it ends)" if assumed else "the image"
     return NextViews(
         worst_px=float(sigma.max()),
         median_px=float(sigma.median()),
         worst_at_px=(float(worst[0]), float(worst[1])),
-        worst_where=place_words(field, worst),
+        worst_where=where,
         image=image,
         corner_sigma_px=fit.corner_sigma_px,
         view_sigma_px=view_sigma_px,
         limits=limits_of(field, pixels, poses, seen, fit.corner_sigma_px, thresholds),
         noisy=fit.corner_sigma_px > thresholds.noisy_px,
         poses=proposed,
-        conclusion=_conclusion(sigma, image, fit.corner_sigma_px, len(used), bool(proposed), thresholds),
+        conclusion=_known_words(known, image, where, fit.corner_sigma_px) + _more_words(len(used), bool(proposed), thresholds),
         board_m=board,
         known=known,
     )
@@ -188,18 +206,26 @@ def _described(field: ImageField, seen: SeenBoards, tried: Candidates, best: int
     )
 
 
-def _conclusion(
-    sigma_px: Float[Tensor, " n"], image: str, corner_sigma_px: float, views: int, helps: bool, thresholds: ShootingThresholds
-) -> str:
-    more = f"{100 * (1 - math.sqrt(views / (views + TEN))):.0f} percent"
-    worst_px, median_px = float(sigma_px.max()), float(sigma_px.median())
+def _known_words(known: KnownProjection, image: str, worst_where: str, corner_sigma_px: float) -> str:
+    """How well the projection is known."""
+    worst_px, median_px = float(known.sigma_px.max()), float(known.sigma_px.median())
     worst, median, corner = (px_words(value) for value in (worst_px, median_px, corner_sigma_px))
-    known = (
-        f"It is good enough for most uses: the projection is known to {worst} px or better all over {image}"
-        if worst_px <= corner_sigma_px
-        else f"The projection is known to {median} px in the median of {image} and to {worst} px at worst"
-    ) + f", a single corner to {corner} px"
+    most_px = most_stated_px(known.field.model)
+    if worst_px <= corner_sigma_px:
+        said = f"It is good enough for most uses: the projection is known to {worst} px or better all over {image}"
+    elif worst_px <= most_px:
+        said = f"The projection is known to {median} px in the median of {image} and to {worst} px at worst"
+    elif median_px <= most_px:
+        said = f"The projection is known to {median} px in the median of {image}, but not {worst_where}"
+    else:
+        said = f"The projection is not known in most of {image}"
+    return f"{said}, a single corner to {corner} px"
+
+
+def _more_words(views: int, helps: bool, thresholds: ShootingThresholds) -> str:
+    """What more photos of any kind would do."""
+    more = f"{100 * (1 - math.sqrt(views / (views + TEN))):.0f} percent"
     if helps:
-        return f"{known}; {TEN} more photos like these would lower the uncertainty by about {more}."
+        return f"; {TEN} more photos like these would lower the uncertainty by about {more}."
     least = f"{100 * thresholds.least_gain:.0f} percent"
-    return f"{known}; no pose lowers the uncertainty by more than {least}, {TEN} more photos of any kind by about {more}."
+    return f"; no pose lowers the uncertainty by more than {least}, {TEN} more photos of any kind by about {more}."

@@ -26,6 +26,20 @@ def px_words(value_px: float) -> str:
     return f"{value_px:.0f}" if value_px >= 10 else rounded(value_px)
 
 
+def sigma_words(sigma_px: float, most_px: float) -> str:
+    """A standard deviation of the projection; above `most_px` it is not one (`most_stated_px`)."""
+    return f"{px_words(sigma_px)} px" if sigma_px <= most_px else "not known"
+
+
+def fall_words(now_px: float, then_px: float, most_px: float) -> str:
+    """What a photo does to the largest standard deviation of the projection."""
+    if then_px > most_px:
+        return "the largest uncertainty would still not be known"
+    if now_px > most_px:
+        return f"the largest uncertainty, not known now, would be {px_words(then_px)} px"
+    return f"the largest uncertainty would fall from {px_words(now_px)} to {px_words(then_px)} px"
+
+
 def side_words(direction: Float[Tensor, "2"]) -> str:
     """The side of the image that a direction points to."""
     return SIDES[int(_side(direction[None]))]

@@ -7,6 +7,8 @@ data support (as mrcal does, D. Kogan, mrcal.secretsauce.net/uncertainty.html):
     e(u) = B(u) d - w x b(u),    w = argmin sum_u |B(u) d - w x b(u)|^2
 """
 
+import math
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -15,6 +17,15 @@ from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
+
+LINEAR_SHARE = 0.01
+"""Of the diagonal of the image: cameras that differ by more no longer move a pixel in proportion, and fold before they reach it
+(docs/calibration.md, how certain)."""
+
+
+def most_stated_px(model: CameraModel) -> float:
+    """Above it a standard deviation of the projection says only that the projection is not known there."""
+    return LINEAR_SHARE * math.hypot(*model.image_size)
 
 
 def bearing_jacobian(

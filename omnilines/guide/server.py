@@ -38,6 +38,8 @@ def state_of(session: Session) -> dict[str, Any]:
             "worst_px": advice.worst_px,
             "worst_where": advice.worst_where,
             "median_px": advice.median_px,
+            "worst": f"{advice.worst_words} {advice.worst_where}",
+            "median": advice.median_words,
             "rms_px_per_axis": known.result.rms_px_per_axis,
             "max_angle_deg": known.result.fit.max_angle_deg,
             "limits": list(advice.limits),

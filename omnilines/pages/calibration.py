@@ -31,7 +31,7 @@ def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
     """The figures, the parameters, what was estimated of the board, how the models compare, and what to shoot next."""
     result, selection = calibrated.fit, calibrated.selection
     used = [view for view in result.views if view.used]
-    median, largest = UncertaintyMap.of(result).figures
+    median, largest = UncertaintyMap.of(result).stated_figures
     model = result.model
     rows = (
         ("model", model.label),
@@ -197,7 +197,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
     sections = [
         report.verdict_section(summaries[0]),
         report.uncertainty_section(
-            uncertainty.sigma_px,
+            uncertainty.stated_px,
             uncertainty.u_px,
             uncertainty.v_px,
             model.image_size,
@@ -205,7 +205,7 @@ def calibration_sections(calibrated: CalibrationResult, summaries: tuple[Summary
             corners_px=pixels,
             corners_sigma_px=sigma_at_px(result, pixels),
             supported_angle_deg=result.max_angle_deg,
-            largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),
+            largest=None if advice is None else (advice.image, advice.stated_worst_px, advice.worst_at_px),
         ),
         report.summary_section(summaries[0], *(other for other in summaries[2:] if other.title != SHOOT_NEXT)),
         report.parameters_section(

@@ -20,7 +20,7 @@ from omnilines.report.numbers import figure, with_sigma
 def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
     """The figures, the parameters, what each photo gave, and how models compare."""
     fit, model = result.fit, result.camera
-    median, largest = UncertaintyMap.of(fit).figures
+    median, largest = UncertaintyMap.of(fit).stated_figures
     used = [photo for photo in fit.photos if photo.straight]
     rows = (
         ("model", model.label),
@@ -130,7 +130,7 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
     sections: list[Section] = [
         report.verdict_section(summaries[0]),
         report.uncertainty_section(
-            uncertainty.sigma_px,
+            uncertainty.stated_px,
             uncertainty.u_px,
             uncertainty.v_px,
             fit.model.image_size,
@@ -139,6 +139,7 @@ def write_line_calibration_page(result: LineResult, path: str | Path) -> Path:
             corners_sigma_px=sigma_at_px(fit, fit.pixels),
             seen="points of edges",
             supported_angle_deg=fit.max_angle_deg,
+            largest=("the image", *uncertainty.stated_largest),
         ),
         report.summary_section(summaries[0], *summaries[2:], *([unused] if unused.rows else [])),
         report.parameters_section(

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from camera_models import CameraModel
 from omnilines import report
 from omnilines.calibration.next_pose import NextViews
-from omnilines.calibration.shooting_words import px_words
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.uncertainty_map import UncertaintyMap
 from omnilines.records import Summary
@@ -24,7 +23,7 @@ def next_views_summary(views: NextViews, title: str = SHOOT_NEXT) -> Summary:
     rows.append(
         (
             "largest uncertainty",
-            f"{px_words(views.worst_px)} px {views.worst_where}; {px_words(views.median_px)} px in the median of {views.image}",
+            f"{views.worst_words} {views.worst_where}; {views.median_words} in the median of {views.image}",
         )
     )
     rows += [(photo_words(k), f"{text[0].upper()}{text[1:]}.") for k, text in enumerate(views.sentences)]
@@ -70,7 +69,7 @@ def next_views_section(
     return report.next_views_section(
         next_views_summary(views, title),
         boards,
-        uncertainty.sigma_px,
+        uncertainty.stated_px,
         uncertainty.u_px,
         uncertainty.v_px,
         model.image_size,

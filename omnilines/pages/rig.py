@@ -90,7 +90,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
         sections.insert(
             3,
             report.uncertainty_section(
-                found.sigma_px,
+                found.stated_px,
                 found.u_px,
                 found.v_px,
                 model.image_size,
@@ -99,7 +99,7 @@ def _camera_sections(single: CameraCalibration, corners: Corners, name: str, adv
                 corners_sigma_px=sigma_at_px(single, pixels),
                 supported_angle_deg=angle,
                 title=f"{name}: projection uncertainty",
-                largest=None if advice is None else (advice.image, advice.worst_px, advice.worst_at_px),
+                largest=None if advice is None else (advice.image, advice.stated_worst_px, advice.worst_at_px),
             ),
         )
         if advice is not None:

@@ -90,7 +90,7 @@ def _verdict(result: RigCalibration) -> str:
     others = result.members[1:]
     if not others:
         one = result.members[0]
-        median, largest = UncertaintyMap.of(one).figures if one.covariance.any() else (math.nan, math.nan)
+        median, largest = UncertaintyMap.of(one).stated_figures if one.covariance.any() else (math.nan, math.nan)
         known = calibration_verdict(median, largest, (one.min_angle_deg, one.max_angle_deg))
         return f"Only {one.name} could be calibrated. {known}" if result.left_out else known
     spread = [max(0.0, np.linalg.eigvalsh(centre_covariance(one.cam_from_rig, one.pose_covariance))[-1]) for one in others]

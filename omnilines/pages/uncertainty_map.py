@@ -1,5 +1,6 @@
 """The projection uncertainty of a camera over its image, as pages draw it and state it."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -11,7 +12,7 @@ from torch import Tensor
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import MAP_STEPS, ImageField
-from omnilines.calibration.uncertainty import projection_covariance_px2, supported_grid, worst_sigma_px
+from omnilines.calibration.uncertainty import most_stated_px, projection_covariance_px2, supported_grid, worst_sigma_px
 
 
 @runtime_checkable
@@ -40,6 +41,8 @@ class UncertaintyMap:
     sigma_px: Float[np.ndarray, "h w"]
     supported: Bool[np.ndarray, "h w"]
     """Within the field of view that the data support."""
+    most_px: float
+    """Above it a standard deviation is stated as not known."""
 
     @staticmethod
     def of(result: CertainCamera, field: ImageField | None = None) -> "UncertaintyMap":
@@ -55,7 +58,8 @@ class UncertaintyMap:
         sigma = torch.where(shown, worst_sigma_px(covariance), torch.nan)
         inside = valid & shown & (angle >= low) & (angle <= high)
         shape = len(v), len(u)
-        return UncertaintyMap(u, v, sigma.numpy().reshape(shape), inside.numpy().reshape(shape))
+        most_px = most_stated_px(result.model)
+        return UncertaintyMap(u, v, sigma.numpy().reshape(shape), inside.numpy().reshape(shape), most_px)
 
     def within(self, radius_px: float, centre_px: Float[np.ndarray, "2"]) -> "UncertaintyMap":
         """Not known beyond a circle, where photos are dark."""
@@ -67,6 +71,24 @@ class UncertaintyMap:
         """Median and largest standard deviation (px) over the supported field of view."""
         inside = self.sigma_px[self.supported]
         return float(np.median(inside)), float(inside.max())
+
+    @property
+    def stated_figures(self) -> tuple[float, float]:
+        """`figures` for people: infinite where they are stated as not known."""
+        median, largest = (value if value <= self.most_px else math.inf for value in self.figures)
+        return median, largest
+
+    @property
+    def stated_largest(self) -> tuple[float, tuple[float, float]]:
+        """The largest standard deviation (px) of all the map, for people, and its pixel."""
+        row, column = np.unravel_index(np.nanargmax(self.sigma_px), self.sigma_px.shape)
+        value = float(self.sigma_px[row, column])
+        return value if value <= self.most_px else math.inf, (float(self.u_px[column]), float(self.v_px[row]))
+
+    @property
+    def stated_px(self) -> Float[np.ndarray, "h w"]:
+        """`sigma_px`, NaN too where it is stated as not known."""
+        return np.where(self.sigma_px <= self.most_px, self.sigma_px, np.nan)
 
 
 def sigma_at_px(result: CertainCamera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:

@@ -50,7 +50,7 @@ def uncertainty_section(
     drawn. `circle_px` is the image of the cone at `supported_angle_deg`, up to which the data reach, cut (NaN) where it has no
     image; `corners_px` are the observed points, with what `sigma_px` is at each where that is known; `seen` says
     what they are. `largest` is the part of the image in words, its largest value
-    (px) and the pixel of that, by default those of the map.
+    (px; infinite: not known) and the pixel of that, by default those of the map.
     """
     sigma = np.where(np.isfinite(sigma_px) & (sigma_px > 0), sigma_px, np.nan)
     if not np.isfinite(sigma).any():
@@ -102,7 +102,9 @@ def _figures(
         row, column = np.unravel_index(np.nanargmax(sigma), sigma.shape)
         largest = "the image", float(sigma[row, column]), (float(u_px[column]), float(v_px[row]))
     image, value, (u, v) = largest
-    most = f"Over {image} it is at most {rounded(value)} px, at ({u:.0f}, {v:.0f}) px."
+    at = f"at ({u:.0f}, {v:.0f}) px"
+    most = f"at most {rounded(value)} px, {at}" if np.isfinite(value) else f"not known everywhere, least {at}"
+    most = f"Over {image} it is {most}."
     known = np.zeros(0) if corners_sigma_px is None else corners_sigma_px[np.isfinite(corners_sigma_px)]
     if not known.size:
         return most
