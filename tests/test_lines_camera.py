@@ -12,10 +12,11 @@ from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
 from camera_models import MODELS, CameraModel, ExtendedUnified, Pinhole, model_class
+from omnilines.calibration.held_out import HeldOut, ViewTerms
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, focal_length, in_mirror, line_camera
 from omnilines.calibration.lines.problem import Families
 from omnilines.calibration.lines.readings import EdgeReadings, offsets
-from omnilines.calibration.lines.select import candidates_of, chosen_camera, chosen_trial, trial_of
+from omnilines.calibration.lines.select import LineTrial, candidates_of, chosen_camera, chosen_trial, trial_of
 from omnilines.calibration.lines.start import ShapeStart
 from omnilines.calibration.lines.straight import RadialShape
 from omnilines.calibration.lines.weighting import WeightedChains
@@ -225,6 +226,54 @@ def test_the_larger_variant_is_taken_where_the_lens_has_it(lens: Pinhole, taken:
     assert selection.chosen.candidate.options == {"coefficients": taken}
     assert selection.chosen.model is not None
     assert bearing_error_deg(selection.chosen.model, lens, math.radians(40.0))[0] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("saved", "taken"),
+    [
+        pytest.param([-0.2, -1.9, 3.0, 2.7, 4.9, 2.2, 0.0], 5, id="chance"),
+        pytest.param([-60.0, 90.0, 80.0, -50.0, 120.0, 20.0, -10.0], 5, id="much-but-chance"),
+        pytest.param([3.1, 2.7, 3.0, 2.7, 3.9, 2.2, 3.3], 8, id="in-all-photos"),
+    ],
+)
+def test_a_larger_variant_is_taken_for_what_all_photos_gain_alone(saved: list[float], taken: int) -> None:
+    """The first are the gains of rational distortion in seven photos of `york`: k1 49 +- 90, k4 49 +- 90."""
+    left = torch.tensor([940.0, 620.0, 1290.0, 630.0, 1200.0, 950.0, 810.0], dtype=torch.float64)
+    counts = 2.0 * left
+    trials = [
+        LineTrial(one, None, Pinhole(WIDE.parameters, WIDE.image_size, k), HeldOut(9 + k - 5, squares, counts), 0.08, 0.11)
+        for one, k, squares in zip(
+            candidates_of("pinhole", {}), (5, 8), (left, left - torch.tensor(saved, dtype=torch.float64)), strict=True
+        )
+    ]
+    selection = chosen_trial(trials, HeldOutThresholds())
+    assert selection.chosen.candidate.options == {"coefficients": taken}
+    assert ("k4 k5 k6 are held at 0" in selection.reason) is (taken == 5)
+
+
+def test_what_is_known_before_stays_when_a_photo_is_left_out() -> None:
+    """Against ridge regression without each view."""
+    generator = torch.Generator().manual_seed(0)
+    rows, values = (torch.randn(5, 6, k, generator=generator, dtype=torch.float64) for k in (3, 1))
+    ridge = torch.diag(torch.tensor([1.0, 50.0, 5.0], dtype=torch.float64))
+
+    def fitted(kept: list[int]) -> torch.Tensor:
+        """By some of the views and the ridge."""
+        a, b = rows[kept].reshape(-1, 3), values[kept].reshape(-1)
+        return torch.linalg.solve(a.mT @ a + ridge, a.mT @ b)
+
+    every = list(range(5))
+    at = fitted(every)
+    error = (rows @ at)[..., None] - values
+    terms = ViewTerms(
+        rows.mT @ rows,
+        (rows.mT @ error)[..., 0],
+        error.square().sum((1, 2)),
+        torch.full((5,), 6.0, dtype=torch.float64),
+        (ridge, ridge @ at),
+    )
+    expected = [((rows[v] @ fitted([k for k in every if k != v]))[:, None] - values[v]).square().sum() for v in every]
+    torch.testing.assert_close(terms.held_out().squares_px2, torch.stack(expected))
 
 
 @pytest.mark.parametrize("model", CALIBRATED, ids=lambda model: model.NAME)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
+from scipy import stats
 from torch import Tensor
 
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -44,6 +45,15 @@ class HeldOut:
         within = bool(difference.mean() <= difference.std() / math.sqrt(len(difference)))
         return self.rms_px <= max(best.rms_px, EXACT_PX) or (within and self.rms_px <= no_worse_factor * best.rms_px)
 
+    def beaten_by(self, other: "HeldOut", significance: float) -> bool:
+        """Whether the other predicts views better by more than chance makes oftener than `significance`: Student's t of what
+        it saves of each view. Few views tell their scatter too badly for one standard error."""
+        saved = self.squares_px2 - other.squares_px2
+        if len(saved) < 2:
+            return False
+        t = float(saved.mean() / (saved.std() / math.sqrt(len(saved))))
+        return bool(stats.t.sf(t, len(saved) - 1) < significance)
+
 
 @dataclass(frozen=True)
 class ViewTerms:
@@ -55,6 +65,8 @@ class ViewTerms:
     """g_v = A_v' e_v."""
     squares_px2: Float[Tensor, " v"]
     counts: Float[Tensor, " v"]
+    known: tuple[Float[Tensor, "k k"], Float[Tensor, " k"]] | None = None
+    """What is known without any view, as matrix and gradient: it stays when a view is left out."""
 
     @staticmethod
     def of(problem: BoardProblem, optimum: CameraAndBoards) -> "ViewTerms":
@@ -78,18 +90,21 @@ class ViewTerms:
     def held_out(self) -> HeldOut:
         """What remains of every view by the camera of all others."""
         # In coordinates in which S is the identity; what S leaves open moves nothing.
-        total = self.matrix.sum(0)
+        total, pull = self.matrix.sum(0), self.gradient.sum(0)
+        if self.known is not None:
+            total, pull = total + self.known[0], pull + self.known[1]
         unit = total.diagonal().clamp_min(1e-300).rsqrt()
         values, vectors = torch.linalg.eigh(total * unit[:, None] * unit)
         sound = values > LEAST_EIGENVALUE
         basis = unit[:, None] * vectors[:, sound] * values[sound].rsqrt()
         matrix, gradient = basis.mT @ self.matrix @ basis, self.gradient @ basis
-        factor, info = torch.linalg.cholesky_ex(matrix.sum(0) - matrix)
-        step = -torch.cholesky_solve((gradient.sum(0) - gradient)[..., None], factor)[..., 0]
+        factor, info = torch.linalg.cholesky_ex(basis.mT @ total @ basis - matrix)
+        step = -torch.cholesky_solve((pull @ basis - gradient)[..., None], factor)[..., 0]
         change = 2 * (gradient * step).sum(-1) + (step[:, None] @ matrix @ step[..., None])[:, 0, 0]
         # The square of an error that is 0 may round to below it.
         remaining = (self.squares_px2 + change).clamp_min(0.0)
-        return HeldOut(len(total), torch.where(info == 0, remaining, torch.inf), self.counts)
+        told = (info == 0) & (len(self.counts) > 1)
+        return HeldOut(len(total), torch.where(told, remaining, torch.inf), self.counts)
 
 
 def held_out(problem: BoardProblem, optimum: CameraAndBoards) -> HeldOut:

@@ -118,6 +118,9 @@ class HeldOutThresholds(NamedTuple):
     beyond_factor: float = 1.1
     """The curve of a model must grow up to this many times the radius of the outermost corner."""
 
+    significance: float = 0.01
+    """From lines a larger variant of a model is taken where chance makes so great a gain more seldom."""
+
     @property
     def few_parameters_share(self) -> float:
         """Parameters for each corner below which terms that a lens does without do no harm: q of them raise the held-out error

@@ -85,7 +85,12 @@ def calibrate(
         ),
     ] = None,
     degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
-    coefficients: Annotated[int | None, typer.Option("--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5).")] = None,
+    coefficients: Annotated[
+        int | None,
+        typer.Option(
+            "--coefficients", help="Distortion of the pinhole: 0, 5 or 8 (5; from lines 8 too, where photos ask for it)."
+        ),
+    ] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="Of aspect, flatness, surface, with a comma.")] = "",
     loss: LossName = DEFAULT.loss,
     mirror: Mirror = DEFAULT.mirror,

@@ -111,6 +111,11 @@ class LineScores:
         return self._following.mT @ self.prior @ self._following
 
     @property
+    def pull_before(self) -> Float[Tensor, " q"]:
+        """Score of that by the camera."""
+        return self.prior_score @ self._following
+
+    @property
     def angles_before(self) -> Float[Tensor, "q q"]:
         """What of that is of right angles: they are off by as much as is known before, and no more."""
         own = self.prior.clone()

@@ -77,7 +77,8 @@ def trial_of(candidate: Candidate, done: LineAdjustment, beyond_factor: float, o
     own = counted(chains)
     count = torch.bincount(chains.blocks.photo[chains.blocks.chain[own]], minlength=scores.photos).double()
     seen = count > 0
-    terms = ViewTerms(scores.photo_information(done.problem, done.state)[seen], scores.by_photo[seen], squares[seen], count[seen])
+    information, known = scores.photo_information(done.problem, done.state), (scores.known_before, scores.pull_before)
+    terms = ViewTerms(information[seen], scores.by_photo[seen], squares[seen], count[seen], known)
     unit = float((count.sum() / chains.information[own].sum()).sqrt())
     in_sample = math.sqrt(float(squares.sum() / count.sum())) * unit
     grows = grows_beyond(done.model, chains.blocks.pixels[own], beyond_factor)
@@ -89,7 +90,8 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
     """The model with the fewest parameters of those that predict photos as well as the best, of which lines leave the least open.
 
     Models that leave more open are not compared where others are worse by next to nothing: beta of `extended-unified` is what
-    nothing depends on in a lens without distortion, where alpha is 0.
+    nothing depends on in a lens without distortion, where alpha is 0. A larger variant of a model is not taken for what chance
+    makes, however much that is: its further terms make up for one another.
 
     Raises GeometryError where none could be adjusted.
     """
@@ -100,26 +102,46 @@ def chosen_trial(trials: Sequence[LineTrial], thresholds: HeldOutThresholds) -> 
     best, least = min(growing, key=lambda pair: pair[0].held_out_px)
     if len(sound) == 1 or math.isinf(least.rms_px):
         return LineSelection(tuple(trials), best, f"{best.candidate.label} was taken: photos do not tell more.")
-    near = [(trial, error) for trial, error in growing if error.rms_px <= thresholds.no_worse_factor * least.rms_px]
+    near = [
+        (trial, error)
+        for trial, error in growing
+        if error.rms_px <= thresholds.no_worse_factor * least.rms_px
+        or (trial.candidate.model == best.candidate.model and not error.beaten_by(least, thresholds.significance))
+    ]
     least_open = min(len(trial.open_terms) for trial, _ in near)
     clear = [(trial, error) for trial, error in near if len(trial.open_terms) == least_open]
     best, least = min(clear, key=lambda pair: pair[0].held_out_px)
-    tied = [trial for trial, error in clear if error.as_good_as(least, thresholds.no_worse_factor)]
+    tied = [trial for trial, error in clear if not error.beaten_by(least, thresholds.significance)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.4f} px by the weights of the fit (each photo held out in turn)"
     if chosen is best:
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out photos, {figures}."
     else:
         reason = (
-            f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
-            f"({best.candidate.label}, {best.held_out_px:.4f} px) and has {chosen.parameters} parameters instead of "
-            f"{best.parameters}."
+            f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best, but for chance "
+            f"({best.candidate.label}, {best.held_out_px:.4f} px), and has {chosen.parameters} parameters instead of "
+            f"{best.parameters}{_held_words(chosen, best)}."
         )
     left = [trial for trial, _ in near if len(trial.open_terms) > least_open]
     more = "".join(
         f" {one.candidate.label} predicts as well, but lines leave open its {'; '.join(one.open_terms)}." for one in left
     )
     return LineSelection(tuple(trials), chosen, reason + more)
+
+
+def _held_words(chosen: LineTrial, best: LineTrial) -> str:
+    """Which terms of a larger variant are held in the smaller one."""
+    if chosen.candidate.model != best.candidate.model:
+        return ""
+    held = [name for name in _estimated(best) if name not in _estimated(chosen)]
+    return f": {' '.join(held)} {'is' if len(held) == 1 else 'are'} held at 0"
+
+
+def _estimated(trial: LineTrial) -> list[str]:
+    """Names of the parameters."""
+    assert trial.model is not None
+    moved = trial.model.calibration_basis().any(-1).tolist()
+    return [name for name, one in zip(trial.model.PARAMETER_NAMES, moved, strict=True) if one]
 
 
 def chosen_camera(
