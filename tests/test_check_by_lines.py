@@ -51,6 +51,8 @@ def test_check_refuses_what_is_off_and_nothing_else(changes: dict[str, float], r
     assert (found.least_drift_px > 0.0) is (found.probability < 0.001)
     assert found.least_drift_px <= math.hypot(found.drift_px, found.sigma_px) * (1 + 1e-9)
     assert found.freedom == 8
+    assert all(one.least_px <= one.drift_px * (1 + 1e-9) for one in found.regions)
+    assert any(one.least_px > 0.0 for one in found.regions) is refused
     # A camera that is known no better than that is not contradicted.
     wide = torch.diag(torch.tensor([20.0, 20.0, 20.0, 20.0, 0.1, 0.1, 0.1, 0.1], dtype=torch.float64).square())
     assert not line_check(model, asked, wide, significance=0.001).refused(0.001, 0.1)
@@ -127,9 +129,13 @@ def test_a_drift_is_not_said_to_be_less_than_it_is_at_least() -> None:
     found = checked(FISHEYE, true_chains(FISHEYE, 1, photos=4))
     some = replace(found, drift_px=0.0, least_drift_px=0.4862, sigma_px=1.734)
     wrong = CheckResult(some, False, CheckOptions(), ("a.png",), (), {})
-    assert "ask for a drift of at least 0.49 px over the image (root mean square; known to 1.7 px)" in wrong.verdict
-    more = CheckResult(replace(some, drift_px=0.91), False, CheckOptions(), ("a.png",), (), {})
-    assert "a drift of 0.91 px over the image (root mean square), known to 1.7 px, at least 0.49 px" in more.verdict
+    sure = "over the image (root mean square) it is off by at least 0.49 px with 99.9 percent confidence"
+    only = f"{sure} (how much more, these photos tell to 1.7 px only); 0.1 px are allowed (probability"
+    assert only in wrong.verdict
+    hidden = CheckResult(replace(some, drift_px=0.91), False, CheckOptions(), ("a.png",), (), {})
+    assert only in hidden.verdict and "0.91" not in hidden.verdict
+    clear = CheckResult(replace(some, drift_px=0.91, sigma_px=0.04), False, CheckOptions(), ("a.png",), (), {})
+    assert f"{sure}, most likely by 0.91 px (known to 0.04 px); 0.1 px are allowed" in clear.verdict
 
 
 def test_what_chance_does_not_leave_open_refuses_a_camera_of_which_lines_tell_little() -> None:
@@ -137,7 +143,8 @@ def test_what_chance_does_not_leave_open_refuses_a_camera_of_which_lines_tell_li
     little = replace(found, drift_px=25000.0, least_drift_px=0.25, sigma_px=6300.0)
     wrong = CheckResult(little, False, CheckOptions(), ("a.png",), (), {})
     assert wrong.hardly_known and "25000" not in wrong.verdict
-    assert "lines ask for a drift of at least 0.25 px over the image (root mean square; how much more, these" in wrong.verdict
+    assert "it is off by at least 0.25 px with 99.9 percent confidence (how much more, these photos leave open)" in wrong.verdict
     told = dict(check_summaries(wrong)[0].rows)
-    assert told["drift, less what noise makes of it"] == "open" and "largest at" not in check_advice(wrong)[0].limit
+    assert told["most likely, less what noise makes of it"] == "open" and told["off by at least"].startswith("0.25 px")
+    assert check_advice(wrong)[0].limit.startswith("The parameter ")
     assert not CheckResult(found, True, CheckOptions(), ("a.png",), (), {}).hardly_known

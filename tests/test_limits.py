@@ -95,7 +95,7 @@ def test_lines_say_what_tells_the_focal_length_and_how_far_they_reach() -> None:
 
 
 def checked(holds: bool, sigma_px: float, frames: int) -> CheckResult:
-    regions = [RegionDrift(f"region {k}", 0 if k == 3 else 9, 0.1, 0.1 * k, 0.05) for k in range(9)]
+    regions = [RegionDrift(f"region {k}", 0 if k == 3 else 9, 0.1, 0.1 * k, 0.05, 0.08 * k) for k in range(9)]
     change, spread = np.array([0.1, 0.1, 3.0, 0, 0, 0, 0, 0]), np.full(8, 0.5)
     found = LineCheck(
         LENS, 40.0, 8, 60.0, 1e-6, 0.4, 0.0 if holds else 0.3, sigma_px, change, spread, tuple(regions), 1.0, 300, 200, frames
@@ -105,7 +105,10 @@ def checked(holds: bool, sigma_px: float, frames: int) -> CheckResult:
 
 def test_a_check_says_where_it_drifted_or_what_photos_could_not_tell() -> None:
     (drift,) = check_advice(checked(False, 0.05, 2))
-    assert "region 8 of the image, 0.8 px; the parameter cx is off most clearly, by 6 sigma" in drift.limit
+    assert "region 8 of the image, by at least 0.64 px; the parameter cx is off most clearly, by 6 sigma" in drift.limit
+    assert drift.do.endswith(f" by: omnilines calibrate PHOTOS --pattern lines --model {LENS.NAME} --out calibrated_again")
+    (asked,) = check_advice(checked(False, 0.05, 2), ["my photos", "--mask", "sky.png"])
+    assert "omnilines calibrate 'my photos' --mask sky.png --pattern lines --model" in asked.do
     unseen = check_advice(checked(True, 0.05, 2))
     assert [one.limit for one in unseen] == ["No edges lie at the region 3 of the image: nothing tells of it."]
     angles, more, _ = check_advice(checked(True, 0.3, 0))

@@ -43,7 +43,7 @@ def check(
     # Of what chance explains no drift is held against the camera.
     drift = max(found.drift_px, found.least_drift_px) if found.probability < options.significance else 0.0
     return CommandResult(
-        check_summaries(result),
+        check_summaries(result, [*(str(path) for path in photos), *(() if mask is None else ("--mask", str(mask)))]),
         check_data(result),
         checks=(Check("drift beyond chance", drift, options.tolerance_px, "px", result.holds),),
         files=files,

@@ -1,6 +1,7 @@
 """What a check of a calibration tells: tables and figures for `--json`."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from omnilines.pages.limits_of_lines import check_advice
@@ -9,8 +10,9 @@ from omnilines.records import Summary
 from omnilines.report.numbers import figure, with_sigma
 
 
-def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
-    """The verdict, what lines would change, and the drift by region."""
+def check_summaries(result: CheckResult, given: Sequence[str] = ()) -> tuple[Summary, ...]:
+    """The verdict, what lines would change, and the drift by region; `given` are the photos, and how they are read, as words of
+    a command, by default their folder."""
     found = result.found
     rows = (
         ("photos used", f"{len(result.images)} of {len(result.images) + len(result.skipped)}"),
@@ -18,13 +20,13 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         ("photos with lines at right angles", f"{found.frames}"),
         ("statistic", f"{found.statistic:.1f}, Hotelling's T^2 of {found.freedom} and {found.samples:.0f} degrees of freedom"),
         ("probability of it by chance", f"{found.probability:.2g}"),
+        ("off by at least", f"{figure(found.least_drift_px, unit='px')}, with {result.confidence}"),
         (
-            "drift, less what noise makes of it",
+            "most likely, less what noise makes of it",
             "open"
             if result.hardly_known
             else f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})",
         ),
-        ("least drift that chance leaves open", figure(found.least_drift_px, unit="px")),
     )
     names = found.model.PARAMETER_NAMES
     changes = tuple(
@@ -33,11 +35,17 @@ def check_summaries(result: CheckResult) -> tuple[Summary, ...]:
         if sigma > 0
     )
     regions = tuple(
-        (one.name, f"{_px(one.drift_px)} (known to {_px(one.sigma_px)}); {one.edges} pieces of edges, {_px(one.rms_px)} off")
+        (
+            one.name,
+            f"at least {_px(one.least_px)}; lines ask for {_px(one.drift_px)}, of which noise makes {_px(one.sigma_px)}; "
+            f"{one.edges} pieces of edges, {_px(one.rms_px)} off",
+        )
+        if math.isfinite(one.drift_px)
+        else (one.name, f"the camera is not supported there; {one.edges} pieces of edges, {_px(one.rms_px)} off")
         for one in found.regions
     )
     return (
-        Summary("Check of a calibration", rows, verdict=result.verdict, advice=check_advice(result)),
+        Summary("Check of a calibration", rows, verdict=result.verdict, advice=check_advice(result, given)),
         Summary("Change of parameters that lines ask for", changes),
         Summary("Drift by region", regions),
     )
@@ -70,6 +78,7 @@ def check_data(result: CheckResult) -> dict[str, Any]:
                 "rms_px": one.rms_px,
                 "drift_px": one.drift_px,
                 "sigma_px": one.sigma_px,
+                "least_px": one.least_px,
             }
             for one in found.regions
         ],

@@ -1,11 +1,14 @@
 """What limits a line scene, arcs, directions and the check of a calibration, as it was measured, and what to do about it."""
 
 import math
+import shlex
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from camera_models import CameraModel
 from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck
 from omnilines.pages.limits import named
@@ -221,19 +224,18 @@ def directions_advice(found: PhotoDirections) -> tuple[Advice, ...]:
     return tuple(told)
 
 
-def check_advice(result: CheckResult) -> tuple[Advice, ...]:
-    """Of a check: where the drift is largest, or what the photos could not tell."""
+def check_advice(result: CheckResult, given: Sequence[str] = ()) -> tuple[Advice, ...]:
+    """Of a check: where the camera is off most surely, or what the photos could not tell. `given` as in `check_summaries`."""
     found = result.found
     if not result.holds:
-        worst = max(found.regions, key=lambda one: one.drift_px if math.isfinite(one.drift_px) else -1.0)
+        worst = max(found.regions, key=lambda one: one.least_px if math.isfinite(one.least_px) else -1.0)
         ratio = np.abs(found.change) / np.where(found.change_sigma > 0, found.change_sigma, np.inf)
         name = found.model.PARAMETER_NAMES[int(ratio.argmax())]
         clearest = f"parameter {name} is off most clearly, by {rounded(ratio.max())} sigma."
-        where = f"The drift is largest at the {worst.name} of the image, {rounded(worst.drift_px)} px"
-        said = f"The {clearest}" if result.hardly_known else f"{where}; the {clearest}"
-        return (
-            Advice(said, "Calibrate the camera again, with a board or from these photos: omnilines calibrate --pattern lines."),
-        )
+        where = f"It is off most surely at the {worst.name} of the image, by at least {rounded(worst.least_px)} px"
+        said = f"{where}; the {clearest}" if worst.least_px > 0 else f"The {clearest}"
+        again = _calibrate_again(found.model, given or (str(result.inputs.get("photos") or "PHOTOS"),))
+        return (Advice(said, f"Calibrate the camera again, with a board, or from these photos by: {again}"),)
     told = []
     if not found.frames:
         said = "No photo shows lines at right angles: nothing tells whether the focal length still holds."
@@ -250,6 +252,14 @@ def check_advice(result: CheckResult) -> tuple[Advice, ...]:
             Advice(f"No edges lie at the {named(unseen)} of the image: nothing tells of it.", "Add photos with long edges there.")
         )
     return tuple(told)
+
+
+def _calibrate_again(model: CameraModel, given: Sequence[str]) -> str:
+    """The command that calibrates a camera of the same model from the lines of the photos given."""
+    looks_back = model.AXIS_SIGN_OPEN and float(model.unproject(model.centre_px)[0][2]) < 0
+    mirror = ("--mirror",) if looks_back else ()
+    words = ("omnilines", "calibrate", *given, "--pattern", "lines", "--model", model.NAME, *mirror, "--out", "calibrated_again")
+    return shlex.join(words)
 
 
 def _other_photos(found: LineCheck) -> str:

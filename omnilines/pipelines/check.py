@@ -58,23 +58,35 @@ class CheckResult:
         """One sentence."""
         found = self.found
         freedom = f"{found.freedom} and {found.samples:.0f} degrees of freedom"
-        chance = f"Hotelling's T^2 {found.statistic:.0f} with {freedom}, probability {found.probability:.1g}"
-        known = f"known to {rounded(found.sigma_px)} px"
-        least = f"at least {rounded(found.least_drift_px)} px"
-        if self.hardly_known:
-            drift = f"{least} over the image (root mean square; how much more, these photos leave open)"
-        elif found.drift_px > found.least_drift_px:
-            drift = f"{rounded(found.drift_px)} px over the image (root mean square), {known}, {least}"
-        else:  # what noise makes of the motion is more than all of it
-            drift = f"{least} over the image (root mean square; {known})"
+        chance = f"probability {found.probability:.1g} of so much by chance, Hotelling's T^2 {found.statistic:.0f} with {freedom}"
+        allowed = f"{self.options.tolerance_px:g} px"
         if not self.holds:
-            return f"The calibration is not right any more: lines ask for a drift of {drift} ({chance})."
-        if found.probability < self.options.significance:
-            within = f"{self.options.tolerance_px:g} px"
             return (
-                f"These photos bear out a calibration within {within} of this one: lines ask for a drift of {drift} ({chance})."
+                f"The calibration is not right any more: over the image (root mean square) it is off by {self._drift_words}; "
+                f"{allowed} are allowed ({chance})."
+            )
+        if found.probability < self.options.significance:
+            return (
+                f"These photos bear out a calibration within {allowed} of this one, which over the image (root mean square) is "
+                f"off by {self._drift_words} ({chance})."
             )
         return f"The calibration is right as far as these photos tell, to {rounded(found.sigma_px)} px over the image ({chance})."
+
+    @property
+    def confidence(self) -> str:
+        """With which the camera is off by the least drift or more."""
+        return f"{100 * (1 - self.options.significance):g} percent confidence"
+
+    @property
+    def _drift_words(self) -> str:
+        """What is sure of the drift first: its noise is that of what lines tell least, which may hide what they tell best."""
+        found = self.found
+        least = f"at least {rounded(found.least_drift_px)} px with {self.confidence}"
+        if self.hardly_known:
+            return f"{least} (how much more, these photos leave open)"
+        if found.drift_px > max(found.least_drift_px, found.sigma_px):
+            return f"{least}, most likely by {rounded(found.drift_px)} px (known to {rounded(found.sigma_px)} px)"
+        return f"{least} (how much more, these photos tell to {rounded(found.sigma_px)} px only)"
 
     @property
     def file_names(self) -> tuple[str, ...]:
@@ -89,7 +101,7 @@ class CheckResult:
             path = out / CHECK
             columns = {"region": name_cells([one.name for one in regions], None, path, "region")}
             columns["edges"] = [str(one.edges) for one in regions]
-            for name in ("rms_px", "drift_px", "sigma_px"):
+            for name in ("rms_px", "drift_px", "sigma_px", "least_px"):
                 values = np.array([getattr(one, name) for one in regions])
                 columns[name] = ["" if math.isnan(v) else number_cells(np.array([v]), path, name)[0] for v in values]
             write_table(path, columns)

@@ -15,7 +15,9 @@ is more than nobody minds; or even the least drift that chance leaves open (`lea
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -46,6 +48,8 @@ class RegionDrift:
     """Root mean square motion that lines ask for, after a common rotation; NaN where the camera is not supported."""
     sigma_px: float
     """Of which so much is noise."""
+    least_px: float
+    """The least such motion, here, of a camera that lines do not contradict; NaN where the camera is not supported."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +108,11 @@ def line_check(
     squares = torch.where(valid, motion.square().sum(-1), 0.0)
     noise = float(spread[valid].mean())
     moving = jacobian[valid] @ basis
-    moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving)
     samples = max(scores.freedom_of_lines(precision), float(freedom))
     # Of Hotelling's T^2 over that of F.
     scale, rest = samples * freedom / (samples - freedom + 1.0), samples - freedom + 1.0
     limit = float(stats.f.isf(significance, freedom, rest)) * scale
+    least = partial(_least_motion, score=total, precision=precision, information=information, limit=limit)
     return LineCheck(
         model=model,
         statistic=statistic,
@@ -116,16 +120,29 @@ def line_check(
         samples=samples,
         probability=float(stats.f.sf(statistic / scale, freedom, rest)),
         drift_px=math.sqrt(max(float(squares[valid].mean()) - noise, 0.0)),
-        least_drift_px=least_drift(total, precision, information, moved, limit),
+        least_drift_px=least(moving),
         sigma_px=math.sqrt(max(noise, 0.0)),
         change=change.numpy(),
         change_sigma=covariance.diagonal().clamp_min(0).sqrt().numpy(),
-        regions=_regions(model, grid[valid], torch.stack([squares, spread], -1)[valid], pixels, chains.at.px[own]),
+        regions=_regions(model, grid[valid], torch.stack([squares, spread], -1)[valid], pixels, chains.at.px[own], moving, least),
         photo_factor=scores.photo_factor,
         edges=int((chains.weight > 0).sum()),
         members=int((asked.families.of_chain >= 0).sum()),
         frames=asked.families.frames,
     )
+
+
+def _least_motion(
+    moving: Float[Tensor, "n 2 q"],
+    *,
+    score: Float[Tensor, " q"],
+    precision: Float[Tensor, "q q"],
+    information: Float[Tensor, "q q"],
+    limit: float,
+) -> float:
+    """`least_drift` over pixels that move by `moving` with the parameters; NaN of none."""
+    moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving) if len(moving) else None
+    return math.nan if moved is None else least_drift(score, precision, information, moved, limit)
 
 
 def _scaled(matrix: Float[Tensor, "q q"]) -> Float[Tensor, "q q"]:
@@ -139,8 +156,11 @@ def _regions(
     squares: Float[Tensor, "n 2"],
     pixels: Float[Tensor, "m 2"],
     distance: Float[Tensor, " m"],
+    moving: Float[Tensor, "n 2 q"],
+    least: Callable[[Float[Tensor, "k 2 q"]], float],
 ) -> tuple[RegionDrift, ...]:
-    """Ninths of the image: `squares` of the motion and of its noise at the grid, distances of edges at `pixels`."""
+    """Ninths of the image: `squares` of the motion and of its noise at the grid, distances of edges at `pixels`, and the `least`
+    motion of the part of the grid that moves so with the parameters."""
     size = torch.tensor(model.image_size, dtype=torch.float64)
     of_grid, of_edge = (((at + 0.5) / size * 3).floor().clamp(0, 2).long() @ torch.tensor([1, 3]) for at in (grid, pixels))
     found = []
@@ -148,5 +168,5 @@ def _regions(
         rows, own = of_grid == k, distance[of_edge == k]
         drift, sigma = squares[rows].mean(0).clamp_min(0).sqrt().tolist()
         name = f"{ROWS[k // 3]} {COLUMNS[k % 3]}"
-        found.append(RegionDrift(name, len(own), float(own.square().mean().sqrt()), drift, sigma))
+        found.append(RegionDrift(name, len(own), float(own.square().mean().sqrt()), drift, sigma, least(moving[rows])))
     return tuple(found)
