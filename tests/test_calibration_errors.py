@@ -18,6 +18,7 @@ from omnilines.adjustment.lines import motion_across
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
+from omnilines.pages.limits_of_lines import scene_advice
 from omnilines.pipelines.assumed_errors import assumed_covariance
 from omnilines.pipelines.options import OF_TABLES
 from omnilines.records import ImagePoses, Lines, PosePoints, Segments
@@ -211,6 +212,13 @@ def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
     if "poses" in refine:
         of_photos = [np.trace(one.poses.covariance[1:, 3:, 3:], axis1=1, axis2=2) for one in (half, exact)]
         assert found[1] == pytest.approx(float(np.median(np.sqrt(of_photos[0] / of_photos[1]))), rel=0.2)
+    # What limits lines is what a run that is told so names.
+    assert times > math.sqrt(2.0)
+    assert all("more photos do not lower" in scene_advice(one)[0].limit for one in (exact, half))
+    assert (
+        "states its errors" in scene_advice(exact)[0].do
+        and f"{1e3 * exact.median_sigma_m():.2g} mm" in scene_advice(exact)[0].limit
+    )
 
 
 def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:

@@ -18,6 +18,7 @@ from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.directions import PhotoDirections
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.scene import Scene
+from omnilines.pipelines.supposed_errors import SUPPOSED_PX
 from omnilines.records import Advice, LengthUnit
 from omnilines.report.numbers import figure
 
@@ -155,10 +156,20 @@ def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
 
 
 def _of_number(scene: Scene) -> tuple[Advice, ...]:
-    """Where nothing else limits: what as many photos again would do, or a better calibration."""
+    """Where nothing else limits: what as many photos again would do, or a better calibration; of one that states no errors, these
+    count as supposed."""
     sigma, views, common = scene.median_sigma_m(), scene.lines.views[scene.lines.known], scene.median_calibration_sigma_m()
     if not len(views) or math.isnan(sigma):
         return ()
+    supposed = scene.supposed
+    if supposed is not None and supposed.of_lines**2 > 2.0:
+        with_them = length(supposed.of_lines * sigma, scene.lines.unit)
+        said = (
+            f"Uncertainties lack errors of the calibration, which states none: where it is off by {SUPPOSED_PX:g} px (RMS), the "
+            f"sigma of a line is {with_them} in place of {length(sigma, scene.lines.unit)}, and more photos do not lower that."
+        )
+        do = "Calibrate the camera with omnilines calibrate, which states its errors, or say them: `scene.calibration_error_px`."
+        return (Advice(said, do),)
     if 2.0 * common**2 > sigma**2:
         said = (
             f"Errors of the calibration leave {length(common, scene.lines.unit)} of the {length(sigma, scene.lines.unit)} of the "

@@ -25,7 +25,6 @@ from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
     poses_with_calibration_errors,
-    unfollowed_errors,
 )
 from omnilines.pipelines.far_photos import far_photos
 from omnilines.pipelines.inside import require_inside
@@ -34,7 +33,7 @@ from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
-from omnilines.pipelines.supposed_errors import supposed_errors
+from omnilines.pipelines.supposed_errors import supposed_errors, unfollowed_errors
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Check, ImagePoses, LengthUnit, Lines, PosePoints, Segments
@@ -90,7 +89,7 @@ def adjust(
     cameras = with_assumed_errors(cameras, _fitting(scene)[0], options)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     # With a prior on poses that is no matter of the lines alone.
-    supposed = "" if pose_sigma else supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points)
+    supposed = None if pose_sigma else supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points)
     scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options, supposed))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
@@ -114,6 +113,7 @@ def adjust(
         checks=checks,
         advice=strange,
         asked=asked,
+        supposed=supposed,
     )
 
 

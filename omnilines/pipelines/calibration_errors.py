@@ -30,27 +30,6 @@ def states_errors(cameras: Calibration) -> bool:
     return any(covariance is not None for covariance in known)
 
 
-def unfollowed_errors(cameras: Calibration, options: SceneOptions, supposed: str = "") -> tuple[str, ...]:
-    """What is not in the uncertainty of lines: errors that the file of the calibration states, or states of no camera; what
-    these would make of it is a sentence that follows."""
-    if "intrinsics" in options.refine:
-        return ()
-    if options.partition and states_errors(cameras):
-        return (
-            "Errors of the calibration are not in the uncertainty of lines and poses: in parts (`partition`) they are not "
-            "followed.",
-        )
-    known = [name for name, one in cameras.estimates.items() if one.covariance is not None]
-    exact = ", ".join(name for name, model in cameras.items() if name not in known and model.CALIBRATED)
-    if not exact:
-        return ()
-    said = (
-        f"Errors of {exact} are not in the uncertainty of lines and poses: the calibration states no covariance "
-        "(`scene.calibration_error_px` takes how far pixels are off)."
-    )
-    return (f"{said} {supposed}".rstrip(),)
-
-
 def errors_by_calibration(
     lines: Lines,
     arcs: MatchedArcs,

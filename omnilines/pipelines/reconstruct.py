@@ -28,7 +28,6 @@ from omnilines.pipelines.calibration_errors import (
     errors_by_calibration,
     lines_with_calibration_errors,
     poses_with_calibration_errors,
-    unfollowed_errors,
     wider_lines,
 )
 from omnilines.pipelines.copies import without_copies
@@ -50,7 +49,7 @@ from omnilines.pipelines.same_place import without_same_place
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.still_camera import still_share
-from omnilines.pipelines.supposed_errors import supposed_errors
+from omnilines.pipelines.supposed_errors import supposed_errors, unfollowed_errors
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
@@ -248,6 +247,7 @@ def _scene(
         _checks(found),
         (*posed.advice, *advice(found, still, posed.source, options, progress)),
         asked,
+        supposed,
     )
 
 

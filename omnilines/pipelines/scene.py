@@ -18,6 +18,7 @@ from omnilines.files.sets import claimed
 from omnilines.pipelines.asked_cameras import AskedCamera
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.supposed_errors import SupposedErrors
 from omnilines.provenance import provenance
 from omnilines.records import Advice, Check, Detail, ImagePoses, Lines, PhotoCount, Segments, StageCount
 from omnilines.structure.families import Families
@@ -76,6 +77,8 @@ class Scene:
     """What photos and stages of matching lose, or which photos segments do not fit, and what to do."""
     asked: tuple[AskedCamera, ...] = ()
     """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
+    supposed: SupposedErrors | None = None
+    """What errors of the calibration would make of uncertainties that lack them, where its file states none."""
 
     def __repr__(self) -> str:
         return f"Scene({self.lines}, {self.poses}, {self.segments})"
