@@ -188,6 +188,11 @@ class ImagePoses(Typed):
             count = len(self if values is None else values)
             _require(count == len(self), f"`{name}` of ImagePoses", f"of {len(self)} photos", count)
 
+    @property
+    def instants(self) -> tuple[str, ...]:
+        """Of each photo that which moves as one with it: the instant of a rig, else the photo itself."""
+        return self.images if self.frames is None else self.frames
+
     def __repr__(self) -> str:
         return f"ImagePoses(images={len(self)})"
 

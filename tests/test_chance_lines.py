@@ -2,6 +2,8 @@
 
 import functools
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,3 +171,25 @@ def test_photos_are_moved_as_far_as_asked_and_not_turned() -> None:
         own = middle[track[(image == k) & (track >= 0)]]
         typical_m = np.median(np.linalg.norm(own - before.centre[k].numpy(), axis=-1))
         assert LIMITS.min_moved_rad <= way_m[k] / typical_m <= LIMITS.max_moved_rad
+
+
+def test_instants_of_a_rig_are_named_by_what_their_photos_share_together() -> None:
+    kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
+    options = replace(options, advice=options.advice._replace(few_explained=1.1))
+    rig = replace(kept.scene.poses, frames=tuple(f"instant{k // 2}" for k in range(VIEWS)))
+    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", options, silent)[0].do
+    a, b, shared = re.search(r"between the instants instant(\d) and instant(\d), which share (\d+) lines", told).groups()
+    seen = [set(kept.segments.track[kept.segments.image // 2 == int(k)]) - {-1} for k in (a, b)]
+    assert a != b and len(seen[0] & seen[1]) == int(shared)
+    # Photos of one camera share fewer.
+    alone = advice(kept, 0.0, "table", options, silent)[0].do
+    assert int(re.search(r"which share (\d+) lines", alone)[1]) < int(shared) and "instants" not in alone
+
+
+def test_a_photo_of_a_rig_is_not_compared_with_another_of_its_instant() -> None:
+    kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
+    options = replace(options, advice=options.advice._replace(hardly_explained=1.0))
+    weak, nearest = re.search(r"between (\S+) and (\S+)\.$", advice(kept, 0.0, "table", options, silent)[0].do).groups()
+    rig = replace(kept.scene.poses, frames=tuple("one" if name in (weak, nearest) else name for name in NAMES))
+    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", options, silent)[0].do
+    assert f"between {weak} and photo" in told and nearest not in told

@@ -148,7 +148,10 @@ def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
     if not sigma[worst] > STANDS_OUT * median > 0:
         return ()
     apart = (scene.poses.cam_from_world.centre - scene.poses.cam_from_world.centre[worst]).norm(dim=-1)
-    apart[worst] = math.inf
+    instants = np.array(scene.poses.instants)
+    apart[torch.as_tensor(instants == instants[worst])] = math.inf
+    if not bool(apart.isfinite().any()):
+        return ()
     image, beside = scene.poses.images[worst], scene.poses.images[int(apart.argmin())]
     ratio = sigma[worst] / median
     said = f"{image} is placed {rounded(ratio)} times less surely than half of the photos."

@@ -16,7 +16,7 @@ from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.frame import SFM
-from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_lines, weakest_link
+from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_at, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, PhotoCount
@@ -151,8 +151,13 @@ def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, Bette
 def _nearest(scene: KeptLines, image: str, weak: set[str]) -> str | None:
     """The photo nearest to one, of those that lines explain."""
     poses = scene.scene.poses
-    away = (poses.cam_from_world.centre - poses.cam_from_world.centre[poses.images.index(image)]).norm(dim=-1)
-    others = [(distance, name) for distance, name in zip(away.tolist(), poses.images, strict=True) if name not in weak]
+    row = poses.images.index(image)
+    away = (poses.cam_from_world.centre - poses.cam_from_world.centre[row]).norm(dim=-1).tolist()
+    others = [
+        (distance, name)
+        for distance, name, instant in zip(away, poses.images, poses.instants, strict=True)
+        if name not in weak and instant != poses.instants[row]
+    ]
     return min(others)[1] if others else None
 
 
@@ -177,12 +182,20 @@ def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptio
     if scene.tolerance_px >= options.poor_tolerance_px:
         do = "Calibrate the camera again." if refined else f"{TO_REFINE} mends poses."
         return (Advice(f"{told} Poses or calibration are off by {scene.tolerance_px:g} px.", do),)
-    segments = scene.segments
-    shows = shown_lines(segments.image, segments.track, len(segments.images), len(scene.scene.lines))
-    a, b, shared = weakest_link(shared_lines(shows))
     fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
-    images = scene.segments.images
-    return (Advice(told, f"Photos between {images[a]} and {images[b]}, which share {shared} lines, help most{fewer}."),)
+    return (Advice(told, f"Photos between {_least_joined(scene)}, help most{fewer}."),)
+
+
+def _least_joined(scene: KeptLines) -> str:
+    """The two photos, or instants of a rig, that all others hang together by, and how many lines they share."""
+    segments, poses = scene.segments, scene.scene.poses
+    several = len(set(poses.instants)) > 1
+    instant = dict(zip(poses.images, poses.instants if several else poses.images, strict=True))
+    shows = shown_lines(segments.image, segments.track, len(segments.images), len(scene.scene.lines))
+    shows, names = shown_at(shows, [instant[image] for image in segments.images])
+    a, b, shared = weakest_link(shared_lines(shows))
+    which = "the instants " if several and poses.frames is not None else ""
+    return f"{which}{names[a]} and {names[b]}, which share {shared} lines"
 
 
 def _by_chance(scene: KeptLines, options: AdviceOptions) -> tuple[Advice, ...]:

@@ -151,6 +151,15 @@ def shared_lines(shows: sparse.csr_array) -> sparse.csr_array:
     return (shows @ shows.T).tocsr()
 
 
+def shown_at(shows: sparse.csr_array, instants: Sequence[str]) -> tuple[sparse.csr_array, tuple[str, ...]]:
+    """(instants, lines): the lines that photos of one instant of a rig show together, and the instants; `shows` are those of
+    each photo, `instants` that of each."""
+    names, of_photo = np.unique(np.array(instants), return_inverse=True)
+    photos = np.arange(len(of_photo))
+    joined = sparse.csr_array((np.ones(len(photos), dtype=np.int64), (of_photo, photos)), shape=(len(names), len(photos)))
+    return (joined @ shows > 0).astype(np.int64), tuple(str(name) for name in names)
+
+
 def weakest_link(shared: sparse.csr_array) -> tuple[int, int, int]:
     """Of the tree that joins all photos by the most shared lines, the link of the fewest: two photos, and how many lines."""
     count = shared.shape[0]
