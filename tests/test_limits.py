@@ -141,7 +141,7 @@ def test_arcs_say_how_well_they_are_known_and_which_photos_have_few(tmp_path: Pa
     assert verdict.startswith("123 arcs of straight lines in 4 of 4 photos") and "known to 0.2 px across" in verdict
     assert arcs_advice(arcs_of([40, 40], tmp_path)) == ()
     skipped = replace(arcs, photos=(*arcs.photos, replace(arcs.photos[0], reason="it is black.")))
-    assert arcs_advice(skipped)[0].limit.startswith("1 of 5 photos are skipped; of ")
+    assert arcs_advice(skipped)[0].limit.startswith("1 of 5 photos is skipped; of ")
 
 
 def test_numbers_of_ordinary_size_have_no_exponent() -> None:

@@ -27,6 +27,7 @@ from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.given_arcs import given_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
 from omnilines.pipelines.reconstruct import reconstruct
 from omnilines.pipelines.rectify import rectify
@@ -130,6 +131,25 @@ def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: S
     doubtful = replace(scene, checks=(Check("agreement", 2.0, 1.0, "px", False),))
     assert scene_summary(doubtful).advice[0].limit == "Agreement: 2 px, where 1 is the limit."
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
+
+
+def test_skipped_photos_are_in_verdict_and_advice(found: PhotoArcs, scene: Scene) -> None:
+    assert scene.from_photos is not None
+    names, reason = scene.segments.images, "a photo of 768x512 px was expected, found 1152x768 px."
+    one = replace(scene, from_photos=replace(scene.from_photos, given=VIEWS + 1, skipped={"large.png": reason}))
+    told = scene_summary(one)
+    assert f" lines from {len(names)} of {VIEWS + 1} photos" in str(told.verdict)
+    assert told.advice[0].limit == f"1 of {VIEWS + 1} photos is skipped; of large.png it is said: {reason}"
+    assert "large.png" in told.advice[0].do and not any("as many photos again" in one.do.lower() for one in told.advice)
+
+
+def test_a_table_that_names_other_cameras_is_told(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:
+    names = [one.photo.name for one in found.used]
+    others = replace(poses, cameras=("small", "cam0", *("large",) * (VIEWS - 2)))
+    for table, count in ((others, VIEWS - 1), (poses, 0), (replace(poses, cameras=None), 0)):
+        notes = given_poses(table, names, cameras, found.camera_of, path="room/poses.csv").notes
+        assert len(notes) == (count > 0)
+        assert not count or (f"The camera of {count} photos" in notes[0] and "is small, large in poses.csv" in notes[0])
 
 
 def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -42,6 +42,8 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     f"{check.limit:.3g} is "
                     "the limit.", "Check that poses and calibration are of these photos: the notes say what was tried.")
              for check in scene.checks if not check.holds]  # fmt: skip
+    of_photos = scene.from_photos
+    found += _skipped(of_photos.skipped, of_photos.given) if of_photos is not None else ()
     found += [*_contradicted(scene), *scene.advice]
     noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
     # Of matched segments, advice names photos at fault: until they are put right, residuals say nothing of the calibration.
@@ -195,11 +197,7 @@ def length(value: float, unit: LengthUnit) -> str:
 
 def arcs_advice(arcs: PhotoArcs) -> tuple[Advice, ...]:
     """Of arcs: photos that have far fewer than the others, and photos that were skipped."""
-    found = []
-    if arcs.skipped:
-        name, reason = next(iter(arcs.skipped.items()))
-        said = f"{len(arcs.skipped)} of {len(arcs.photos)} photos are skipped; of {name} it is said: {reason.rstrip('.')}."
-        found.append(Advice(said, f"Give {named(list(arcs.skipped))} anew, or leave them out."))
+    found = [*_skipped(arcs.skipped, len(arcs.photos))]
     median = float(np.median([len(one) for one in arcs.used])) if arcs.used else 0.0
     few = [f"{one.photo.name} ({len(one)})" for one in sorted(arcs.used, key=len) if len(one) < FEW_SHARE * median]
     if few:
@@ -207,6 +205,16 @@ def arcs_advice(arcs: PhotoArcs) -> tuple[Advice, ...]:
         do = "Look at the pictures: what is dark, blurred or without straight edges gives none. Take it again or leave it out."
         found.append(Advice(said, do))
     return tuple(found)
+
+
+def _skipped(skipped: Mapping[str, str], given: int) -> tuple[Advice, ...]:
+    """Photos of those given that could not be used, with the reason of each."""
+    if not skipped:
+        return ()
+    name, reason = next(iter(skipped.items()))
+    are, them = ("is", "it") if len(skipped) == 1 else ("are", "them")
+    said = f"{len(skipped)} of {given} photos {are} skipped; of {name} it is said: {reason.rstrip('.')}."
+    return (Advice(said, f"Give {named(list(skipped))} anew, or leave {them} out."),)
 
 
 def directions_advice(found: PhotoDirections) -> tuple[Advice, ...]:

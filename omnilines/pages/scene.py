@@ -48,9 +48,15 @@ def _verdict(scene: Scene) -> str:
     sigma = scene.median_sigma_m()
     known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
-    photos = len(scene.poses) if scene.from_photos is None else len(scene.segments.images)
+    photos = str(len(scene.poses)) if scene.from_photos is None else _used(scene, scene.from_photos)
     doubted = "; but they contradict the calibration" if scene.contradicted else ""
     return f"{int(lines.known.sum())} lines from {photos} photos{known}{faint}{doubted}."
+
+
+def _used(scene: Scene, of_photos: FromPhotos) -> str:
+    """How many photos, of how many where some were not used."""
+    used = len(scene.segments.images)
+    return str(used) if used == of_photos.given else f"{used} of {of_photos.given}"
 
 
 def _known_to(scene: Scene, sigma: float) -> str:

@@ -8,6 +8,7 @@ import torch
 
 from camera_models import Calibration, InputError, load
 from camera_models.errors import OmnilinesError
+from camera_models.wording import listed
 from omnilines.files import is_corners_table, read_corners, read_poses
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.posing.from_corners import poses_from_corners
@@ -63,11 +64,25 @@ def given_poses(
     frames = None if table.frames is None else tuple(table.frames[k] for k in known)
     names_of = tuple(camera_of[image] for image in images)
     poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
+    notes = _of_other_cameras(table, camera_of, Path(path).name)
     if cameras.rig and frames is not None:
         whole = {**instants(names), **dict(zip(images, frames, strict=True))}
-        return complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given)
+        return replace(complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given), notes=notes)
     lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
-    return PhotoPoses(poses, lost)
+    return PhotoPoses(poses, lost, notes)
+
+
+def _of_other_cameras(table: ImagePoses, camera_of: Mapping[str, str], path: str) -> tuple[str, ...]:
+    """Where the table names another camera of a photo than that which the photo counts as of: its folder's, or the only one."""
+    named = zip(table.images, table.cameras or ("",) * len(table), strict=True)
+    others = {image: name for image, name in named if name and camera_of.get(image, name) != name}
+    if not others:
+        return ()
+    told, taken = (listed(dict.fromkeys(names)) for names in (others.values(), (camera_of[image] for image in others)))
+    return (
+        f"The camera of {len(others)} photos ({listed(others)}) is {told} in {path}, and they count as photos of {taken}: check "
+        "that the calibration is of these photos.",
+    )
 
 
 def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:

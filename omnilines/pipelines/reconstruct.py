@@ -231,7 +231,7 @@ def _scene(
     still = still_share(found)
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
-        folder, len(arcs.photos), found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
+        folder, len(arcs.photos), arcs.skipped, found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
         frame.families, frame.up, math.nan if posed.source == SFM else still,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)

@@ -36,6 +36,8 @@ class FromPhotos:
     """That names of photos are relative to; None of photos in memory."""
     given: int
     """Number of photos, those that were skipped included."""
+    skipped: Mapping[str, str]
+    """Why photos could not be used, by name."""
     stages: tuple[StageCount, ...]
     """What every stage kept and dropped."""
     photos: tuple[PhotoCount, ...]
