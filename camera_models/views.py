@@ -26,7 +26,7 @@ CUBE_FACES: tuple[tuple[str, float, float], ...] = (
     ("down", 0.0, -90.0),
 )
 """Name, yaw to the right and pitch upwards (degrees) of each face."""
-WIDEST_PERSPECTIVE_DEG = 170.0
+USUAL_PERSPECTIVE_DEG, WIDEST_PERSPECTIVE_DEG = 90.0, 170.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def views(
     width, height = size or _SIZES[kind]
     aim = looking(yaw_deg, pitch_deg)
     if kind == "perspective":
-        return (View("", _perspective(width, height, _angle(fov_deg, 90.0, WIDEST_PERSPECTIVE_DEG)), aim),)
+        return (View("", _perspective(width, height, _angle(fov_deg, USUAL_PERSPECTIVE_DEG, WIDEST_PERSPECTIVE_DEG)), aim),)
     if kind == "cylindrical":
         across = _angle(fov_deg, 360.0, 360.0)
         focal = width / math.radians(across)

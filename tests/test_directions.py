@@ -10,8 +10,9 @@ import pytest
 from table_checks import read_npz
 
 import omnilines as ol
-from camera_models import OpenCVFisheye
+from camera_models import OpenCVFisheye, Pinhole
 from omnilines.cli import main
+from omnilines.commands.directions import directions
 from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
 from omnilines.structure.meeting import largest_sigma, line_weights, meeting_directions
@@ -240,6 +241,22 @@ def test_command_tells_the_vertical_alone(room: Path, tmp_path: Path, capsys: py
         assert photo["directions"][0]["name"] == "up" and math.degrees(math.acos(min(1, up @ true[photo["image"]][:, 2]))) < 0.2
     found = ol.read_poses(tmp_path / "out" / "poses.csv")
     assert found.images == tuple(photo["image"] for photo in seen)
+
+
+def test_photos_are_turned_upright_in_a_view_as_wide_as_their_camera(room: Path, tmp_path: Path) -> None:
+    ordinary = Pinhole.from_mapping({"fx": 630.0, "fy": 630.0, "cx": 299.5, "cy": 224.5}, (600, 450))
+    ol.render("plain-room", ordinary, ol.RenderOptions(views=3, seed=4)).save(tmp_path / "room")
+    found = {
+        one: directions([one], one / "calibration.yaml", tmp_path / one.parent.name, vertical=True)
+        for one in (room, tmp_path / "room")
+    }
+    fisheye, narrow = (result.then for result in found.values())
+    assert fisheye[-5:] == ("--view", "panorama", "--upright", "--out", "level")
+    assert narrow[:2] == ("rectify", str(tmp_path / "room")) and narrow[4:6] == ("--view", "perspective")
+    across_deg = 2.0 * math.degrees(math.atan(math.hypot(299.5, 224.5) / 630.0))
+    assert narrow[6] == "--fov-deg" and across_deg - 2.0 < float(narrow[7]) < across_deg + 1.0
+    views = ol.rectify(tmp_path / "room", ordinary, narrow[5], fov_deg=float(narrow[7]), upright=True)
+    assert min(views.shown_share.values()) > 0.3
 
 
 def test_idle_and_contradicting_options_are_refused(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

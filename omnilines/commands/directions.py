@@ -1,9 +1,15 @@
 """omnilines directions: photos + calibration -> directions.csv, arcs.csv, poses.csv, report.html and pictures."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from camera_models import load
+import torch
+
+from camera_models import Calibration, load
+from camera_models.views import USUAL_PERSPECTIVE_DEG
+from omnilines.calibration.diagnose import angles_off_axis
+from omnilines.calibration.uncertainty import supported_grid
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos
@@ -20,7 +26,7 @@ from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
 
 PICTURES, REPORT = "pictures", "report.html"
-UPRIGHT = ("--view", "panorama", "--upright", "--out", "level")
+UPRIGHT = ("--upright", "--out", "level")
 """What most often comes next: the photos turned upright."""
 
 
@@ -61,5 +67,17 @@ def directions(
         details=found.details,
         photos=len(refs),
         report=page,
-        then=("rectify", *map(str, photos), "--calibration", str(calibration), *UPRIGHT) if len(found) else (),
+        then=("rectify", *map(str, photos), "--calibration", str(calibration), *_view_of(cameras), *UPRIGHT)
+        if len(found)
+        else (),
     )
+
+
+def _view_of(cameras: Calibration) -> tuple[str, ...]:
+    """The view that photos are turned upright in: a perspective one as wide as the widest camera sees where that is no wider than
+    is usual; else, and of a rig, a panorama."""
+    grids = [(model, supported_grid(model, torch.pi)) for model in cameras.values()]
+    across_deg = max(2.0 * math.degrees(float(angles_off_axis(model, pixels).max())) for model, pixels in grids)
+    if cameras.rig or across_deg > USUAL_PERSPECTIVE_DEG:
+        return ("--view", "panorama")
+    return ("--view", "perspective", "--fov-deg", str(math.ceil(across_deg)))
