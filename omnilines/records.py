@@ -1,5 +1,6 @@
 """The frozen tables and results that the stages hand to each other. Arrays are NumPy; nothing here computes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 
@@ -192,6 +193,13 @@ class ImagePoses(Typed):
     def instants(self) -> tuple[str, ...]:
         """Of each photo that which moves as one with it: the instant of a rig, else the photo itself."""
         return self.images if self.frames is None else self.frames
+
+    def rows(self, rows: Sequence[int]) -> "ImagePoses":
+        """Some of the photos."""
+        index = list(rows)
+        cameras, frames = (None if one is None else tuple(one[k] for k in index) for one in (self.cameras, self.frames))
+        covariance = None if self.covariance is None else self.covariance[index]
+        return ImagePoses(tuple(self.images[k] for k in index), self.cam_from_world[index], cameras, covariance, frames)
 
     def __repr__(self) -> str:
         return f"ImagePoses(images={len(self)})"

@@ -69,6 +69,7 @@ PHOTOS = {"photos": [Path("photos")]}
         {**PHOTOS, "poses": "sfm", "settings": ["posing.growth.min_seen=5", "rounds.max_rounds=3"]},
         {**PHOTOS, "poses": "boards", "pattern": "checkerboard:8x6:30mm"},
         {**PHOTOS, "settings": ["scene.refine=lines,poses", "scene.rough_poses.min_gain=2"]},
+        {**PHOTOS, "refine": "lines,poses", "pose_sigma_m": 1.0, "pose_sigma_deg": 1.0},
         {"segments": Path("s.csv"), "robust": True, "pose_sigma_m": 1.0, "settings": ["adjustment.weak_share=0.2"]},
     ],
 )  # fmt: skip
@@ -79,6 +80,11 @@ def test_what_counts_is_taken(given: dict[str, object]) -> None:
 def test_what_does_nothing_is_refused_by_its_name() -> None:
     said = refused("reconstruct", {"segments": Path("s.csv"), "min_views": 4}, RECONSTRUCT)
     assert said is not None and said.startswith("`min_views` counts only with photos")
+    for given in ({"refine": "lines"}, {"poses": "sfm"}):
+        said = refused("reconstruct", {**PHOTOS, **given, "pose_sigma_m": 1.0}, RECONSTRUCT)
+        assert (
+            said == "`pose_sigma_m` counts only with `refine` poses, of a table or a model, and does nothing here; leave it out."
+        )
     said = refused("reconstruct", {"segments": Path("s.csv"), "settings": ["scene.min_views=4"]}, RECONSTRUCT)
     assert said is not None and "min_views" in said
     said = refused("reconstruct", {**PHOTOS, "segments": Path("s.csv"), "cluster": "local"}, RECONSTRUCT)

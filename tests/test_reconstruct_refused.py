@@ -35,7 +35,7 @@ def room(tmp_path_factory):
         ((), "nowhere", "--poses was expected to be"),
         ((), "rig", "rig"),
         (("--refine", "walls"), "poses.csv", "--refine was expected"),
-        (("--pose-sigma-deg", "1"), "poses.csv", "counts only with --segments in place of photos"),
+        (("--pose-sigma-deg", "1"), "poses.csv", "counts only with --refine poses, of a table or a model"),
         (("--robust",), "poses.csv", "counts only with --segments in place of photos"),
         (("--refine", "lines,rig"), "poses.csv", "--refine rig was expected"),
         ((), "boards", "--pattern was expected"),

@@ -11,6 +11,8 @@ from matching_scenes import SIZE, MatchingScene, camera_named, from_views, looki
 from camera_models import Calibration
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
+from omnilines.adjustment.prior import KnownPoses
+from omnilines.adjustment.rig import rig_of_photos
 from omnilines.files import PhotoRef
 from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
@@ -108,3 +110,17 @@ def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None
     degrees, metres = errors(mended, found, scene.poses, 2)
     assert degrees < 0.2 and metres < 0.01
     assert mended.frames == poses.frames
+
+
+def test_a_prior_is_on_instants_of_which_every_photo_is_known(rig) -> None:
+    scene, calibration = rig
+    found = found_in(scene)
+    every, some = (known_poses(found, scene.poses, list(range(count))) for count in (INSTANTS, INSTANTS - 1))
+    known = KnownPoses(some.rows(range(1, len(some))), 1e-3, 1e-2)
+    prior = known.prior(every, lambda photos: rig_of_photos(photos, list(CAMERAS), calibration.rig, False, 5.0)[1])
+    assert torch.isinf(prior.sigma_m).tolist() == [True, *(INSTANTS - 2) * [False], True]
+    assert torch.isinf(prior.sigma_rad).equal(torch.isinf(prior.sigma_m)) and float(prior.sigma_rad[1]) == 1e-3
+    torch.testing.assert_close(prior.mean.translation, scene.poses.translation[::2])
+    # Where the calibration has no rig, each photo is by itself.
+    alone = known.prior(every, lambda photos: photos.cam_from_world)
+    assert len(alone.mean) == 2 * INSTANTS and int(torch.isinf(alone.sigma_m).sum()) == 4

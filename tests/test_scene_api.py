@@ -3,6 +3,7 @@
 import doctest
 import inspect
 import json
+import math
 import shutil
 from dataclasses import replace
 from importlib.metadata import version
@@ -14,6 +15,8 @@ import torch
 
 import omnilines as ol
 from camera_models import Calibration, InputError, load
+from camera_models.pose import Pose
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.resume import NOTE, Stamp
 from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
@@ -25,7 +28,7 @@ from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.given_arcs import given_arcs
-from omnilines.pipelines.options import SceneOptions
+from omnilines.pipelines.options import RoundOptions, SceneOptions
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
@@ -159,6 +162,31 @@ def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePo
     assert len(own.lines) >= 10 and not any("4 photos" in reason for stage in own.stages for reason, _ in stage.dropped)
     assert any("All 3 photos have to see a line" in one for one in own.notes)
     assert " lines from 3 photos" in str(scene_summary(own).verdict)
+
+
+def test_a_prior_holds_given_poses_but_that_of_a_photo_which_lines_put_elsewhere(
+    found: PhotoArcs, poses: ImagePoses, cameras: Calibration
+) -> None:
+    wrong, true, sigma = 2, poses.cam_from_world, (math.radians(0.02), 0.001)
+    turn = torch.zeros(VIEWS, 6, dtype=torch.float64)
+    turn[wrong, :3] = torch.tensor([0.05, -0.04, 0.03])
+    given = replace(poses, cam_from_world=Pose.exp(turn) @ true)
+    options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(max_rounds=4))
+    assert KnownPoses(given, *sigma).agreeing(poses, 0.001).poses.images == tuple(np.delete(poses.images, wrong))
+    held = reconstruct(found, given, cameras["cam0"], options, pose_sigma=sigma)
+    off = (held.poses.cam_from_world @ true.inverse()).log().abs()
+    others = [k for k in range(VIEWS) if k != wrong]
+    assert bool((off[others, :3] < 4.0 * sigma[0]).all()) and bool((off[others, 3:] < 4.0 * sigma[1]).all())
+    # The lines alone know where that photo is.
+    assert float(off[wrong, :3].max()) < 0.1 * float(turn.abs().max())
+    assert [
+        one for one in held.told if "no prior holds its pose" in one and poses.images[wrong] in one and poses.images[0] not in one
+    ]
+    assert held.poses.covariance is not None and held.supposed is None
+    largest = np.diagonal(held.poses.covariance[others], axis1=1, axis2=2).max(0)
+    assert (largest[:3] <= sigma[0] ** 2).all() and (largest[3:] <= sigma[1] ** 2).all()
+    with pytest.raises(InputError, match="`refine` with poses"):
+        reconstruct(found, given, cameras["cam0"], pose_sigma=sigma)
 
 
 def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_path: Path) -> None:

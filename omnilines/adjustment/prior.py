@@ -1,13 +1,17 @@
 """What is known of poses beforehand: a mean and standard deviations, as extra residuals of the adjustment."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.stats import chi2
 from torch import Tensor
 
 from camera_models.pose import Pose, hat
+from omnilines.records import ImagePoses
 
 
 @dataclass(frozen=True)
@@ -35,3 +39,37 @@ class PosePrior:
         ad = torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([shift, turn], -1)], -2)
         inverse = torch.eye(6, dtype=x.dtype, device=x.device) - 0.5 * ad + ad @ ad / 12
         return x * scale, inverse * scale[..., None]
+
+
+@dataclass(frozen=True)
+class KnownPoses:
+    """Poses of photos that are known beforehand, each component to a standard deviation."""
+
+    poses: ImagePoses
+    sigma_rad: float
+    sigma_m: float
+
+    def prior(self, poses: ImagePoses, frames_of: Callable[[ImagePoses], Pose]) -> PosePrior:
+        """On the frames of `poses`, which `frames_of` gives of a table; of an instant with an unknown photo nothing is known."""
+        row = {image: k for k, image in enumerate(self.poses.images)}
+        unknown = {instant for image, instant in zip(poses.images, poses.instants, strict=True) if image not in row}
+        known = [k for k, instant in enumerate(poses.instants) if instant not in unknown]
+        own = [row[poses.images[k]] for k in known]
+        rotation, translation = poses.cam_from_world.rotation.clone(), poses.cam_from_world.translation.clone()
+        rotation[known], translation[known] = self.poses.cam_from_world.rotation[own], self.poses.cam_from_world.translation[own]
+        mean = frames_of(replace(poses, cam_from_world=Pose(rotation, translation)))
+        # Without a rig every photo is a frame, whatever instants the table names.
+        of_frame = poses.instants if len(mean) == len(poses) else dict.fromkeys(poses.instants)
+        free = torch.tensor([instant in unknown for instant in of_frame])
+        sigma = (torch.full((len(mean),), value, dtype=torch.float64) for value in (self.sigma_rad, self.sigma_m))
+        return PosePrior(mean, *(one.masked_fill(free, math.inf) for one in sigma))
+
+    def agreeing(self, poses: ImagePoses, significance: float) -> "KnownPoses":
+        """Those of photos that are no farther off in `poses` than chance makes more often than this (chi-square)."""
+        row = {image: k for k, image in enumerate(poses.images)}
+        shared = [k for k, image in enumerate(self.poses.images) if image in row]
+        own = [row[self.poses.images[k]] for k in shared]
+        off = (poses.cam_from_world[own] @ self.poses.cam_from_world[shared].inverse()).log()
+        squared = ((off[:, :3] / self.sigma_rad).square() + (off[:, 3:] / self.sigma_m).square()).sum(-1)
+        near = np.array(shared)[(squared <= chi2.isf(significance, 6)).numpy()].tolist()
+        return replace(self, poses=self.poses.rows(near))

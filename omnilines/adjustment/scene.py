@@ -21,10 +21,10 @@ from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.parallel import require_directions
 from omnilines.adjustment.parts_engine import Workers
-from omnilines.adjustment.prior import PosePrior
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.start import Method, no_chart, residual_sigma, scaled_loss, started
-from omnilines.adjustment.state import LinesAndPoses
+from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.adjustment.suspects import Suspect, suspects
 from omnilines.costs import cost_named
 from omnilines.geometry.line_chart import LineChart
@@ -78,7 +78,7 @@ def reconstruct_lines(
     refine_cameras: bool = False,
     refine_rig: bool = False,
     rig: Mapping[str, RigCamera] | None = None,
-    pose_sigma: tuple[float, float] | None = None,
+    known: KnownPoses | None = None,
     robust: bool = False,
     loss: str = "none",
     cautious: bool = False,
@@ -91,8 +91,8 @@ def reconstruct_lines(
     """Triangulate every track and adjust lines and, if asked, poses, cameras and the rig; a row of `lines` per track.
 
     `triangulation_options` are those of the method's function, `cautious` is that of `adjust_lines`. `rig` is that of the
-    calibration; it holds the photos of a frame together where `poses` name frames. `pose_sigma` (rad, m) makes the given poses a
-    prior. With `robust`, observations of other lines are found by consensus and left out. `device` is where lines are
+    calibration; it holds the photos of a frame together where `poses` name frames. `known` are poses that a
+    prior holds. With `robust`, observations of other lines are found by consensus and left out. `device` is where lines are
     triangulated and the iterations of the adjustment run, `cpu` or `cuda`; the consensus stays on the processor. `partition`
     and `workers` are those of `adjust_lines`.
 
@@ -102,11 +102,16 @@ def reconstruct_lines(
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras, with_nodes=cost_named(cost).integrates)
     arcs, names = table.arcs, segments.tracks
-    mounted, frames = rig_of_photos(poses, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
+
+    def frames_of(photos: ImagePoses) -> tuple[Rig | None, Pose]:
+        return rig_of_photos(photos, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
+
+    mounted, frames = frames_of(poses)
+    prior = None if known is None else known.prior(poses, lambda photos: frames_of(photos)[1])
     state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
     method = Method(triangulation, triangulation_options or {}, robust, device)
     state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
-    if refine_poses and pose_sigma is None:
+    if refine_poses and known is None:
         require_directions(arcs.rows(member), first)
 
     def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss | None = None) -> Adjusted:
@@ -120,7 +125,7 @@ def reconstruct_lines(
             rig=start.rig,
             refine_rig=refine_rig,
             models=start.models,
-            prior=pose_prior(frames, pose_sigma),
+            prior=prior,
             loss=scaled or scaled_loss(loss, cost, inner, start, options),
             cautious=cautious,
             options=options,
@@ -209,14 +214,6 @@ def _described(
         cameras=end.models,
         cam_from_rig=end.rig.cam_from_rig if refined_rig and end.rig is not None else None,
     )
-
-
-def pose_prior(frames: Pose, sigma: tuple[float, float] | None) -> PosePrior | None:
-    """The poses of all frames with the same standard deviations (rad, m), or nothing."""
-    if sigma is None:
-        return None
-    turn, shift = (torch.full((len(frames),), value, dtype=torch.float64) for value in sigma)
-    return PosePrior(frames, turn, shift)
 
 
 def _scattered(distance_px: Float[Tensor, "m 2"], used: Bool[Tensor, " n"]) -> Float[np.ndarray, "n 2"]:

@@ -171,7 +171,11 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
         Rule(("split",), _of_photos, WITH_PHOTOS),
         Rule(("robust",), _of_segments, "with `segments` in place of photos: wrong arcs of photos are always left out"),
-        Rule(("pose_sigma_deg", "pose_sigma_m"), _of_segments, "with `segments` in place of photos"),
+        Rule(
+            ("pose_sigma_deg", "pose_sigma_m"),
+            lambda call: _of_segments(call) or (_refined(call) and call.values["poses"] != "sfm"),
+            "with `refine` poses, of a table or a model",
+        ),
         Rule(
             ("pattern", "scale_from", "min_views", "tolerance_px", "colmap", "recording", "seed", "extraction."),
             _of_photos, WITH_PHOTOS,

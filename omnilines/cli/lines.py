@@ -62,8 +62,12 @@ MaybeCost = Annotated[
 ]
 MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
 Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
-PoseSigmaDeg = Annotated[float | None, typer.Option("--pose-sigma-deg", help="Prior on the given poses: rotation, degrees.")]
-PoseSigmaM = Annotated[float | None, typer.Option("--pose-sigma-m", help="Prior on the given poses: position, metres.")]
+PoseSigmaDeg = Annotated[
+    float | None, typer.Option("--pose-sigma-deg", help="Prior on given poses that are refined: rotation, degrees.")
+]
+PoseSigmaM = Annotated[
+    float | None, typer.Option("--pose-sigma-m", help="Prior on given poses that are refined: position, metres.")
+]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]
 MaybeRefine = Annotated[
@@ -156,7 +160,8 @@ def reconstruct(
             return with_frames(
                 lambda paths: reconstruct_photos(
                     paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
-                    scale_from=scale_from, mask=mask, colmap=colmap, recording=recording, executor=executor, progress=progress,
+                    scale_from=scale_from, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, mask=mask, colmap=colmap,
+                    recording=recording, executor=executor, progress=progress,
                 ),
                 photos or [], out, split=split, progress=progress,
             )  # fmt: skip

@@ -63,6 +63,8 @@ def reconstruct_photos(
     segments: Path | None = None,
     pattern: str | None = None,
     scale_from: str | None = None,
+    pose_sigma_deg: float | None = None,
+    pose_sigma_m: float | None = None,
     mask: Path | None = None,
     colmap: bool = False,
     recording: bool = False,
@@ -72,7 +74,8 @@ def reconstruct_photos(
     """Rebuild the straight lines that photos show.
 
     `poses` is a source of `estimate_poses`. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos,
-    where poses leave the scale open. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
+    where poses leave the scale open. `pose_sigma_deg` and `pose_sigma_m`, both or neither, make given poses a prior with these
+    standard deviations. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
     would be found in them; the workers of an `executor` find those, and adjust the parts of a divided scene. `colmap` and
     `recording` add a COLMAP model and a recording for the rerun viewer.
 
@@ -87,7 +90,8 @@ def reconstruct_photos(
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     folder = Path(out)
     check_source(poses, refs, cameras, camera_of, pattern)
-    check_options(options, cameras)
+    prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
+    check_options(options, cameras, prior)
     if colmap:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     if recording:
@@ -98,7 +102,7 @@ def reconstruct_photos(
     check_results(folder, names, read)
     check_work_folder(work, read)
     names_of = [photo.name for photo in refs]
-    wanted = repr((options.stated, extraction.stated, poses, pattern, distance, colmap, recording, names_of))
+    wanted = repr((options.stated, extraction.stated, poses, pattern, distance, prior, colmap, recording, names_of))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
     if done is not None:
@@ -120,8 +124,9 @@ def reconstruct_photos(
     )
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(
-        arcs, posed, cameras, options, distance=distance, inputs=inputs, work=work, executor=executor, progress=progress
-    )
+        arcs, posed, cameras, options, distance=distance, pose_sigma=prior, inputs=inputs, work=work, executor=executor,
+        progress=progress,
+    )  # fmt: skip
     with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
     if result.holds:

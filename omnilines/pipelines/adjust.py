@@ -15,6 +15,7 @@ from camera_models._arrays import as_tensor
 from camera_models.pose import Pose
 from camera_models.typed import found, typed
 from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments, cameras_of_images
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
 from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
@@ -77,20 +78,20 @@ def adjust(
     idle = [name for name in OF_PHOTOS if getattr(options, name) != getattr(OF_TABLES, name)]
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
-    if pose_sigma is not None:
-        _check_prior(pose_sigma, options)
+    check_prior(pose_sigma, options)
     cameras, table = calibration_of(camera), _table_of(poses, segments)
-    check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=pose_sigma is not None)
+    known = None if pose_sigma is None else KnownPoses(table, *pose_sigma)
+    check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=known is not None)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
     progress("triangulating", 0, 0)
-    scene = _adjusted(segments, table, cameras, options, robust, pose_sigma, executor=executor, progress=progress)
+    scene = _adjusted(segments, table, cameras, options, robust, known, executor=executor, progress=progress)
     misfit = _judged(scene, table.cam_from_world, cameras, options)
     _require_lines(scene.lines)
     cameras = with_assumed_errors(cameras, _fitting(scene)[0], options)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     # With a prior on poses that is no matter of the lines alone.
-    supposed = None if pose_sigma else supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points)
-    scene = _with_calibration_errors(scene, table, points, cameras, options, pose_sigma)
+    supposed = None if known else supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points)
+    scene = _with_calibration_errors(scene, points, cameras, options, known)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options, supposed))
     unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
@@ -123,7 +124,7 @@ def _adjusted(
     cameras: Calibration,
     options: SceneOptions,
     robust: bool,
-    pose_sigma: tuple[float, float] | None,
+    known: KnownPoses | None,
     *,
     executor: Executor | None,
     progress: ProgressCallback,
@@ -141,7 +142,7 @@ def _adjusted(
             refine_cameras="intrinsics" in options.refine,
             refine_rig="rig" in options.refine,
             rig=cameras.rig,
-            pose_sigma=pose_sigma,
+            known=known,
             robust=robust,
             loss=options.loss,
             options=options.adjustment,
@@ -168,17 +169,14 @@ def _require_lines(lines: Lines) -> None:
 
 def _with_calibration_errors(
     scene: AdjustedScene,
-    given: ImagePoses,
     points: Mapping[str, PosePoints],
     cameras: Calibration,
     options: SceneOptions,
-    pose_sigma: tuple[float, float] | None,
+    known: KnownPoses | None,
 ) -> AdjustedScene:
     """With what errors of the calibration leave uncertain of lines and poses."""
     arcs, every = _fitting(scene)
-    errors = errors_by_calibration(
-        scene.lines, arcs, every, scene.poses, cameras, options, points, pose_sigma=pose_sigma, given=given
-    )
+    errors = errors_by_calibration(scene.lines, arcs, every, scene.poses, cameras, options, points, known=known)
     lines = lines_with_calibration_errors(scene.lines, errors, options.adjustment.weak_share)
     return replace(scene, lines=lines, poses=poses_with_calibration_errors(scene.poses, errors))
 
@@ -189,9 +187,9 @@ def _fitting(scene: AdjustedScene) -> tuple[MatchedArcs, Int[np.ndarray, " n"]]:
     return scene.table.arcs.rows(used), np.arange(len(scene.lines))
 
 
-def _check_prior(pose_sigma: tuple[float, float], options: SceneOptions) -> None:
+def check_prior(pose_sigma: tuple[float, float] | None, options: SceneOptions) -> None:
     """Raises InputError where the deviations of a prior are none, or poses are held."""
-    if not (min(pose_sigma) > 0 and "poses" in options.refine):
+    if pose_sigma is not None and not (min(pose_sigma) > 0 and "poses" in options.refine):
         held = "refined" if "poses" in options.refine else "held"
         raise InputError(
             f"A prior on poses takes deviations above 0 and `refine` with poses, found {pose_sigma} and poses {held}."

@@ -128,7 +128,8 @@ def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str,
 
     them = "its pose" if len(wrong) == 1 else "their poses"
     where = f"The lines of the other photos put {_named([off(p) for p in wrong])} elsewhere."
-    return (Advice(where, f"{TO_REFINE} mends {them}."),)
+    others = "with `pose_sigma_deg` and `pose_sigma_m` the others stay as near their own as these are known"
+    return (Advice(where, f"{TO_REFINE} mends {them}; {others}."),)
 
 
 def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[Advice, ...]:

@@ -14,8 +14,8 @@ from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.by_calibration import MOST_ITERATIONS, CalibrationErrors, Followed, KnownCalibration, calibration_errors
 from omnilines.adjustment.line_table import too_uncertain
 from omnilines.adjustment.lines import end_sigma_m
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.rig import rig_of_photos
-from omnilines.adjustment.scene import pose_prior
 from omnilines.adjustment.start import scaled_loss
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line import PlueckerLines
@@ -39,16 +39,15 @@ def errors_by_calibration(
     options: SceneOptions,
     points: Mapping[str, PosePoints],
     *,
-    pose_sigma: tuple[float, float] | None = None,
-    given: ImagePoses | None = None,
+    known: KnownPoses | None = None,
     iterations: int = MOST_ITERATIONS,
 ) -> CalibrationErrors | None:
     """Covariances from errors of the calibration alone, of each line (NaN where there is none) and pose; None where cameras were
     refined or the file does not state its errors.
 
     The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. `points` are those that poses were
-    found from, which move with the cameras unless lines refine them; `pose_sigma` (rad, m) is that of the prior, the poses
-    `given`, where there is one; `iterations` are those of the lines and poses that follow.
+    found from, which move with the cameras unless lines refine them; `known` are poses that
+    a prior holds, where there is one; `iterations` are those of the lines and poses that follow.
     """
     if not states_errors(cameras) or "intrinsics" in options.refine or options.partition or not lines.known.any():
         return None
@@ -59,7 +58,7 @@ def errors_by_calibration(
     start = own[torch.as_tensor(first)]
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
     places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
-    prior = None if given is None else pose_prior(known_calibration(given, cameras, options)[1], pose_sigma)
+    prior = None if known is None else known.prior(poses, lambda table: known_calibration(table, cameras, options)[1])
     followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior, iterations)
     found = calibration_errors(followed, calibration, own, torch.as_tensor(line))
     of_lines = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Int
 from scipy import sparse
 
 from camera_models import CameraModel, GeometryError
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.scene import AdjustedScene
 from omnilines.matching.match import Matched
 from omnilines.pipelines.options import SceneOptions
@@ -34,6 +35,8 @@ class KeptLines:
     track: Int[np.ndarray, " k"]
     """Of each line, one for all stretches of a line; those beyond the tracks of `matched` are of lines that a corner or a plane
     confirms."""
+    held: KnownPoses | None = None
+    """The given poses that a prior held."""
 
     @property
     def tolerance_px(self) -> float:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int
 
-from camera_models import Calibration, CameraModel, GeometryError
+from camera_models import Calibration, CameraModel, GeometryError, InputError
 from omnilines.adjustment.parts_engine import Workers
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.match import Matched, match_arcs, with_long_edges
@@ -29,16 +30,18 @@ def lines_of_arcs(
     options: SceneOptions,
     progress: ProgressCallback,
     *,
+    known: KnownPoses | None = None,
     workers: Workers = Workers(),
     compare: Each | None = None,
 ) -> KeptLines:
     """Match, triangulate, adjust, clip and filter.
 
     With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
-    arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`). `workers`
-    adjust the parts of a scene that is divided (`options.partition`), and those of `compare` compare arcs.
+    arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`). A prior
+    holds the poses `known`, but for those of photos that lines put elsewhere. `workers` adjust the parts of a scene that is
+    divided (`options.partition`), and those of `compare` compare arcs.
 
-    Raises GeometryError naming the stage where no line is left.
+    Raises GeometryError naming the stage where no line is left, and InputError where lines contradict the poses known.
     """
     turn, before, tolerance_px = 0, 0, math.inf
     while True:
@@ -47,7 +50,7 @@ def lines_of_arcs(
         matched = _matched(viewed_arcs(found, poses, cameras), options, progress, compare)
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)
-        scene = _adjusted(segments, poses, cameras, options, progress, workers=workers)
+        scene = _adjusted(segments, poses, cameras, options, progress, workers=workers, known=known)
         if "poses" not in options.refine or turn == options.rounds.max_rounds:
             break
         refined = replace(cameras, cameras=_refined(cameras, scene))
@@ -56,6 +59,8 @@ def lines_of_arcs(
         settled = members < options.rounds.min_gain * before and matched.tolerance_px >= options.rounds.same_slack * tolerance_px
         if moved is None and settled and turn >= options.rounds.min_rounds:
             break
+        if known is not None and moved is not None:
+            known = _still_known(known, scene.poses, moved, options)
         before, tolerance_px = members, matched.tolerance_px
         poses, cameras = scene.poses if moved is None else moved, refined
     cameras = replace(cameras, cameras=_refined(cameras, scene))
@@ -63,12 +68,29 @@ def lines_of_arcs(
     longer = _with_long_edges(matched, options, progress)
     if longer is not matched:
         matched, segments = longer, _with_tracks(segments, longer)
-        scene = _adjusted(segments, scene.poses, cameras, options, progress, workers=workers)
+        scene = _adjusted(segments, scene.poses, cameras, options, progress, workers=workers, known=known)
         cameras = replace(cameras, cameras=_refined(cameras, scene))
     kept = kept_lines(found, segments, matched, scene, cameras.cameras, options=options, progress=progress)
+    kept = replace(kept, held=known)
     again = _moved_lines(kept, found, cameras, options, progress, compare)
     kept = with_chance(kept, found, cameras.cameras, again, options=options, progress=progress)
     return _with_spare(kept, found, cameras, options, progress)
+
+
+def _still_known(known: KnownPoses, before: ImagePoses, moved: ImagePoses, options: SceneOptions) -> KnownPoses:
+    """But those of photos that lines moved to elsewhere. Raises InputError where two are not left, which say how large the scene
+    is."""
+    own = [moved.images.index(image) for image in before.images]
+    same = (moved.cam_from_world[own].translation == before.cam_from_world.translation).all(-1).tolist()
+    stayed = {image for image, stays in zip(before.images, same, strict=True) if stays}
+    kept = stayed.union(known.agreeing(moved, options.adjustment.significance).poses.images)
+    rows = [k for k, image in enumerate(known.poses.images) if image in kept]
+    if len(rows) < 2:
+        raise InputError(
+            f"Given poses within `pose_sigma_deg` and `pose_sigma_m` of where lines put their photos were expected, found "
+            f"{len(rows)} of {len(known.poses)}; give larger deviations, or leave them out."
+        )
+    return replace(known, poses=known.poses.rows(rows))
 
 
 def _matched(arcs: ViewedArcs, options: SceneOptions, progress: ProgressCallback, compare: Each | None) -> Matched:
@@ -98,14 +120,14 @@ def _moved_lines(
     compare: Each | None,
 ) -> MovedLines:
     """Matches and adjusts arcs in photos that stand elsewhere, as those of `kept` were, and with their slack and bow."""
-    known = replace(options, tolerance_px=kept.tolerance_px, bow_share=kept.matched.bow_share)
-    alone = replace(known, refine=("lines",), partition=0)
+    slack = replace(options, tolerance_px=kept.tolerance_px, bow_share=kept.matched.bow_share)
+    alone = replace(slack, refine=("lines",), partition=0)
 
     def again(poses: ImagePoses, rows: Int[np.ndarray, " k"]) -> tuple[Matched, AdjustedScene] | None:
         """The tracks of some of the arcs, and their lines."""
         try:
             arcs = viewed_arcs(found, poses, cameras).rows(rows)
-            matched = _with_long_edges(_matched(arcs, known, progress, compare), known, progress)
+            matched = _with_long_edges(_matched(arcs, slack, progress, compare), slack, progress)
             if not len(matched.tracks):
                 return None
             segments = _with_tracks(kept.segments.rows(rows), matched)
@@ -126,24 +148,24 @@ def _with_spare(
     if spare is None:
         return kept
     segments = _with_tracks(kept.segments, spare, len(kept.matched.tracks))
-    sigma = _pose_sigma(kept.scene.poses) if "poses" in options.refine else None
-    alone = replace(options, refine=("lines",) if sigma is None else ("lines", "poses"), partition=0)
     poses = replace(kept.scene.poses, frames=None)
+    known = _as_known(poses) if "poses" in options.refine else None
+    alone = replace(options, refine=("lines",) if known is None else ("lines", "poses"), partition=0)
     try:
-        scene = _adjusted(segments, poses, cameras, alone, progress, workers=Workers(), pose_sigma=sigma)
+        scene = _adjusted(segments, poses, cameras, alone, progress, workers=Workers(), known=known)
     except GeometryError:
         # None of them has a line.
         return kept
     return with_confirmed(kept, found, spare, scene, cameras.cameras, options=options, progress=progress)
 
 
-def _pose_sigma(poses: ImagePoses) -> tuple[float, float] | None:
-    """Standard deviations (rad, m) of a component of the poses, in the quadratic mean; None where none is uncertain."""
+def _as_known(poses: ImagePoses) -> KnownPoses | None:
+    """The poses with the standard deviations of a component of them, in the quadratic mean; None where none is uncertain."""
     if poses.covariance is None:
         return None
     variance = np.diagonal(poses.covariance, axis1=1, axis2=2)
     turn, shift = np.sqrt(variance[np.isfinite(variance).all(1)].reshape(-1, 2, 3).mean((0, 2)))
-    return (float(turn), float(shift)) if turn > 0.0 and shift > 0.0 else None
+    return KnownPoses(poses, float(turn), float(shift)) if turn > 0.0 and shift > 0.0 else None
 
 
 def _require(matched: Matched) -> None:
@@ -172,7 +194,7 @@ def _adjusted(
     progress: ProgressCallback,
     *,
     workers: Workers,
-    pose_sigma: tuple[float, float] | None = None,
+    known: KnownPoses | None = None,
 ) -> AdjustedScene:
     progress("triangulating lines", 0, 0)
     return reconstruct_lines(
@@ -186,7 +208,7 @@ def _adjusted(
         refine_cameras="intrinsics" in options.refine,
         refine_rig="rig" in options.refine,
         rig=cameras.rig,
-        pose_sigma=pose_sigma,
+        known=known,
         loss=options.loss,
         options=options.adjustment,
         # Arcs that stand out are mostly of near edges, and lines are off by them.

@@ -11,14 +11,16 @@ import numpy as np
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
+from camera_models.wording import listed
 from omnilines.adjustment.arcs import arcs_from_segments
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.scene import check_refine
 from omnilines.costs import check_cost, cost_named
 from omnilines.files import photo_folder, write_poses
 from omnilines.files.folders import work_folder
 from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
-from omnilines.pipelines.adjust import adjust
+from omnilines.pipelines.adjust import adjust, check_prior
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import asked_cameras
@@ -63,16 +65,21 @@ OF_GIVEN = (
     "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
     "are stated in that frame."
 )
+OF_PRIOR = (
+    "The given poses hold the refined ones with the standard deviations of their prior: place, turn and size of the scene are as "
+    "uncertain as these say, which is in the uncertainties."
+)
 
 
-def check_options(options: SceneOptions, cameras: Calibration) -> None:
+def check_options(options: SceneOptions, cameras: Calibration, pose_sigma: tuple[float, float] | None = None) -> None:
     """Refuse what cannot be done before any photo is looked at. Raises InputError."""
+    check_prior(pose_sigma, options)
     check_refine(options.refine)
     check_triangulation(options.triangulation)
     check_cost(options.cost)
     Loss(options.loss)
     usable_device(options.device)
-    check_partition(options, rig=False)
+    check_partition(options, rig=False, prior=pose_sigma is not None)
     if options.min_views < 3 or (options.tolerance_px is not None and not options.tolerance_px > 0):
         raise InputError(
             f"`min_views` of 3 or more and a `tolerance_px` above 0 were expected, found {options.min_views} and "
@@ -95,6 +102,7 @@ def reconstruct(
     options: SceneOptions = SceneOptions(),
     *,
     distance: KnownDistance | None = None,
+    pose_sigma: tuple[float, float] | None = None,
     inputs: Mapping[str, Any] | None = None,
     work: str | Path | None = None,
     executor: Executor | None = None,
@@ -104,6 +112,8 @@ def reconstruct(
 
     `poses` are those of `estimate_poses` or `read_poses`. With poses refined (`options.refine`), rough ones are made better
     first, and photos that have none are placed by the lines. `distance`, known in metres, scales poses whose unit is open.
+    `pose_sigma` (rad, m) makes given poses that are refined a prior with these standard deviations of each component, but for
+    those of photos that lines put elsewhere.
     `inputs` is what the scene says that it was made from. Poses that have to be found in the photos are kept in the folder
     `work`, where one is given. The workers of an `executor` compare arcs, and adjust the parts of a scene that
     is divided (`options.partition`).
@@ -122,10 +132,11 @@ def reconstruct(
     if isinstance(arcs, Segments):
         if distance is not None:
             raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
-        return adjust(arcs, poses, camera, options, inputs=inputs, executor=executor, progress=progress)
+        return adjust(arcs, poses, camera, options, pose_sigma=pose_sigma, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
-    check_options(options, cameras)
-    arcs, posed = _with_poses(arcs, poses, cameras, options, distance, work, progress)
+    check_options(options, cameras, pose_sigma)
+    arcs, posed = _with_poses(arcs, poses, cameras, options, distance, work, progress, prior=pose_sigma is not None)
+    given = None if pose_sigma is None else KnownPoses(posed.poses, *pose_sigma)
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.
         options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
@@ -136,7 +147,7 @@ def reconstruct(
         require_poses(distance, posed)
     try:
         found = lines_of_arcs(
-            arcs.photos, posed.poses, cameras, options, progress,
+            arcs.photos, posed.poses, cameras, options, progress, known=given,
             workers=part_workers(executor, work), compare=matching_workers(executor),
         )  # fmt: skip
     except GeometryError as error:
@@ -147,7 +158,7 @@ def reconstruct(
     if not found.matched.beyond_chance:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
     made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs
-    return _scene(arcs, posed, found, cameras, options, distance, made_from, progress)
+    return _scene(arcs, posed, found, cameras, options, distance, given, made_from, progress)
 
 
 def _with_poses(
@@ -158,11 +169,16 @@ def _with_poses(
     distance: KnownDistance | None,
     work: str | Path | None,
     progress: ProgressCallback,
+    *,
+    prior: bool,
 ) -> tuple[PhotoArcs, PhotoPoses]:
-    """The photos that tell something beside others, and the poses that they are matched with."""
+    """The photos that tell something beside others, and the poses that they are matched with; those of a `prior` are no rough
+    ones. Raises InputError where that holds poses that were found in the photos."""
     arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
-    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
+    if prior and posed.source == SFM:
+        raise InputError("A prior holds given poses, found those of the photos alone (`poses` sfm); leave the prior out.")
+    if "poses" in options.refine and not prior and posed.source in ("table", "colmap") and posed.poses.frames is None:
         posed = better_poses(
             arcs.photos,
             posed,
@@ -189,6 +205,7 @@ def _scene(
     cameras: Calibration,
     options: SceneOptions,
     distance: KnownDistance | None,
+    known: KnownPoses | None,
     inputs: Mapping[str, Any],
     progress: ProgressCallback,
 ) -> Scene:
@@ -197,8 +214,9 @@ def _scene(
     arcs_of_lines = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
     cameras = with_assumed_errors(cameras, arcs_of_lines, options)
     progress("asking lines for the calibration", 0, 0)
-    errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
-    supposed = supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
+    errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points, known=found.held)
+    # With a prior on poses that is no matter of the lines alone.
+    supposed = None if known else supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
     by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)
     asked = asked_cameras(lines, arcs_of_lines, found.track, poses, cameras, options)
     poses = poses_with_calibration_errors(poses, errors)
@@ -224,7 +242,7 @@ def _scene(
         *unfollowed_errors(cameras, options, supposed),
         *_of_few(len(arcs.used), options.min_views),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
-        *((OF_GIVEN,) if "poses" in options.refine and posed.source != SFM else ()),
+        *_of_given(posed, found, known, options),
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
     )
@@ -249,6 +267,19 @@ def _scene(
         asked,
         supposed,
     )
+
+
+def _of_given(posed: PhotoPoses, found: KeptLines, known: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
+    """What refined poses keep of given ones, and which of these a prior does not hold."""
+    if "poses" not in options.refine or posed.source == SFM:
+        return ()
+    if known is None or found.held is None:
+        return (OF_GIVEN,)
+    free = [image for image in known.poses.images if image not in found.held.poses.images]
+    if not free:
+        return (OF_PRIOR,)
+    them = "its pose" if len(free) == 1 else "their poses"
+    return (OF_PRIOR, f"The lines of other photos put {listed(free)} elsewhere than given: no prior holds {them}.")
 
 
 def _guided(found: KeptLines, families: Families, options: SceneOptions) -> Lines:
