@@ -206,7 +206,7 @@ def test_the_rim_is_found_in_photos() -> None:
 def test_part_of_the_result_its_table_and_its_data(tmp_path):
     """A result in Python, its rows, its data for --json and its page tell the same."""
     truth = LENSES["opencv-fisheye"]
-    corners = board_corners(truth, board_views(truth, 60.0, 6, 3), NOISE_PX, 0)
+    corners = board_corners(truth, board_views(truth, 72.0, 8, 3), NOISE_PX, 0)
     result = ol.calibrate(corners, SIZE, model="opencv-fisheye")
     advice = result.next_views
     assert advice is not None and result.next_views is advice
@@ -237,7 +237,7 @@ def test_part_of_the_result_its_table_and_its_data(tmp_path):
 def test_without_photos_the_words_say_of_which_part_of_the_image_they_speak(tmp_path):
     """Corners alone do not tell how far the lens shows the world: nothing is promised of what lies beyond the nearest border."""
     truth = LENSES["opencv-fisheye"]
-    corners = board_corners(truth, board_views(truth, 60.0, 6, 3), NOISE_PX, 0)
+    corners = board_corners(truth, board_views(truth, 72.0, 8, 3), NOISE_PX, 0)
     result = ol.calibrate(corners, SIZE, model="opencv-fisheye")
     rim = result.next_views.known.field.rim_px
     part = f"the image within {rim:.0f} px of its centre (no photo shows where it ends)"
