@@ -1,7 +1,7 @@
 """A camera from straight lines against edges drawn with known noise: exact derivatives, honest covariances, an honest check."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 from unittest.mock import Mock
 
@@ -15,11 +15,11 @@ from camera_models import MODELS, CameraModel, ExtendedUnified, Pinhole, model_c
 from omnilines.calibration.held_out import HeldOut, ViewTerms
 from omnilines.calibration.lines.camera import LineAdjustment, LineCamera, focal_length, in_mirror, line_camera
 from omnilines.calibration.lines.problem import Families
-from omnilines.calibration.lines.readings import EdgeReadings, offsets
+from omnilines.calibration.lines.readings import EdgeReadings, Offsets, offsets
 from omnilines.calibration.lines.select import LineTrial, candidates_of, chosen_camera, chosen_trial, trial_of
 from omnilines.calibration.lines.start import ShapeStart
 from omnilines.calibration.lines.straight import RadialShape
-from omnilines.calibration.lines.weighting import WeightedChains
+from omnilines.calibration.lines.weighting import WeightedChains, weighted_chains
 from omnilines.calibration.select import Candidate
 from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.evaluation.cameras import bearing_error_deg
@@ -28,8 +28,10 @@ from omnilines.pipelines import line_camera as line_camera_module
 from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.pipelines.chain_starts import CameraStart
 from omnilines.pipelines.line_camera import adjusted_camera, prior_with_boards, readjusted_camera
+from omnilines.pipelines.line_families import chain_circles
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.pipelines.line_scale import scaled, with_scale_of_all, without_doubtful_angles
+from omnilines.structure.circles import Circles
 
 CALIBRATED = [model for name, _ in MODELS for model in model_class(name).examples() if model.CALIBRATED]
 
@@ -211,6 +213,20 @@ def test_without_right_angles_the_scale_stays_open_and_is_said(lens: CameraModel
     other = readjusted_camera(disturbed(lens, fx=-9.0, fy=-9.0), done, OPTIONS)
     assert other.leaves_scale_open(OPTIONS.open_share)
     assert focal_length(other.model)[0] == pytest.approx(float(lens.parameters[0]) - 9.0, rel=0.005)
+
+
+@pytest.mark.parametrize("lost", [0, 3, -1])
+def test_a_chain_that_the_camera_sees_nowhere_has_a_circle_of_which_nothing_is_known(lost: int) -> None:
+    chains = weighted_chains(WIDE, EdgeReadings.of(true_chains(WIDE, 1, photos=2, lines=5)), OPTIONS)
+    gone = chains.blocks.chain != lost % chains.blocks.chains
+    at = Offsets(*(getattr(chains.at, field.name)[gone] for field in fields(Offsets)))
+    whole, rest = (chain_circles(WIDE, one) for one in (chains, replace(chains, blocks=chains.blocks.of_points(gone), at=at)))
+    others = np.arange(chains.blocks.chains) != lost % chains.blocks.chains
+    for field in fields(Circles):
+        axis = 1 if field.name in ("noise", "ends") else 0
+        both = (np.compress(others, getattr(one, field.name), axis) for one in (whole, rest))
+        np.testing.assert_allclose(*both, rtol=1e-12, atol=1e-12)
+    assert np.linalg.norm(rest.noise[:, lost], axis=-1).min() > 100 * np.linalg.norm(whole.noise[:, lost], axis=-1).max()
 
 
 @pytest.mark.parametrize(("lens", "taken"), [(WIDE, 5), pytest.param(RATIONAL, 8, marks=pytest.mark.full)])

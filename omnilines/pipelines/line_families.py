@@ -33,8 +33,10 @@ def chain_circles(model: CameraModel, chains: WeightedChains) -> Circles:
     information = blocks.sum_by_chain((chains.information[:, None] * lever)[:, :, None] * lever[:, None])
     values, vectors = torch.linalg.eigh(information)
     noise = basis @ (vectors * values.clamp_min(1e-6 * values[:, 1:].clamp_min(1.0)).rsqrt()[:, None])
-    first = torch.cumsum(blocks.counts, 0) - blocks.counts
-    bearings, _ = model.unproject(torch.stack([blocks.pixels[first], blocks.pixels[first + blocks.counts - 1]], 1))
+    # Of a chain that the camera sees nowhere nothing is known: its circle is as uncertain as can be, wherever it ends.
+    past, most = torch.cumsum(blocks.counts, 0), len(blocks.chain) - 1
+    ends_px = torch.stack([blocks.pixels[row.clamp(0, most)] for row in (past - blocks.counts, past - 1)], 1)
+    bearings, _ = model.unproject(ends_px)
     v1, v2 = _on_circle(bearings, normal).unbind(1)
     normal = torch.where((torch.linalg.cross(v1, v2) * normal).sum(-1, keepdim=True) < 0, -1.0, 1.0) * normal
     across = torch.linalg.cross(v2, normal), torch.linalg.cross(normal, v1)
