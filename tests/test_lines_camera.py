@@ -217,7 +217,7 @@ def test_without_right_angles_the_scale_stays_open_and_is_said(lens: CameraModel
 
 @pytest.mark.parametrize("lost", [0, 3, -1])
 def test_a_chain_that_the_camera_sees_nowhere_has_a_circle_of_which_nothing_is_known(lost: int) -> None:
-    chains = weighted_chains(WIDE, EdgeReadings.of(true_chains(WIDE, 1, photos=2, lines=5)), OPTIONS)
+    chains = weighted_chains(WIDE, EdgeReadings.of(true_chains(WIDE, 1, photos=3, lines=12)), OPTIONS)
     gone = chains.blocks.chain != lost % chains.blocks.chains
     at = Offsets(*(getattr(chains.at, field.name)[gone] for field in fields(Offsets)))
     whole, rest = (chain_circles(WIDE, one) for one in (chains, replace(chains, blocks=chains.blocks.of_points(gone), at=at)))
