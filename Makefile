@@ -19,7 +19,8 @@ INSTALL = @echo "Installing $(1) into $(VENV); the first time takes a few minute
 
 help:
 	@echo "make demo      install, calibrate a camera from photos it renders, rebuild the lines; ends by naming the report"
-	@echo "make test      install and run the tests          make test-all   with all Monte Carlo seeds, and every benchmark once"
+	@echo "make test      install and run the tests; CI=1 make test: those that take long, too"
+	@echo "make test-all  with all Monte Carlo seeds, and every benchmark once"
 	@echo "make setup     install the omnilines command      make lint       style, types and the import contract"
 	@echo "make docs      build the site into site/         make tables     write the tables and notebooks of docs/ anew"
 	@echo "make audit     known weaknesses of the packages that constraints.txt pins (asks pypi.org)"
@@ -50,10 +51,10 @@ demo: setup
 	@echo "The calibration is in demo/calibration/report.html, the lines are in demo/lines/report.html."
 	@echo "Open $(CURDIR)/demo/lines/report.html"
 
-# Two workers would each compile the same functions.
+# What takes long is left to CI (`.ci/run` sets the variable). Two workers would each compile the same functions.
 test: $(VENV)/.installed-test
 	@$(BIN)/python -m omnilines.compiling
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not full" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not full$(if $(CI),, and not slow)" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test
 	@$(BIN)/python -m omnilines.compiling

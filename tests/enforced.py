@@ -19,8 +19,10 @@ import torch
 from jaxtyping._array_types import _MetaAbstractArray
 from jaxtyping._storage import get_shape_memo, pop_shape_memo, push_shape_memo, set_shape_memo
 
-MOST, EVERY = 30, 10
+MOST, EVERY = 10, 20
 """Calls of a function with arguments of one kind that are all checked; after these every so manieth is."""
+OFTEN = 100
+"""Calls of a function after which what it is called with is looked at every so manieth time only."""
 _jaxtyped = jaxtyping.jaxtyped
 _is_instance = _MetaAbstractArray.__instancecheck__
 _of_kind: set[tuple[type, type, object]] = set()
@@ -80,12 +82,16 @@ def _kind(value: object) -> object:
 
 def _checked(function: Any, typechecker: Callable[..., Any]) -> Any:
     call: Callable[..., Any] | None = None
+    calls = 0
     passed: dict[tuple[object, ...], int] = {}
 
     @functools.wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        nonlocal call
+        nonlocal call, calls
+        calls += 1
+        if calls > OFTEN and calls % EVERY:
+            return function(*args, **kwargs)
         kinds = (*map(_kind, args), *kwargs, *map(_kind, kwargs.values()))
         before = passed.get(kinds, 0)
         if before >= MOST and before % EVERY:

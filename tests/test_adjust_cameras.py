@@ -65,6 +65,7 @@ def _steps(model: CameraModel) -> Tensor:
     return 1e-3 / by_parameter.norm(dim=(0, 1)).clamp_min(1e-9)
 
 
+@pytest.mark.slow
 def test_cameras_are_calibrated_by_straight_lines():
     """Focal lengths off by 2 percent and centres by 4 px, poses off too: found again, as exactly as the covariance says."""
     scene = RigScene(frames=12, lines=60)

@@ -121,6 +121,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_example_of_a_verb_holds(verb: str, rendered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rendered)
@@ -146,6 +147,7 @@ def test_verbs_print_nothing_and_write_nothing_unasked(
     assert set(told) <= {"detecting corners", "refining the camera", "searching with the camera"}
 
 
+@pytest.mark.slow
 def test_results_say_in_one_line_what_they_hold(rendered: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As an interpreter or a notebook shows them."""
     monkeypatch.chdir(tmp_path)
@@ -198,6 +200,7 @@ def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     assert [title for title in titles[0] if title != "Photos"] == titles[1] and len(titles[0]) == len(titles[1]) + 1
 
 
+@pytest.mark.slow
 def test_thresholds_are_options(rendered: Path) -> None:
     """They reach what they decide: by `--set` they come as options too."""
     found = ol.detect(rendered / "board", BOARD)
@@ -216,6 +219,7 @@ def test_thresholds_are_options(rendered: Path) -> None:
         ol.calibrate_rig(ol.detect_rig(cameras, BOARD), options=many)
 
 
+@pytest.mark.slow
 def test_a_rig_from_folders_and_arrays_of_each_camera(rendered: Path, tmp_path: Path) -> None:
     """Photos by camera are those of one folder; so is the rig."""
     right = {f"{k}.png": cv2.imread(str(rendered / "rig" / "right" / f"{k}.png"), cv2.IMREAD_UNCHANGED) for k in range(8)}
@@ -271,6 +275,7 @@ def test_progress_cancels(rendered: Path) -> None:
         ol.detect(rendered / "board", BOARD, progress=stop)
 
 
+@pytest.mark.slow
 def test_the_command_line_spells_parameters_as_its_options(rendered: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photos = f"calibrate {rendered}/board --pattern {BOARD} --out {rendered}/out"
     cases = (
@@ -300,6 +305,7 @@ def test_errors_have_one_base() -> None:
     assert not issubclass(ol.Cancelled, ol.OmnilinesError), "who cancels catches that alone"
 
 
+@pytest.mark.slow
 def test_what_is_no_path_or_calibration_is_refused_in_a_sentence() -> None:
     """Without the hook, as users call: it would refuse the wrong type before the verb does."""
     script = """

@@ -74,6 +74,7 @@ def test_families_are_opencvs() -> None:
     assert len(FAMILIES) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["fisheye-190", pytest.param("scaramuzza", marks=pytest.mark.full)])
 def test_every_corner_through_wide_lenses(camera: str) -> None:
     """Boards out to 85 degrees, tags down to 26 px: all corners, right ids, hundredths of a pixel."""
@@ -102,6 +103,7 @@ def test_heavily_blurred_and_noisy() -> None:
     assert len(errors) == 3 and np.sqrt((error**2).mean()) < 0.25 and np.abs(error).max() < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["fisheye-190", pytest.param("scaramuzza", marks=pytest.mark.full)])
 def test_part_of_the_board(camera: str) -> None:
     checked = 0

@@ -70,6 +70,7 @@ def test_of_many_photos_some_are_asked_that_share_lines(
     assert len(scene.asked) == 1 and bool(scene.contradicted) is contradicted
 
 
+@pytest.mark.slow
 def test_nothing_is_asked_of_the_right_camera_but_what_noise_makes() -> None:
     """By Monte Carlo: the motion is as large as is stated, and the right camera is among those that are possible."""
     found = [asked(Calibration({"cam0": CAMERA}), seed)[0] for seed in range(12)]
@@ -140,6 +141,7 @@ def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     assert str(scene_summary(wrong).verdict).endswith("but they contradict the calibration.")
 
 
+@pytest.mark.slow
 def test_figures_of_a_room_say_what_its_lines_ask_of_the_camera() -> None:
     made = ol.render("plain-room", "opencv-fisheye", views=5, size_px=(480, 480), seed=1)
     scene = ol.reconstruct(ol.extract(made.photos, made.camera), made.poses, made.camera)

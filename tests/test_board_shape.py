@@ -42,6 +42,7 @@ def test_jacobian_is_that_of_automatic_differentiation():
     torch.testing.assert_close(dense, problem.linearise(state).by_kept[0], rtol=1e-7, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_terms_are_found_again():
     """Exactly without noise, and within their stated standard deviations with it; a plane board does not fit."""
     exact = calibrate_camera(bent_corners(0.0, 0)[0], LENS.image_size, "opencv-fisheye", refine_board=("aspect", "flatness"))

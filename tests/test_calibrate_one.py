@@ -47,6 +47,7 @@ def commanded(photos: Path, text: str, out: Path) -> Any:
     return ol.load(out / "calibration.yaml")["cam0"].parameters
 
 
+@pytest.mark.slow
 def test_a_target_is_that_of_its_corners(photos: Path, tmp_path: Path) -> None:
     result = ol.calibrate(photos / "both", BOARD, model=LENS)
     assert isinstance(result, CalibrationResult)
@@ -58,6 +59,7 @@ def test_a_target_is_that_of_its_corners(photos: Path, tmp_path: Path) -> None:
     assert same(ol.calibrate(found.corners, size, model=LENS), ol.calibrate(found.corners, image_size=size, model=LENS))
 
 
+@pytest.mark.slow
 def test_lines_are_those_of_their_pipeline(photos: Path) -> None:
     quick = ol.LinesOptions(adjustment=LineOptions(most_starts=1, rounds=1))
     result = ol.calibrate(str(photos / "room"), "lines", model=LENS, lines=quick)

@@ -129,6 +129,7 @@ def test_radial_epipole_finds_the_centre(shared_data):
     assert float((best - torch.tensor([543.76, 377.78])).norm()) < 0.5
 
 
+@pytest.mark.slow
 def test_the_mirror_flag_only_turns_the_sign(shared_data):
     """Planar boards fit a0 and -a0 equally well."""
     corners = read_corners(shared_data / "calibration/kaidan/corners.csv")
@@ -141,6 +142,7 @@ def test_the_mirror_flag_only_turns_the_sign(shared_data):
     assert lens.min_angle_deg > 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(LENSES))
 def test_exact_corners_give_the_exact_camera(name):
     model, reach = LENSES[name]
@@ -153,6 +155,7 @@ def test_exact_corners_give_the_exact_camera(name):
         np.testing.assert_allclose(view.cam_from_board.translation, pose.translation, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.full) if name == "unified" else name for name in LENSES])
 def test_predicted_covariance_covers_the_truth(name):
     """Normalised errors of the calibrated directions over 10 noise seeds: chi-square and single parameters."""

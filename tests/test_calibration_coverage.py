@@ -66,6 +66,7 @@ CASES = [(*case, kind) for case in MANY for kind in KINDS]
 DEFAULT = [("opencv-fisheye", 3, 8, 0.3, kind) for kind in KINDS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "views", "count", "noise_px", "kind", "seeds"),
     [(*case, 10) for case in DEFAULT] + [pytest.param(*case, 200, marks=pytest.mark.full) for case in CASES],
@@ -93,6 +94,7 @@ def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
     assert_covered(np.array(inside), seeds, f"{name}, {views} views of {count} corners, {kind}", least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [5, pytest.param(200, marks=pytest.mark.full)])
 @pytest.mark.parametrize(
     ("name", "views", "noise_px"), [pytest.param("unified", 9, 0.4, marks=pytest.mark.full), ("double-sphere", 6, 1.0)]
@@ -139,6 +141,7 @@ def test_stated_noise_is_used_and_tested():
     assert math.isclose(sigma[0.1], sigma[None], rel_tol=1e-6) and abs(sigma[0.2] / sigma[None] - 1) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seeds"), [("stated", 5), *(pytest.param(kind, 200, marks=pytest.mark.full) for kind in KINDS)])
 def test_intervals_of_rigs(kind, seeds):
     """Parameters of both cameras, the pose of the second in the rig, and the board's pose in every frame."""

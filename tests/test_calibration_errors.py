@@ -74,6 +74,7 @@ def squares_m2(lines: Lines, covariance: np.ndarray) -> np.ndarray:
     return np.einsum("tkii->tk", (across @ torch.as_tensor(covariance)[:, None] @ across.mT).numpy()).sum(1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [10, pytest.param(DRAWS, marks=pytest.mark.full)])
 @pytest.mark.parametrize("refine", PARTS)
 def test_lines_scatter_as_is_stated_where_cameras_are_drawn_from_the_covariance(refine: tuple[str, ...], draws: int) -> None:
@@ -103,6 +104,7 @@ def test_lines_scatter_as_is_stated_where_cameras_are_drawn_from_the_covariance(
         assert (ratio > 0.7**wider).all() and (ratio < 1.4**wider).all()
 
 
+@pytest.mark.slow
 def test_lines_whose_loss_leaves_arcs_out_follow_the_camera_to_the_end() -> None:
     """Against whole adjustments with the camera moved along the axes of its covariance; two of eight arcs are of other lines."""
     segments, poses, _ = world()
@@ -122,6 +124,7 @@ def test_lines_whose_loss_leaves_arcs_out_follow_the_camera_to_the_end() -> None
     np.testing.assert_allclose(expected, moved, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_the_share_of_the_calibration_is_stated_and_adds_up() -> None:
     segments, poses, _ = world()
     stated, plain = (ol.adjust(segments, poses, one).lines for one in (calibration(), CAMERA))
@@ -142,6 +145,7 @@ def test_lines_that_errors_of_the_calibration_leave_uncertain_are_weak() -> None
     assert unknown.status.count("weak") >= 5
 
 
+@pytest.mark.slow
 def test_errors_that_are_not_followed_are_named() -> None:
     segments, poses, second = stereo()
     mounts = {"cam0": RigCamera(Pose.identity(1)[0]), "cam1": RigCamera(second)}
@@ -178,6 +182,7 @@ def test_cameras_drawn_as_somebody_says_move_pixels_so_far(camera: CameraModel) 
     np.testing.assert_allclose(assumed_covariance(camera, 1.0, reach), 4.0 * covariance, rtol=1e-9, atol=1e-30)
 
 
+@pytest.mark.slow
 def test_what_somebody_says_of_the_calibration_is_in_the_uncertainty_of_lines() -> None:
     segments, poses, _ = world()
     plain = replace(OF_TABLES, refine=("lines",))
@@ -198,6 +203,7 @@ def test_what_somebody_says_of_the_calibration_is_in_the_uncertainty_of_lines() 
         ol.adjust(segments, poses, CAMERA, replace(plain, refine=("lines", "poses", "intrinsics"), calibration_error_px=1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", PARTS)
 def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
     """How many times as uncertain lines and photos are with cameras off by half a pixel, as a run that is told so states."""
@@ -221,6 +227,7 @@ def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> None:
     segments, poses, _ = world()
     free, held = (ol.adjust(segments, poses, calibration(), replace(OF_TABLES, refine=r)).lines for r in PARTS)
@@ -273,6 +280,7 @@ def stereo() -> tuple[Segments, ImagePoses, Pose]:
     return replace(segments, endpoints_px=pixels.numpy(), cameras=names), table, second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [10, pytest.param(DRAWS, marks=pytest.mark.full)])
 @pytest.mark.parametrize("refine", PARTS)
 def test_lines_scatter_as_is_stated_where_a_rig_is_drawn_from_its_covariance(refine: tuple[str, ...], draws: int) -> None:

@@ -61,6 +61,7 @@ def probe_pixels(truth: CameraModel) -> torch.Tensor:
     return pixels[inside][:20]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(LENSES))
 @pytest.mark.parametrize(
     ("views", "seeds"),

@@ -99,6 +99,7 @@ def rms_deg(start: CameraStart, model: CameraModel) -> float:
 NAMES = {"fisheye": (FISHEYE, 0.5), "wide": (WIDE, 0.4), "narrow": (NARROW, 0.4)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fisheye", pytest.param("wide", marks=pytest.mark.full), "narrow"])
 def test_rooms_start_every_lens_without_a_guess(name: str) -> None:
     model, most_deg = NAMES[name]

@@ -105,6 +105,7 @@ def true_lines(kept: KeptLines, exact: MatchingScene) -> np.ndarray:
     return found
 
 
+@pytest.mark.slow
 def test_as_many_are_there_by_chance_as_moved_photos_tell() -> None:
     every, most = lines_found(1.0), lines_found(LIMITS.max_chance_share)
     right, share = true_lines(every, cluttered()[0]), every.scene.lines.chance_share

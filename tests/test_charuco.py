@@ -68,6 +68,7 @@ def test_opencvs_detector_reads_our_photo_with_our_ids() -> None:
     assert np.abs(found.pixels[ids.ravel()] - corners.reshape(-1, 2)).max() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["scaramuzza", pytest.param("fisheye-190", marks=pytest.mark.full)])
 def test_every_corner_through_wide_lenses(camera: str) -> None:
     """Boards out to 85 degrees: all corners, right ids, hundredths of a pixel."""
@@ -104,6 +105,7 @@ def test_one_tag_with_its_corners_is_enough() -> None:
     assert np.linalg.norm(found.pixels + low - view.truth[found.ids], axis=1).max() < 0.3
 
 
+@pytest.mark.slow
 def test_squares_lead_where_no_tag_can_be_read() -> None:
     """Squares of 12 px near the rim, blurred, of which four corners in a square are all that the search for pieces finds: others
     are grown around them, and all tags together tell which part of the board it is. Not with the tags of other dictionaries."""

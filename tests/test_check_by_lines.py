@@ -34,6 +34,7 @@ def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
     torch.testing.assert_close(whole, scores.camera_information, rtol=1e-6, atol=1e-6 * float(whole.abs().max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "refused"),
     [
@@ -73,6 +74,7 @@ def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> No
     assert (off > 5.0 * wrong.change_sigma[:2]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
 def test_walls_that_do_not_meet_at_right_angles_do_not_refuse_the_right_camera(seed: int) -> None:
     """Walls at 88 degrees are taken for right ones in each photo."""
@@ -81,6 +83,7 @@ def test_walls_that_do_not_meet_at_right_angles_do_not_refuse_the_right_camera(s
     assert found.probability > 0.001 and not found.frames and "Right angles are not used" in notes[0]
 
 
+@pytest.mark.slow
 def test_right_angles_refuse_a_camera_at_another_scale() -> None:
     chains = level_chains(FISHEYE, 0, 90.0)
     right, notes = asked_by_lines(FISHEYE, chains, LinesOptions())

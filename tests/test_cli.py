@@ -155,6 +155,7 @@ def test_a_bad_photo_is_skipped_and_the_run_goes_on(photos, tmp_path, capsys):
     assert all(view["reason"] for view in views if not view["used"])
 
 
+@pytest.mark.slow
 def test_what_photos_can_get_wrong(photos, tmp_path, capsys):
     out = ("--out", tmp_path / "o")
     empty = tmp_path / "empty"
@@ -195,6 +196,7 @@ def test_a_corner_beside_the_board_hides_no_wrong_count():
     assert counts_remark(board, table(4)) is None
 
 
+@pytest.mark.slow
 def test_what_a_table_of_corners_can_get_wrong(tmp_path, capsys):
     rows = corner_rows()
     good = ("--image-size", "640x480", "--model", "opencv-fisheye", "--out", tmp_path / "o")

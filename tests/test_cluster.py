@@ -83,6 +83,7 @@ with open(out, "wb") as file:
 """
 
 
+@pytest.mark.slow
 def test_a_scheduler_of_dask_finds_what_this_process_does_and_one_that_is_not_there_is_told(scene: Scene, tmp_path: Path) -> None:
     """In a process of its own: what Dask leaves open would be found in some later test."""
     with socket.socket() as taken:
@@ -122,6 +123,7 @@ except cluster.InputError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [b"", bytes(64), b"SSH-2.0-OpenSSH_9.0\r\n"], ids=["silent", "zeros", "ssh"])
 def test_a_server_that_is_no_scheduler_is_told_and_not_waited_for(first: bytes) -> None:
     """Dask waits without end for one that says nothing, and reads what another says as lengths of messages."""

@@ -60,12 +60,14 @@ def test_types_are_written_and_read(value: object) -> None:
         written(numba.typeof("text"), "omnilines")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outs", [("room", "from_photos"), pytest.param((), marks=pytest.mark.full)])
 def test_the_list_holds_all_that_commands_call(outs: tuple[str, ...]) -> None:
     done = subprocess.run([sys.executable, SCRIPT, "--check", *outs], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"run `python docs/scripts/compiled.py`:\n{done.stderr[-3000:]}"
 
 
+@pytest.mark.slow
 def test_what_was_compiled_ahead_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     wanted = [entry_named(CHAINS), entry_named("omnilines.matching.kernels.chance.at_least")]
@@ -86,6 +88,7 @@ def test_what_was_compiled_ahead_is_found(tmp_path: Path, monkeypatch: pytest.Mo
     assert [entry for entry in entries() if entry not in not_compiled(EVERYTHING)] == wanted[1:]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compiled_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     unknown = Entry("omnilines.extraction.kernels.chain.no_such_function", ("arcs",), 1.0, ())

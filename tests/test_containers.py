@@ -55,6 +55,7 @@ def detected(*more: str) -> tuple[str, ...]:
     return ("detect", "photos", "--pattern", SPEC, *more)
 
 
+@pytest.mark.slow
 def test_an_unfriendly_container(photos: Path) -> None:
     """All at once: none of it stops a calibration."""
 
@@ -84,6 +85,7 @@ def test_an_unfriendly_container(photos: Path) -> None:
     assert stat.S_IMODE((photos / name / "report.html").stat().st_mode) == 0o600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [pytest.param((2,), marks=pytest.mark.full), (0, 1, 2)], ids=str)
 def test_closed_streams(photos: Path, closed: tuple[int, ...]) -> None:
     def close() -> None:
@@ -120,6 +122,7 @@ def unprivileged() -> Callable[[], object]:
     return lambda: [library.prctl(DROP, capability, 0, 0, 0) for capability in (OVERRIDE, READ_SEARCH)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", [pytest.param(".", marks=pytest.mark.full), "results"])
 def test_folders_that_cannot_be_written_to(photos: Path, unprivileged: Callable[[], object], where: str) -> None:
     folder = photos / "of_another"

@@ -76,6 +76,7 @@ def drawn_pairs(
     return *drawn_lines(d, point, length, sigma, rng), np.arange(count).reshape(-1, 2)
 
 
+@pytest.mark.slow
 def test_a_line_goes_to_where_it_is_most_likely_to_meet_the_other() -> None:
     """With one gap that corners may have, against the least sum of squares found by another search."""
     lines, _, pair = drawn_pairs(np.zeros(3), (3e-3, 1e-3), np.random.default_rng(5))

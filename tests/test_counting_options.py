@@ -93,6 +93,7 @@ def test_what_does_nothing_is_refused_by_its_name() -> None:
     assert said == "`min_views` was expected once, found it twice; give one value."
 
 
+@pytest.mark.slow
 def test_ranges_hold_every_default_and_refuse_what_is_beyond_reason() -> None:
     """An option by its own default changes nothing; NaN, infinity and numbers without end are no values."""
     checked = 0

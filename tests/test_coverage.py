@@ -45,6 +45,7 @@ def check(what: str, found: dict[str, float], seeds: int) -> None:
             assert share >= 0.8, (what, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize(
     ("case", "seeds"), [*((case, FEW) for case in CHOSEN), *(pytest.param(case, ALL, marks=FULL) for case in CASES)]

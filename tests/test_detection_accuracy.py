@@ -82,6 +82,7 @@ def corner_photo(pose: Pose, truth: np.ndarray, seed: int, *, covered: bool) -> 
     return image, seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("asked", "covered"), [("8x6", False), ("8x6", True), ("9x7", False)])
 def test_outermost_corners_are_as_good_as_stated(asked: str, covered: bool) -> None:
     """Whole boards, boards with one corner covered and boards that are smaller than was said, with squares from 10 px on: the

@@ -106,6 +106,7 @@ def test_true_directions_are_found_among_clutter_and_their_arcs() -> None:
     assert (found.direction_of[120:] >= 0).mean() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stray_deg", [pytest.param(0.0, marks=pytest.mark.full), 0.3])
 def test_covariances_hold_the_errors(stray_deg: float) -> None:
     """Of directions and of frames: Mahalanobis distances squared are chi-square with two and three degrees of freedom."""
@@ -243,6 +244,7 @@ def test_command_tells_the_vertical_alone(room: Path, tmp_path: Path, capsys: py
     assert found.images == tuple(photo["image"] for photo in seen)
 
 
+@pytest.mark.slow
 def test_photos_are_turned_upright_in_a_view_as_wide_as_their_camera(room: Path, tmp_path: Path) -> None:
     ordinary = Pinhole.from_mapping({"fx": 630.0, "fy": 630.0, "cx": 299.5, "cy": 224.5}, (600, 450))
     ol.render("plain-room", ordinary, ol.RenderOptions(views=3, seed=4)).save(tmp_path / "room")

@@ -96,6 +96,7 @@ def test_lines_alone_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: s
     assert_same(*both(monkeypatch, row(seed=1), cost=cost, refine_poses=False))
 
 
+@pytest.mark.slow
 def test_no_line_alone_depends_on_another() -> None:
     """Of lines with as many wrong observations as good ones, each ends where it does without the others, and soon."""
     scene = row(lines=120, reach=8, seed=7)

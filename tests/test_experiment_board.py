@@ -142,6 +142,7 @@ def test_perturbation_has_the_stated_size_and_is_that_of_its_seed() -> None:
 # A known board: the adjusted lines are as far from it as the residuals predict.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [10, pytest.param(60, marks=pytest.mark.full)])
 def test_synthetic_lines_agree_with_the_board_as_predicted(seeds: int) -> None:
     by_noise, freedom, by_photos, noise_px, stages = [], [], [], [], []

@@ -264,6 +264,7 @@ def test_a_refined_start_brings_lost_lines_back() -> None:
 # The commands.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", ["wide", "room"])
 def test_command_writes_every_figure_and_the_same_seed_gives_the_same(study: str, tmp_path: Path) -> None:
     options = LineStudyOptions(noise_px=(0.5,), trials=2, seed=4)

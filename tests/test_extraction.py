@@ -267,6 +267,7 @@ def test_the_command_writes_table_and_pictures(tmp_path: Path, capsys: pytest.Ca
     assert "mask" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_finds_what_python_finds_down_to_the_same_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And it names a next step where that can be taken."""
     folder, table = tmp_path / "room", tmp_path / "out" / "segments.csv"
@@ -308,6 +309,7 @@ CAMERAS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "fov_deg"), CAMERAS)
 def test_a_small_photo_of_a_room(tmp_path: Path, model: str, fov_deg: float | None) -> None:
     scores = room_scores(tmp_path, model, fov_deg, 1, (640, 480), 11)

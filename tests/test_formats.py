@@ -209,6 +209,7 @@ def test_a_rig_with_a_frame_of_its_own(name: str, tmp_path: Path) -> None:
         assert (first.rotation - torch.eye(3)).abs().max() == 0 and first.translation.abs().max() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.full) if name in LONG_TO_FIT else name for name in FORMAT_NAMES]
 )

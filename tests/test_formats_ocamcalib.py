@@ -145,6 +145,7 @@ def calib_results(entry: dict, size: tuple[int, int], first: int = 1, **changed:
     return "\n".join("# as published\n" + " ".join(map(str, row)) for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fisheye1", "gopro", "kaidan"])
 def test_published_parameters_give_the_published_rms(shared_data: Path, name: str, tmp_path: Path) -> None:
     """`urban_subpix` was fitted to these very corners. Any usual mistake with its centre or its axes shows in the RMS."""

@@ -51,6 +51,7 @@ def video(path: Path6, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_frames_of_a_target_are_those_at_rest(video: Path, path: Path6) -> None:
     chosen = ol.frames(video, BOARD, options=OPTIONS)
     assert 8 <= len(chosen.taken) <= 12 and chosen.notes == ()
@@ -74,6 +75,7 @@ def test_frames_of_several_targets_are_those_of_each(video: Path) -> None:
         ol.frames(video, f"{other},aprilgrid:6x6:35mm:0.3:36h11", options=OPTIONS)
 
 
+@pytest.mark.slow
 def test_the_command_says_in_full_why_frames_are_left_out(
     video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,6 +87,7 @@ def test_the_command_says_in_full_why_frames_are_left_out(
     assert reasons and any(f" frames: {reason}" in said for reason in reasons)
 
 
+@pytest.mark.slow
 def test_a_video_is_calibrated_by_one_command(video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", str(video), "--pattern", BOARD, "--model", "opencv-fisheye", "--out", str(tmp_path / "out")])
@@ -119,6 +122,7 @@ def test_a_second_run_leaves_no_frame_of_the_first(video: Path, tmp_path: Path) 
     assert taken == {path.name for path in (tmp_path / "f").glob("*.png")} and 1 <= len(taken) <= 3
 
 
+@pytest.mark.slow
 def test_the_videos_of_a_rig_give_the_same_instants(path: Path6, tmp_path: Path) -> None:
     right_from_left = Pose(torch.eye(3, dtype=torch.float64), torch.tensor([-0.05, 0.0, 0.0], dtype=torch.float64))
     few = Path6(Pose(path.poses.rotation[:6], path.poses.translation[:6]), path.move_s, path.rest_s)

@@ -67,6 +67,7 @@ def frames() -> list[np.ndarray]:
     return [photo(poses[k], k) for k in np.random.default_rng(1).permutation(12).tolist()]
 
 
+@pytest.mark.slow
 def test_frames_that_tell_something_are_kept_and_written(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
     out = tmp_path / "out"
     session = Session(BOARD, out, GuideOptions(first_frames=5), FISHEYE)

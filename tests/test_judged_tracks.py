@@ -120,6 +120,7 @@ def test_poses_of_other_axes_and_hands_are_named() -> None:
             judged(segments, replace(poses, cam_from_world=poses_of_table))
 
 
+@pytest.mark.slow
 def test_segments_that_are_written_otherwise_are_named() -> None:
     segments, poses = scene(12, 5, seed=0)
     ends, (width, height) = segments.endpoints_px, LENS.image_size
@@ -138,6 +139,7 @@ def test_segments_that_are_written_otherwise_are_named() -> None:
             judged(replace(segments, endpoints_px=table), poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [("lines", "poses"), pytest.param(("lines",), marks=pytest.mark.full)])
 def test_photos_whose_names_were_exchanged_are_named_and_not_the_calibration(refine: tuple[str, ...]) -> None:
     """Least squares spread their errors over all photos, which look at lines from around them; rough poses are no such thing."""

@@ -40,6 +40,7 @@ def killed(count: int, *commands: str) -> None:
     assert len(lines) - 1 >= count and all(line.endswith(": whole") for line in lines[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="takes processes that are forked")
 def test_aimed_kills_tear_nothing() -> None:
     killed(3, "convert", "extract")

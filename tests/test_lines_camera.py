@@ -62,6 +62,7 @@ def test_derivatives_of_distances_are_those_of_the_condition_that_holds_at_the_c
     torch.testing.assert_close(found.by_circle, -by_circle.diagonal(dim1=0, dim2=1).mT / slope, rtol=1e-8, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
 def test_camera_comes_back_from_a_disturbed_start_within_its_covariance(seed: int) -> None:
     chains = true_chains(FISHEYE, seed)
@@ -99,6 +100,7 @@ def test_a_camera_at_a_wrong_scale_is_brought_to_that_of_the_right_angles_of_all
     assert with_scale_of_all(start, found, chains, GUIDE, LinesOptions()) == (start, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.1, pytest.param(0.9, marks=pytest.mark.full)])
 def test_walls_at_85_degrees_are_not_taken_for_right_angles(factor: float) -> None:
     """Photos in which both walls show agree on a focal length 10 percent off, as if their angle were a right one."""
@@ -112,6 +114,7 @@ def test_walls_at_85_degrees_are_not_taken_for_right_angles(factor: float) -> No
     assert not lines.adjustment.right_angles and len(doubts) == 1 and "Right angles are not used" in doubts[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
 def test_walls_at_88_degrees_tell_the_focal_length_as_far_as_both_explanations_agree(seed: int) -> None:
     chains = level_chains(FISHEYE, seed, 88.0, tilt_rad=0.1)
@@ -148,6 +151,7 @@ def mahalanobis(fit: LineCamera, truth: CameraModel) -> float:
     return float(change @ torch.linalg.solve(torch.as_tensor(fit.covariance), change))
 
 
+@pytest.mark.slow
 def test_right_angles_that_are_off_are_in_the_covariance() -> None:
     """All photos show a building alike whose right angles are off by 0.3 degrees: so is the focal length, and that is known."""
     done, fits = [], []
@@ -161,6 +165,7 @@ def test_right_angles_that_are_off_are_in_the_covariance() -> None:
     assert any("Right angles" in note for note in fits[1].notes) and not any("Right angles" in note for note in fits[0].notes)
 
 
+@pytest.mark.slow
 def test_what_boards_say_counts_as_if_it_were_adjusted_with_the_lines() -> None:
     """Photos of one half stand for boards: camera and covariance. With the lines of the other they are all photos at once."""
     both = true_chains(FISHEYE, 4, lines=40)
@@ -179,6 +184,7 @@ def test_what_boards_say_counts_as_if_it_were_adjusted_with_the_lines() -> None:
     assert mahalanobis(joint, FISHEYE) < 32.0
 
 
+@pytest.mark.slow
 def test_right_angles_that_only_a_later_round_shows_count_as_if_the_first_had(monkeypatch: pytest.MonkeyPatch) -> None:
     """Photos of discs and few lines: no frame stands out under the start, and one does once the camera is nearly right."""
     chains, looks, found = true_chains(FISHEYE, 0), Mock(), line_camera_module.families_of
@@ -197,6 +203,7 @@ WIDE = Pinhole([320.0, 320.5, 322.5, 238.0, 0.0, -0.22, 0.05, 4e-4, -3e-4, -0.00
 RATIONAL = Pinhole([320.0, 320.5, 322.5, 238.0, 0.0, 0.9, 0.05, -1e-4, 2e-4, 0.001, 1.2, 0.22, 0.01], (640, 480), 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", [WIDE, FISHEYE], ids=lambda lens: lens.NAME)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in range(1, 6))])
 def test_without_right_angles_the_scale_stays_open_and_is_said(lens: CameraModel, seed: int) -> None:
@@ -229,6 +236,7 @@ def test_a_chain_that_the_camera_sees_nowhere_has_a_circle_of_which_nothing_is_k
     assert np.linalg.norm(rest.noise[:, lost], axis=-1).min() > 100 * np.linalg.norm(whole.noise[:, lost], axis=-1).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lens", "taken"), [(WIDE, 5), pytest.param(RATIONAL, 8, marks=pytest.mark.full)])
 def test_the_larger_variant_is_taken_where_the_lens_has_it(lens: Pinhole, taken: int) -> None:
     chains = true_chains(lens, 0, photos=8, lines=90)
@@ -305,6 +313,7 @@ def test_the_focal_length_is_the_scale_at_the_centre(model: CameraModel) -> None
         assert float(derivative[k]) * 2.0 * float(step[k]) == pytest.approx(up - down, rel=1e-3, abs=1e-6 * abs(focal))
 
 
+@pytest.mark.slow
 def test_a_model_is_not_taken_of_which_lines_leave_a_parameter_open() -> None:
     """A lens without distortion is an `extended-unified` camera of alpha 0, whatever beta is."""
     lens = Pinhole([420.0, 420.5, 322.5, 238.0, *([0.0] * 9)], (640, 480))

@@ -54,6 +54,7 @@ TOLD = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [pytest.param(("--threads", "1"), marks=pytest.mark.full), ("--threads", "2")], ids=" ".join)
 def test_torch_opencv_and_linear_algebra_use_as_many_threads_as_we(given: tuple[str, str], tmp_path: Path) -> None:
     wanted = min(int(given[1]), machine.cores())

@@ -59,6 +59,7 @@ def depth_sigmas(packed: torch.Tensor, i: np.ndarray, j: np.ndarray) -> torch.Te
     return (jacobian.square() @ torch.cat([packed[i, 12:], packed[j, 12:]], -1).square()[..., None]).sqrt().squeeze(-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CAMERAS)
 def test_depths_of_all_pairs_are_those_of_the_line_of_their_planes(name: str) -> None:
     arcs = some(room(name).arcs(0.3, 1), 80)

@@ -38,6 +38,7 @@ def apart(one: Pose, other: Pose) -> tuple[float, float]:
     return math.degrees(math.acos(min(1.0, float(cosine)))), float((one.centre - other.centre).norm())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("least", [SEEN, pytest.param(SEEN_GREY, marks=pytest.mark.full)])
 @pytest.mark.parametrize("name", ONE_CAMERA)
 def test_a_photo_without_a_pose_is_placed_by_the_lines_of_the_others(name: str, least: int) -> None:
@@ -86,6 +87,7 @@ def test_a_pose_that_is_off_is_mended_and_a_right_one_is_left(name: str) -> None
         assert degrees < 0.2 and metres < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ONE_CAMERA)
 def test_a_pose_that_is_wrong_altogether_is_found_anew(name: str) -> None:
     """Turned by a right angle and half a metre away: no line near it is right."""

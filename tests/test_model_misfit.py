@@ -86,6 +86,7 @@ def test_a_degree_that_no_photos_determine() -> None:
         ol.calibrate(simulated("scaramuzza", 150.0, 3), model="scaramuzza", image_size=SIZE, degree=12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [6, pytest.param(60, marks=pytest.mark.full)])
 def test_a_model_that_follows_the_lens_is_not_blamed(seeds: int) -> None:
     """Nor where corners of one photo at the rim are wrong."""
@@ -99,6 +100,7 @@ def test_a_model_that_follows_the_lens_is_not_blamed(seeds: int) -> None:
         assert fit.misfit is None and "does not follow" not in " ".join(fit.notes), (seed, fit.misfit)
 
 
+@pytest.mark.slow
 def test_real_lenses(shared_data) -> None:
     """A pinhole camera with eight terms does not follow a fisheye lens; the models made for it do."""
     corners = ol.read_corners(shared_data / "calibration/fisheye1/corners.csv")

@@ -38,6 +38,7 @@ def test_every_model_that_can_be_calibrated_is_a_candidate():
     assert len(set(labels)) == len(labels)
 
 
+@pytest.mark.slow
 def test_the_model_of_the_lens_is_taken_or_one_as_good_with_fewer_parameters():
     """A lens of each kind that the others cannot follow: noise of 0.02 px tells them apart."""
     lenses = {
@@ -137,6 +138,7 @@ def test_held_out_error_is_that_of_refitting():
     assert held_out(alone, CameraAndBoards(fit.model, poses[:1])).rms_px == np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fov_deg", [pytest.param(190, marks=pytest.mark.full), 220])
 @pytest.mark.parametrize("sigma_px", [0.01, pytest.param(0.03, marks=pytest.mark.full)])
 def test_degree_follows_an_equidistant_lens_to_the_rim(fov_deg, sigma_px):
@@ -153,6 +155,7 @@ def test_degree_follows_an_equidistant_lens_to_the_rim(fov_deg, sigma_px):
     assert bearing_errors(stiff.model, lens, np.radians(result.max_angle_deg)).rms_deg > 0.02
 
 
+@pytest.mark.slow
 def test_degree_is_no_higher_than_the_lens_needs():
     lens = Scaramuzza([645.0, 470.0, 1.001, 3e-4, 3e-4, 338.0, -1.2e-3, 1.27e-6, -2.2e-9], SIZE)
     degrees = []
@@ -163,6 +166,7 @@ def test_degree_is_no_higher_than_the_lens_needs():
     assert min(degrees) == 4 and degrees.count(4) >= 4
 
 
+@pytest.mark.slow
 def test_distortion_that_views_do_not_support_is_held_and_named():
     """A narrow lens with k1 = -0.1 and few views: all five coefficients come out as k2 = -2, k3 = 19 and say nothing."""
     lens = Pinhole([2600.0, 2600.0, 650.0, 470.0, 0, -0.1, 0, 0, 0, 0, 0, 0, 0], SIZE)

@@ -96,6 +96,7 @@ def test_the_uncertainty_falls_as_promised(name):
         assert 0.8 < after.worst_px / pose.worst_px < 1.25, (after.worst_px, pose.worst_px)
 
 
+@pytest.mark.slow
 def test_advice_needs_at_most_half_the_photos_of_random_poses():
     truth, rim = LENSES["opencv-fisheye"], rim_px(LENSES["opencv-fisheye"], 85.0)
     pool = board_views(truth, 85.0, 20, 11)

@@ -85,6 +85,7 @@ def likeness(made: np.ndarray, seen: np.ndarray) -> float:
     return float(np.corrcoef(first, second)[0, 1])
 
 
+@pytest.mark.slow
 def test_both_lenses_become_one_panorama(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Against photos rendered by a panoramic camera between the lenses."""
     given = ["rectify", room / "both", "--calibration", room / "rig.yaml", "--view", "panorama", "--size", "512x256"]

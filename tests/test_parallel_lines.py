@@ -44,6 +44,7 @@ def test_poses_are_not_refined_by_lines_that_are_all_parallel(off_rad: float) ->
         ol.adjust(segments, poses, CAMERA)
 
 
+@pytest.mark.slow
 def test_held_poses_a_prior_or_lines_of_another_direction_are_enough() -> None:
     segments, poses = scene(0)
     assert ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, refine=("lines",))).lines.known.all()

@@ -38,6 +38,7 @@ def shift_of(found: Detection, truth: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return true_id, distance.min(1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["fisheye-190", pytest.param("scaramuzza", marks=pytest.mark.full)])
 def test_cropped_and_covered_boards(camera: str) -> None:
     """Every clearly visible corner but one or two next to the edge, in one grid, none invented, none off by more than 1 px."""
@@ -81,6 +82,7 @@ def test_clutter_is_no_board() -> None:
     assert lost == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blur_px", "noise_grey", "limit_px"), [(0.5, 2.0, 0.06), (2.0, 8.0, 0.25)])
 def test_boards_past_90_degrees_off_axis(blur_px: float, noise_grey: float, limit_px: float) -> None:
     """A 220 degree lens: all corners of boards out to 108 degrees, clean, and with blur and noise."""
@@ -107,6 +109,7 @@ def test_a_board_of_fewer_corners_is_a_part_of_a_larger_one() -> None:
     assert found.ids.max() < 88 and np.linalg.norm(found.pixels[:, None] - view.truth, axis=-1).min(1).max() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.full)])
 def test_ov_plane_as_a_plain_board(shared_data, every: int) -> None:
     """The corners listed by the tool of the data's authors, within 0.5 px, in one grid: of all 9587, 2 are not found, 4.9 percent

@@ -159,6 +159,7 @@ def test_finds_every_corner_of_a_clean_photo(pattern: Pattern, mirrored: bool) -
     assert np.sqrt((error**2).mean()) < 0.02 and np.abs(error.mean(0)).max() < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", EACH_KIND)
 def test_every_depth_and_colour_gives_the_same_corners(pattern: Pattern) -> None:
     grey = render_target(pattern, camera(), pose_in_front(pattern))

@@ -38,6 +38,7 @@ def adjusted() -> tuple[Lines, ImagePoses, torch.Tensor]:
     return lines, known, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [20, pytest.param(DRAWS, marks=pytest.mark.full)])
 def test_lines_scatter_as_is_stated_where_poses_are_drawn_from_their_covariance(draws: int) -> None:
     segments, poses, _ = world()

@@ -85,6 +85,7 @@ def run_on(features: list[Features], monkeypatch, folder: Path, cameras, names: 
     return sfm_poses(names, lambda _: np.zeros((1, 1), np.uint8), cameras, camera_of, folder, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "fov"), CAMERAS)
 def test_poses_of_a_known_scene_are_found_with_every_camera(monkeypatch, tmp_path, model, fov):
     camera, _ = scene_camera(model, (800, 600), 0, fov)
@@ -171,6 +172,7 @@ def test_photos_of_elsewhere_are_left_out_with_a_reason_and_nothing_in_common_is
         run_on(strangers, monkeypatch, tmp_path, {"c": camera}, names[:3], dict.fromkeys(names, "c"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["opencv-fisheye", "equirectangular"])
 def test_photos_from_one_place_are_told_from_those_with_nothing_in_common(monkeypatch, tmp_path, model):
     """Also where the camera moved by a centimetre, or one photo is from elsewhere; steps in a row are no one place."""
@@ -216,6 +218,7 @@ def with_body(model: CameraModel, features: list[Features], count: int, noise_px
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "said"), [(100, "lies at the same place in them although the camera turned"), (900, "joined only without")]
 )

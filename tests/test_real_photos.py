@@ -52,6 +52,7 @@ def test_arcs_of_a_courtyard_lie_where_a_peer_sees_segments(shared_data: Path) -
     assert (covered[places[:, 1], places[:, 0]] > 0).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_lines_of_a_courtyard_lie_where_a_photo_left_out_shows_edges(shared_data: Path, tmp_path: Path) -> None:
     """Surveyed poses; judged by OpenCV's LSD. No line is known to be visible there, so that not all can be confirmed."""
     data = shared_data / "lines" / "castle30"
@@ -82,6 +83,7 @@ def test_lines_of_a_courtyard_calibrate_its_camera(shared_data: Path) -> None:
     assert abs(found.camera.named_parameters()["fx"] - fx) < 0.01 * fx < 4.0 * found.sigma["fx"]
 
 
+@pytest.mark.slow
 def test_lines_of_three_cameras_of_a_rig_lie_where_the_fourth_shows_edges(shared_data: Path, tmp_path: Path) -> None:
     """OmniMVS's rendered street, 220 degrees: the only instant there is, by cameras 0.85 to 1.2 m apart; judged by arcs."""
     data = shared_data / "rigs" / "omnimvs" / "sunny_single"
@@ -103,6 +105,7 @@ def test_lines_of_three_cameras_of_a_rig_lie_where_the_fourth_shows_edges(shared
     assert (place < NEAR_PX).mean() > 0.5 + (beside < NEAR_PX).mean()
 
 
+@pytest.mark.slow
 def test_edges_of_a_printed_board_are_where_they_are_drawn_and_a_camera_that_stood_still_is_named(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

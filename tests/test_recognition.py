@@ -24,6 +24,7 @@ PRINTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "printed"), PRINTS)
 def test_a_board_is_taken_for_what_the_photos_show(given: str, printed: str) -> None:
     board = pattern(printed)
@@ -64,6 +65,7 @@ def test_the_wrong_layout_is_refused_by_a_board_alone() -> None:
     assert len(found) == 0 and reason is not None
 
 
+@pytest.mark.slow
 def test_boards_of_one_dictionary_are_told_apart_by_their_tags() -> None:
     """Two sides of a cube in one photo."""
     sides = [pattern(f"aprilgrid:4x3:60mm:0.3:36h11{start}") for start in ("", ":start=12")]

@@ -68,6 +68,7 @@ def distances(folder, scene):
     return (np.linalg.norm(np.cross(off, along), axis=-1) / np.linalg.norm(along, axis=-1)).max(-1)
 
 
+@pytest.mark.slow
 def test_cameras_are_refined_and_written_with_their_uncertainty(tmp_path, capsys):
     scene = RigScene(frames=12, lines=60)
     write_scene(tmp_path, scene, models=moved_models(scene.models), poses=disturbed(scene.cam_from_world, 0.2, 0.01), rig=False)
@@ -131,6 +132,7 @@ def refused(folder, capsys, scene):
     return err
 
 
+@pytest.mark.slow
 def test_robust_names_the_wrong_observations(tmp_path, capsys):
     scene = RigScene(frames=12, lines=50)
     _, wrong = write_scene(tmp_path, scene, wrong=30, rig=False)

@@ -46,6 +46,7 @@ def call(room, out, *options, segments="segments.csv"):
     return stopped.value.code
 
 
+@pytest.mark.slow
 def test_segments_of_another_detector_give_the_lines_of_the_room(room, tmp_path, capsys):
     assert call(room, tmp_path / "scene") == 0
     assert "states no noise" in capsys.readouterr().err
@@ -59,6 +60,7 @@ def test_segments_of_another_detector_give_the_lines_of_the_room(room, tmp_path,
     assert {tuple(row) for row in used.endpoints_px.reshape(-1, 4)} <= {tuple(row) for row in given.endpoints_px.reshape(-1, 4)}
 
 
+@pytest.mark.slow
 def test_stated_noise_is_used(room, tmp_path, capsys):
     table = read_segments(room / "segments.csv")
     write_segments(tmp_path / "stated.csv", replace(table, sigma_px=np.full(len(table), 0.3)))
@@ -88,6 +90,7 @@ def test_a_table_that_does_not_belong_to_the_photos_is_refused(room, tmp_path, c
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_photos_without_segments_are_skipped_and_a_mask_is_refused(room, tmp_path, capsys):
     table = read_segments(room / "segments.csv")
     rows = np.flatnonzero(table.image != 0)

@@ -45,6 +45,7 @@ def scores(room, lines):
     return scene_scores(lines.ends_m, edges, read_stretches(room / "visibility.csv", edges))
 
 
+@pytest.mark.slow
 def test_lines_lie_on_the_edges_of_the_room(room, rebuilt):
     lines = read_lines(rebuilt / "lines.csv")
     found = scores(room, lines)
@@ -73,6 +74,7 @@ def test_what_is_stated_of_a_line_explains_its_error(room, rebuilt):
     assert (across[on_edge] < 3.0 * lines.sigma_m[on_edge]).mean() > 0.75
 
 
+@pytest.mark.slow
 def test_uncertain_lines_are_guided_by_families_planes_and_corners_unless_told_otherwise(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     no_corners = [word for what in ("corners", "planes") for word in ("--set", f"scene.kept_lines.guided_by_{what}=false")]
@@ -123,6 +125,7 @@ def test_adjust_reads_the_scene_folder(rebuilt, tmp_path, capsys):
     assert data["tracks"] == len(read_lines(rebuilt / "lines.csv"))
 
 
+@pytest.mark.slow
 def test_a_second_run_does_nothing_and_a_changed_one_only_what_changed(room, rebuilt, capsys):
     lines, report = (rebuilt / "lines.csv").read_bytes(), (rebuilt / "report.html").stat().st_mtime_ns
     capsys.readouterr()
@@ -186,6 +189,7 @@ def test_lines_of_which_photos_show_little_are_left_out_where_that_is_asked(room
     assert "photos that look there show too little of them" in json.dumps(stage)
 
 
+@pytest.mark.slow
 def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_path, capsys):
     """With a lower limit those above it go, and all others stay as they are."""
     lines = read_lines(rebuilt / "lines.csv")
@@ -212,6 +216,7 @@ def test_lines_that_are_likely_there_by_chance_are_left_out(room, rebuilt, tmp_p
     assert before["lines_by_chance"] == pytest.approx(every.chance_share.sum(), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")
     model = tmp_path / "colmap"
@@ -230,6 +235,7 @@ def test_poses_of_a_colmap_model_give_the_same_lines(room, rebuilt, tmp_path):
     assert sorted(nearest.argmin(1).tolist()) == list(range(len(first)))
 
 
+@pytest.mark.slow
 def test_poses_that_are_off_are_refined(room, rebuilt, tmp_path):
     poses = read_poses(room / "poses.csv")
     rng = np.random.default_rng(3)
@@ -265,6 +271,7 @@ def test_photos_without_a_pose_are_placed_by_the_lines_of_the_others(room, rebui
     assert off_m(found, truth) < 0.002
 
 
+@pytest.mark.slow
 def test_a_photo_whose_pose_no_line_confirms_is_named(room, rebuilt, tmp_path, capsys):
     """Poses are held: that of one photo is wrong by 40 degrees."""
     poses = read_poses(room / "poses.csv")
@@ -305,6 +312,7 @@ def test_a_pose_that_is_a_little_off_is_said_to_be_at_fault(room, rebuilt, tmp_p
     assert "Arcs of every photo" in (tmp_path / "scene" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_photo_of_another_room_is_told_from_one_with_a_wrong_pose(room, rebuilt, tmp_path, capsys):
     """Its pose is as good as any, but what it shows no other photo does."""
     shutil.copytree(room / "photos", tmp_path / "photos")
@@ -327,6 +335,7 @@ def off_m(found: ImagePoses, truth: ImagePoses) -> float:
     return float((turn.transform(scale * centres) - true).norm(dim=-1).mean())
 
 
+@pytest.mark.slow
 def test_a_bad_photo_is_skipped_and_a_photo_without_pose_is_named(room, rebuilt, tmp_path, capsys):
     shutil.copytree(room / "photos", tmp_path / "photos")
     shutil.copytree(rebuilt / "work", tmp_path / "scene" / "work")

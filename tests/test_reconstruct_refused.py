@@ -26,6 +26,7 @@ def room(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "poses", "sentence"),
     [

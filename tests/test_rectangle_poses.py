@@ -196,6 +196,7 @@ def rendered(folder: Path, model: str, size: tuple[int, int], fov_deg: float | N
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model, size, fov_deg",
     [pytest.param("pinhole", (640, 480), 60.0, marks=pytest.mark.full), ("opencv-fisheye", (640, 640), 190.0)],
@@ -236,6 +237,7 @@ def test_a_sheet_of_another_size_is_the_first_advice(tmp_path: Path) -> None:
     assert estimate_poses(arcs, cameras, "rectangle:279x216mm").advice == ()
 
 
+@pytest.mark.slow
 def test_reconstruct_takes_the_sheet_and_a_table_of_its_corners(tmp_path: Path) -> None:
     truth = rendered(tmp_path / "photos", "pinhole", (480, 360), 60.0, views=4)
     calibration = tmp_path / "photos" / "calibration.yaml"
@@ -291,6 +293,7 @@ def test_corners_of_a_board_that_bends_give_poses_though_they_are_known_better()
         poses_from_corners(replace(stated, pixels=mixed), {"cam0": camera}, {"a.png": "cam0"})
 
 
+@pytest.mark.slow
 def test_the_book_experiment_holds_and_the_adjustment_attains_the_noise(tmp_path: Path) -> None:
     result = experiment_book(tmp_path, rendering=RenderOptions(views=4, size_px=(800, 600), seed=1))
     assert result.holds, [check for check in result.checks if not check.holds]

@@ -41,6 +41,7 @@ def run(*arguments: str) -> int:
     return int(end.value.code or 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options", "faces"), CASES, ids=[case[0] for case in CASES])
 def test_views_are_what_their_camera_would_see(rendered, tmp_path, capsys, kind: str, options: list[str], faces: int) -> None:
     scene, folder = rendered

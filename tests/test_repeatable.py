@@ -22,6 +22,7 @@ for n, p in ((711, 4), (100, 8), (401, 6), (350, 6)):
 """
 
 
+@pytest.mark.slow
 def test_least_squares_end_alike_in_every_process():
     said = {subprocess.run([sys.executable, "-c", FITS], capture_output=True, text=True, check=True).stdout for _ in range(4)}
     assert len(said) == 1 and len(said.pop().split()) == 4

@@ -268,6 +268,7 @@ def test_photos_name_what_is_left_out(photo_folder: pathlib.Path) -> None:
     assert chosen.count("<img") == 1 and 'alt="Photo small.png"' in chosen
 
 
+@pytest.mark.slow
 def test_photos_stay_within_what_they_are_allowed(tmp_path: pathlib.Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (900, 1300, 3)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "0.jpg"), noise)

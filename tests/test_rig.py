@@ -83,6 +83,7 @@ SEEDS = [pytest.param("360 scaramuzza", 10, marks=pytest.mark.slow)]
 SEEDS += [pytest.param(name, 200 if name == "chain" else 50, marks=pytest.mark.full) for name in RIGS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seeds"), SEEDS)
 def test_at_the_bound_and_honest_about_it(name, seeds):
     """All parameters and poses within the truth jointly; poses of the cameras at the bound; 95 percent intervals cover."""
@@ -115,6 +116,7 @@ def test_at_the_bound_and_honest_about_it(name, seeds):
         assert 0.90 <= covered.min() and covered.max() <= 0.99
 
 
+@pytest.mark.slow
 def test_uncertainty_grows_along_a_chain():
     """The pose of each camera is less certain than that of the one before; neighbours are known equally well all along."""
     result = calibrate_rig(chain_rig(12).noisy(NOISE_PX, 1), setups(chain_rig(12)))
@@ -146,6 +148,7 @@ def omnidir_pair(folder) -> tuple[Corners, list, list, list]:
     return corners, first, second, board
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "loss"),
     [
@@ -206,6 +209,7 @@ def test_real_stereo_pair_is_no_worse_than_opencv(shared_data):
     assert result.kept.all() and result.rms_px_per_point <= rms * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_exact_corners_give_the_exact_rig():
     rig = outward_rig(30)
     result = calibrate_rig(rig.corners, setups(rig))
@@ -312,6 +316,7 @@ def two_boards(frames: int, seed: int = 0) -> tuple[RigScene, Corners, Pose]:
     return parts[0], corners, second
 
 
+@pytest.mark.slow
 def test_boards_in_unknown_relation_tie_cameras_together():
     rig, corners, second = two_boards(24)
     result = calibrate_rig(corners, setups(rig), relation="fixed")

@@ -79,6 +79,7 @@ def test_the_path_has_the_derivatives_that_differences_have() -> None:
     assert torch.allclose(found.by_offset[..., 0], (at[0] - at[1]) / (2 * step), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_an_offset_is_found_by_itself_named_and_modelled() -> None:
     corners = noisy(seen_freely(HandMotion(2), (0.0, OFFSET_S), runs=6), NOISE_PX, 1)
     result = calibrate_rig(corners, SETUPS)
@@ -98,6 +99,7 @@ def test_an_offset_is_found_by_itself_named_and_modelled() -> None:
     assert np.linalg.eigvalsh(result.frame_covariance).min() > 0
 
 
+@pytest.mark.slow
 def test_cameras_of_one_clock_and_boards_at_rest_claim_no_offset(tmp_path: Path) -> None:
     together = noisy(seen_freely(HandMotion(2), (0.0, 0.0), runs=6), NOISE_PX, 1)
     write_corners(tmp_path / "corners.csv", together)

@@ -47,6 +47,7 @@ def mixed(tmp_path_factory) -> tuple[RigScene, Path]:
     return rig, folder
 
 
+@pytest.mark.slow
 def test_table_to_calibration_with_rig_and_covariance(mixed):
     rig, folder = mixed
     found = load(folder / "out/calibration.yaml")
@@ -119,6 +120,7 @@ def test_left_out_camera_has_a_file_of_its_own(tmp_path, capsys):
     assert not alone.rig and abs(float(next(iter(alone.values())).parameters[0] - rig.models[2].parameters[0])) < 1
 
 
+@pytest.mark.slow
 def test_a_camera_that_never_sees_the_board_is_left_out_by_name(tmp_path):
     """Noise in the photos of one camera; the corners of the others are as if found beside them."""
     board, lens = pattern("checkerboard:7x5:30mm"), OpenCVFisheye([200.0, 200.0, 199.5, 149.5, 0.0, 0.0, 0.0, 0.0], (400, 300))

@@ -59,6 +59,7 @@ def test_a_bent_board_is_named_and_its_surface_found() -> None:
     assert np.isfinite(fitted.covariance).all()
 
 
+@pytest.mark.slow
 def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated() -> None:
     rig = pair(20)
     still, moving = (calibrate_rig(seen(rig, BoardShape(), moved_m, 2), setups(rig)) for moved_m in (0.0, 1.5e-3))
@@ -73,6 +74,7 @@ def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated(
     assert abs(link.baseline_m - true) < 3 * link.baseline_sigma_m and link.baseline_sigma_m > 3 * still.links[0].baseline_sigma_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "numberings", [pytest.param(None, id="lattice", marks=pytest.mark.full), pytest.param({"board": Numbering()}, id="tags")]
 )

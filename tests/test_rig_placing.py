@@ -72,6 +72,7 @@ def errors(placed: ImagePoses, found: list[FoundArcs], truth: Pose, instant: int
     return max(turn for turn, _ in apart), max(metres for _, metres in apart)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("few", [None, pytest.param(INSTANTS - 1, marks=pytest.mark.full)])
 def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) -> None:
     scene, calibration = rig

@@ -119,6 +119,7 @@ def test_derivatives_are_those_of_automatic_differentiation() -> None:
         torch.testing.assert_close(found.eliminated[r] / scale[own, None] / scale[own], dense[own, own], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_camera_alone_is_recognised_and_estimated() -> None:
     corners = of_one(noisy(seen_in_rows(HandMotion(1), (DELAY_S,), runs=6, **ONE), NOISE_PX, 1))
     size = MODELS[0].image_size

@@ -43,6 +43,7 @@ def used(arcs: PhotoArcs) -> list[str]:
     return [one.photo.name for one in arcs.used]
 
 
+@pytest.mark.slow
 def test_the_second_photo_of_a_place_is_left_out(burst: tuple[PhotoArcs, PhotoPoses, CameraModel]) -> None:
     arcs, posed, camera = burst
     left, poses = without_same_place(arcs, posed, Calibration({"cam0": camera}))

@@ -94,6 +94,7 @@ def test_a_scene_is_the_same_to_the_last_bit_on_any_number_of_cores(
     np.testing.assert_array_equal(one.poses.covariance, two.poses.covariance)
 
 
+@pytest.mark.slow
 def test_a_scene_in_a_few_lines_prints_nothing_and_writes_nothing_unasked(
     room: Path, cameras: Calibration, poses: ImagePoses, found: PhotoArcs, scene: Scene, tmp_path: Path, capfd, monkeypatch
 ) -> None:
@@ -164,6 +165,7 @@ def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePo
     assert " lines from 3 photos" in str(scene_summary(own).verdict)
 
 
+@pytest.mark.slow
 def test_a_prior_holds_given_poses_but_that_of_a_photo_which_lines_put_elsewhere(
     found: PhotoArcs, poses: ImagePoses, cameras: Calibration
 ) -> None:
@@ -198,6 +200,7 @@ def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_pa
         assert (tmp_path / "memory" / name).read_bytes() == (tmp_path / "folder" / name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_example_of_a_verb_holds(
     verb: str, room: Path, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -217,6 +220,7 @@ def test_the_example_of_a_verb_holds(
     assert not told, "".join(told)
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_same_lines(room: Path, scene: Scene, tmp_path: Path) -> None:
     reconstruct_photos([room], room.parent / "calibration.yaml", str(room.parent / "poses.csv"), tmp_path)
     scene.save(tmp_path / "api")

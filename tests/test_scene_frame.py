@@ -83,6 +83,7 @@ def open_scene(room, tmp_path_factory):
     return folder / "scene"
 
 
+@pytest.mark.slow
 def test_nothing_is_called_metres_where_the_scale_is_open(room, open_scene, capsys):
     capsys.readouterr()
     assert call(room, open_scene, "--colmap") == 0
@@ -115,6 +116,7 @@ def test_a_scene_folder_stays_without_metres_when_it_is_adjusted(room, open_scen
     assert camera_models.load(tmp_path / "calibration.yaml").provenance["length_unit"] == "units"
 
 
+@pytest.mark.slow
 def test_a_colmap_model_gives_poses_to_segments_as_its_table_does(open_scene, tmp_path, capsys):
     for verb, source in itertools.product(("adjust", "reconstruct"), ("poses.csv", "colmap")):
         arguments = [verb, "--calibration", open_scene / "calibration.yaml", "--poses", open_scene / source]
@@ -142,6 +144,7 @@ def test_the_scene_stands_upright_with_x_along_its_walls(room, open_scene):
     assert float(poses.cam_from_world.rotation[0, 0, 0]) > 0
 
 
+@pytest.mark.slow
 def test_a_known_distance_gives_metres(room, open_scene, tmp_path, capsys):
     true = read_poses(room / "poses.csv")
     metres = float((true.cam_from_world.centre[1] - true.cam_from_world.centre[4]).norm())

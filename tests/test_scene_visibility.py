@@ -137,6 +137,7 @@ def test_a_thin_thing_is_not_missed() -> None:
     assert (lost > 0.05).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "model", "fov_deg", "size"),
     [

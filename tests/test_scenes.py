@@ -188,6 +188,7 @@ def test_mirror_images_are_reversed() -> None:
     np.testing.assert_allclose(mirror.unproject(pixels)[0], camera.unproject(pixels)[0] * [1, 1, -1], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_command_writes_what_it_says(tmp_path, capsys) -> None:
     arguments = ["render", "scene", "--views", "2", "--size", "160x120", "--seed", "6", "--json"]
     for folder in ("a", "b"):

@@ -39,6 +39,7 @@ def test_a_negative_and_a_mirror_image_are_told_and_texture_is_nothing():
     assert seen_board(np.random.default_rng(1).integers(0, 255, (200, 300), dtype=np.uint8)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shown", "asked", "said"),
     [

@@ -57,6 +57,7 @@ DEFAULT = [(PINHOLE, "whitened", 10), (FISHEYE, "whitened", 10), (PINHOLE, "sect
 EVERY = [pytest.param(model, name, 200, marks=pytest.mark.full) for model in (PINHOLE, FISHEYE) for name, _ in COSTS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "cost", "seeds"), [*DEFAULT, *EVERY])
 def test_intrinsics_are_unbiased_and_covered(model, cost, seeds):
     """No intrinsic is off on average, and the whitened cost's intervals cover the truth; other costs scatter a little more."""

@@ -61,6 +61,7 @@ def left_behind(folder):
     return [path for path in folder.rglob("*") if path.name.endswith((".part", ".tmp"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "status"),
     [
@@ -103,6 +104,7 @@ lines.match_arcs = dropped
 """
 
 
+@pytest.mark.slow
 def test_a_signal_that_a_callback_loses_ends_the_command(room, tmp_path):
     process = started(room, tmp_path / "scene", "lines", IN_A_CALLBACK)
     assert process.stderr.readline() == b"begun\n"
@@ -111,6 +113,7 @@ def test_a_signal_that_a_callback_loses_ends_the_command(room, tmp_path):
     assert process.returncode == 130 and said.count(b"\n") == 1 and said.startswith(b"omnilines: stopped")
 
 
+@pytest.mark.slow
 def test_a_signal_ends_compiled_code_and_brings_the_cursor_back(room, tmp_path):
     ours, theirs = pty.openpty()
     process = started(room, tmp_path / "scene", "lines", IN_C_CODE, stderr=theirs)

@@ -34,11 +34,13 @@ def test_a_board_in_millimetres_is_asked_about_and_the_camera_is_the_same() -> N
     np.testing.assert_allclose(large.camera.parameters.numpy(), good.camera.parameters.numpy(), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_squares_that_are_no_squares_are_named() -> None:
     with pytest.raises(InputError, match=r"fit a board whose y is 1\.2"):
         ol.calibrate(table(BOARD * [1.0, 1 / 1.2, 1.0]), LENS.image_size, model="opencv-fisheye")
 
 
+@pytest.mark.slow
 def test_corners_in_no_order_are_refused() -> None:
     mixed = np.random.default_rng(1).permutation(len(BOARD))
     with pytest.raises(InputError, match=r"order of a board|explain"):

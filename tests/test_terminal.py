@@ -35,6 +35,7 @@ def test_few_photos_of_a_kind_have_a_line_each_and_long_names_are_cut():
     assert rows_shown(rows)[-1] == ("...", "5 more; --json lists all") and rows_shown(rows[: SHOWN_ROWS + 1])[-1][0] == "20"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shell", "status", "said"),
     [('"$@" --json | head -c 0; exit ${PIPESTATUS[0]}', 0, ""), ('"$@" > /dev/full', 2, "omnilines: Standard output cannot be")],

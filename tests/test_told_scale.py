@@ -33,6 +33,7 @@ def told(headings_deg: Sequence[float], walls_deg: float, factor: float, tilt_de
     return told_scale(photos, np.ones(len(photos)))
 
 
+@pytest.mark.slow
 def test_right_angles_seen_from_several_sides_tell_the_scale_wherever_it_is() -> None:
     for factor in (1.0, 1.15, 0.6):
         found = told([5.0, 40.0, 95.0, -30.0], 90.0, factor)
@@ -47,6 +48,7 @@ def test_walls_at_85_degrees_seen_from_several_sides_explain_themselves() -> Non
     assert found.rival_angle_rad is not None and abs(math.degrees(found.rival_angle_rad) - 85.0) < 0.3
 
 
+@pytest.mark.slow
 def test_walls_nearly_at_right_angles_tell_the_scale_as_well_as_both_explanations_agree() -> None:
     """Walls at 88 degrees are right ones at a focal length a little off, and themselves at their own: it lies between."""
     for walls_deg in (88.0, 88.5):
@@ -55,6 +57,7 @@ def test_walls_nearly_at_right_angles_tell_the_scale_as_well_as_both_explanation
         assert abs(math.log(found.either * 1.1)) < 3.0 * found.either_sigma < 0.1
 
 
+@pytest.mark.slow
 def test_one_pair_and_walls_seen_from_one_side_tell_nothing() -> None:
     """Any one angle is a right one at some scale, and photos from the same side repeat it."""
     for walls_deg in (85.0, 90.0):
@@ -65,6 +68,7 @@ def test_one_pair_and_walls_seen_from_one_side_tell_nothing() -> None:
     assert not nothing.decisive and not nothing.told
 
 
+@pytest.mark.slow
 def test_walls_at_85_degrees_are_not_right_ones_in_tilted_photos_either() -> None:
     """Verticals tell the scale there, and that walls are not at right angles at it."""
     found = told([20.0, 75.0, -50.0, 120.0], 85.0, 1.1, 15.0)
@@ -72,6 +76,7 @@ def test_walls_at_85_degrees_are_not_right_ones_in_tilted_photos_either() -> Non
     assert told([20.0, 75.0, -50.0, 120.0], 90.0, 1.1, 15.0).decisive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("draws", "most"), [(10, 5), pytest.param(40, 11, marks=pytest.mark.full)])
 def test_directions_at_random_tell_a_scale_no_more_often_than_odds_say(draws: int, most: int) -> None:
     """Where odds of ten decide, at most one in eleven of what is told may be wrong; here all of it would be."""

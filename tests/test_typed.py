@@ -260,6 +260,7 @@ SAID = (
 )
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_told_in_a_sentence() -> None:
     """In a process of its own, as users call: the hook of the tests would refuse wrong types before."""
     run = subprocess.run([sys.executable, "-W", "error", "-c", AS_USERS_CALL], capture_output=True, text=True, check=True)

@@ -75,6 +75,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
     return int(ended.value.code or 0), said.out, said.err
 
 
+@pytest.mark.slow
 def test_a_good_scene_holds(done: Done) -> None:
     assert [check.name for check in done.result.checks if not check.holds] == []
     assert len(done.result.checks) == 6 and done.result.holds
@@ -115,6 +116,7 @@ def disturbed(done: Done, folder: Path, patch: pytest.MonkeyPatch, turn_deg: flo
     patch.setattr(command, "render_scene", lambda *_, **__: Disturbed(**vars(done.truth)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn_deg", "zoom", "failed"),
     [

@@ -30,6 +30,7 @@ def look(seed: int, count: int) -> None:
     assert done.returncode == 0 and done.stdout.endswith("done\n"), (done.returncode, done.stdout[-500:], done.stderr[-2000:])
 
 
+@pytest.mark.slow
 def test_wild_cameras() -> None:
     look(0, 6)
 
