@@ -19,7 +19,7 @@ import torch
 from jaxtyping._array_types import _MetaAbstractArray
 from jaxtyping._storage import get_shape_memo, pop_shape_memo, push_shape_memo, set_shape_memo
 
-MOST, EVERY = 10, 20
+MOST, EVERY = 20, 20
 """Calls of a function with arguments of one kind that are all checked; after these every so manieth is."""
 OFTEN = 100
 """Calls of a function after which what it is called with is looked at every so manieth time only."""

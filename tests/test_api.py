@@ -174,6 +174,7 @@ def test_results_say_in_one_line_what_they_hold(rendered: Path, monkeypatch: pyt
         assert repr(result) == shown and "\n" not in shown
 
 
+@pytest.mark.slow
 def test_arrays_give_what_files_give(rendered: Path, tmp_path: Path) -> None:
     """Photos, corners and board points as arrays of NumPy and torch; the report is of the same sections but for the photos."""
     names = [f"view{k:02d}.png" for k in range(8)]

@@ -88,6 +88,7 @@ def test_every_corner_through_wide_lenses(camera: str) -> None:
     assert np.abs(error.mean(0)).max() < 0.006
 
 
+@pytest.mark.slow
 def test_heavily_blurred_and_noisy() -> None:
     """Blur of 2 px and noise of 8 grey levels: the board is recognised though hardly a tag is read, to a quarter of a pixel."""
     board, (model, _) = calib_patterns.pattern("aprilgrid:4x3:35mm:0.3:36h11"), CAMERAS["fisheye-190"]

@@ -87,6 +87,7 @@ def test_a_camera_that_is_off_is_contradicted(refine: tuple[str, ...]) -> None:
     assert found.least_px > 0.3 and found.drift_px > 5.0 * found.sigma_px
 
 
+@pytest.mark.slow
 def test_what_a_calibration_states_of_itself_is_no_contradiction() -> None:
     """Moved by two standard deviations of its covariance, which is far more than the lines leave open."""
     own = 6.0**2 * covariance()

@@ -67,6 +67,7 @@ def test_a_bend_is_told_with_what_it_does_to_the_camera() -> None:
     assert apart_px(flat.model, LENS) > 1.5 * stated_px and apart_px(bent.model, LENS) < 0.3 * apart_px(flat.model, LENS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [4, pytest.param(60, marks=pytest.mark.full)])
 @pytest.mark.parametrize("anew", [0.0, 1.0])
 def test_a_board_that_is_flat_or_bends_anew_in_each_photo_is_not_blamed(anew: float, seeds: int) -> None:

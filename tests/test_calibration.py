@@ -251,6 +251,7 @@ def test_no_curve_is_invented_for_a_hopeless_centre():
     assert start is not None and bool((torch.diff(start.theta) > 0).all())
 
 
+@pytest.mark.slow
 def test_parallel_boards_are_refused():
     flat = Pose(torch.eye(3).double().repeat(8, 1, 1), torch.zeros(8, 3).double())
     for view in range(8):

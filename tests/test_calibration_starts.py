@@ -49,6 +49,7 @@ def test_ladder(model, reach_deg, seeds):
     assert len(seeds) in (2, 18)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["opencv-fisheye", "scaramuzza"])
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 20), marks=pytest.mark.full)], ids=["3", "all"])
 def test_boards_out_to_105_degrees(model, seeds):
@@ -59,6 +60,7 @@ def test_boards_out_to_105_degrees(model, seeds):
     assert len(seeds) in (3, 17)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", SPHERES)
 @pytest.mark.parametrize(
     "reach_deg", [pytest.param(50.0, marks=pytest.mark.full), pytest.param(76.0, marks=pytest.mark.full), 89.0]

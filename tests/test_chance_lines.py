@@ -149,6 +149,7 @@ def test_a_room_without_clutter_keeps_all_lines() -> None:
     assert len(share) >= 80 and share.max() < 0.02
 
 
+@pytest.mark.slow
 def test_of_clutter_alone_hardly_a_line_is_left() -> None:
     """All of it is there by chance, and it is told."""
     every = lines_found(1.0, edges=False).scene.lines.chance_share

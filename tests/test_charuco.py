@@ -82,6 +82,7 @@ def test_every_corner_through_wide_lenses(camera: str) -> None:
     assert np.abs(error.mean(0)).max() < 0.006
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["scaramuzza", pytest.param("fisheye-190", marks=pytest.mark.full)])
 def test_part_of_the_board(camera: str) -> None:
     checked = 0
@@ -94,6 +95,7 @@ def test_part_of_the_board(camera: str) -> None:
     assert checked == 8
 
 
+@pytest.mark.slow
 def test_one_tag_with_its_corners_is_enough() -> None:
     """Three squares by three of the board, through the fisheye."""
     view = views(SPEC, "fisheye-190", 4, 12.0)[0]

@@ -25,6 +25,7 @@ from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.structure.options import DirectionsOptions
 
 
+@pytest.mark.slow
 def test_scores_add_up_to_nothing_at_the_minimum_and_photos_to_all() -> None:
     done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 3))
     scores = LineScores.of(done.problem, done.state)
@@ -64,6 +65,7 @@ def checked(model: CameraModel, chains: Chains) -> LineCheck:
     return line_check(model, asked_camera(model, chains, OPTIONS, DirectionsOptions()), None, significance=0.001)
 
 
+@pytest.mark.slow
 def test_what_a_wrong_camera_makes_of_lines_is_not_taken_for_their_noise() -> None:
     """A focal length off by half a percent: lines do not meet by many times their noise; what they ask for is as certain as under
     the right camera, within a factor of two."""

@@ -135,6 +135,7 @@ def test_corners_csv_to_calibration(tmp_path, capsys):
     np.testing.assert_allclose(model.parameters.numpy()[:4], LENS.parameters.numpy()[:4], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_bad_photo_is_skipped_and_the_run_goes_on(photos, tmp_path, capsys):
     folder = tmp_path / "mixed"
     folder.mkdir()

@@ -181,6 +181,7 @@ def test_a_turn_about_the_axis_goes_to_the_poses(tmp_path: Path, capsys) -> None
     assert "the error of the fit includes that turn" in err and json.loads(text)["cameras"]["cam0"]["max_px"] > 8
 
 
+@pytest.mark.slow
 def test_cameras_of_one_model_stay_of_one_model() -> None:
     """The fit of each alone would take different models for two lenses of a rig."""
     target = format_named("kalibr")

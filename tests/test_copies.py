@@ -46,6 +46,7 @@ def test_a_copy_confirms_no_line(room: tuple[dict[str, np.ndarray], ol.ImagePose
         assert np.allclose(scene.lines.ends_m, alone.lines.ends_m, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_copies_are_named_where_too_few_other_photos_are_left(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     photo = room[0]["view00.png"]
     arcs = ol.extract({f"{k}.png": photo for k in range(5)}, LENS)

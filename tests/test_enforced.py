@@ -151,7 +151,8 @@ def test_annotations_and_names_stay_as_they_are_written() -> None:
 
 
 def test_of_many_calls_with_arguments_of_one_kind_some_are_checked() -> None:
-    """The first ones, then every so manieth: what is wrong each time is found all the same; another kind is checked at once."""
+    """The first ones, then every so manieth: what is wrong each time is found all the same; another kind is checked at once, or
+    of a function that is called often soon."""
     checked = own(projected)
     for _ in range(enforced.MOST + 1):
         checked(X, np.zeros(4))
@@ -162,3 +163,8 @@ def test_of_many_calls_with_arguments_of_one_kind_some_are_checked() -> None:
             checked(X, np.zeros(5))
     with pytest.raises(beartype.roar.BeartypeCallHintParamViolation):
         checked(X.long(), np.zeros(4))
+    for _ in range(enforced.OFTEN):
+        checked(X, np.zeros(4))
+    with pytest.raises(beartype.roar.BeartypeCallHintParamViolation):
+        for _ in range(enforced.EVERY):
+            checked(X.long(), np.zeros(4))

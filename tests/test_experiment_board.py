@@ -206,6 +206,7 @@ def fisheye1(shared_data: Path) -> tuple[Corners, BoardExperiment]:
     return corners, run(corners, (1032, 778), "scaramuzza", loss="cauchy")
 
 
+@pytest.mark.slow
 def test_every_figure_improves_on_real_corners(fisheye1: tuple[Corners, BoardExperiment]) -> None:
     corners, first = fisheye1
     assert len(first.tracks) == 14 and len(first.perturbed) == 15

@@ -37,6 +37,7 @@ def test_house_is_read_as_calibrated_cameras(shared_data: Path) -> None:
         np.testing.assert_allclose(pixels.numpy()[seen], projected[seen, :2] / projected[seen, 2:], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_house_reaches_its_limits(shared_data: Path, tmp_path: Path) -> None:
     result = experiment_house(shared_data / HOUSE, tmp_path / "out")
     assert result.holds, [check for check in result.checks if not check.holds]

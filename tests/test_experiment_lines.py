@@ -203,6 +203,7 @@ def pooled(study: str, seeds: int, trials: int, noise: float = 0.5) -> dict[str,
     return {k: (float(q.mean().sqrt()), float(q.std() / (2 * math.sqrt(len(q)) * q.mean().sqrt()))) for k, q in every.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", STUDIES)
 def test_whitened_adjustment_is_at_the_bound(study: str) -> None:
     found = pooled(study, seeds=2 if study == "wide" else 1, trials=5)

@@ -90,6 +90,7 @@ def test_one_edge_is_one_arc_without_an_offset(model: CameraModel) -> None:
     assert abs(np.mean(offsets)) < 0.015
 
 
+@pytest.mark.slow
 def test_the_covariance_explains_the_errors() -> None:
     """Distances of end points from the true circle over their standard deviations, for weak edges in noise.
 

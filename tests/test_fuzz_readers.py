@@ -159,6 +159,7 @@ def fuzz(reader: str, examples: int) -> None:
     assert refused > examples // 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
 def test_only_input_errors_leave_a_reader(reader: str) -> None:
     fuzz(reader, FEW)

@@ -93,6 +93,7 @@ def test_frames_that_tell_something_are_kept_and_written(frames: list[np.ndarray
     assert again.finish().fit.rms_px_per_axis < 0.1
 
 
+@pytest.mark.slow
 def test_a_stream_that_follows_the_advice_ends_soon(frames: list[np.ndarray], tmp_path: pathlib.Path) -> None:
     """What twelve random frames reach takes half as many that are held as the guide says, the first four being random."""
     random_session = Session(BOARD, tmp_path / "random", GuideOptions(first_frames=12, apart_share=0.0), FISHEYE)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 from drawn_chains import FISHEYE, OPTIONS, true_chains
 
@@ -15,6 +16,7 @@ PLAIN = Pinhole([420.0, 420.0, 319.5, 239.5, *([0.0] * 9)], (640, 480))
 STRAY_RAD = math.radians(0.3)
 
 
+@pytest.mark.slow
 def test_strays_in_pixels_do_not_draw_at_the_focal_length() -> None:
     """Without right angles nothing tells it: one round, before it is held, leaves it at the start's. By strays in radians it goes
     to 430 px."""
@@ -37,6 +39,7 @@ def test_residuals_follow_their_derivatives_by_the_camera() -> None:
     torch.testing.assert_close((high - low) / 2e-3, told, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_another_model_has_the_same_strays_in_pixels() -> None:
     done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 0, stray_rad=STRAY_RAD))
     other = readjusted_camera(scaled(FISHEYE, 1.05, math.radians(95.0)), done, OPTIONS)

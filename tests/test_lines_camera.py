@@ -130,6 +130,7 @@ def test_walls_at_88_degrees_tell_the_focal_length_as_far_as_both_explanations_a
     assert abs(focal_length(other.model)[0] / focal_length(begun)[0] - 1.0) < 2.0 * start.focal_sigma
 
 
+@pytest.mark.slow
 def test_right_angles_that_are_decisive_stay() -> None:
     chains = level_chains(FISHEYE, 0, 90.0, tilt_rad=0.15)
     done, lines = adjusted_camera(FISHEYE, chains), LinesOptions()

@@ -42,6 +42,7 @@ def together(parts: Sequence[ViewedArcs]) -> ViewedArcs:
     return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fisheye", pytest.param("panorama", marks=pytest.mark.full)])
 def test_arcs_that_err_more_than_they_state_ask_for_no_slack(name: str) -> None:
     """All by the same factor, precise ones and others: hardly any beside the noise of the precise ones."""

@@ -62,6 +62,7 @@ def test_a_rejected_corner_counts_no_more_than_the_limit() -> None:
     assert model_misfit(view, pixels, residual, CENTRE, 1.0, ALPHA) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lens", "model"), [("opencv-fisheye", "pinhole"), ("opencv-fisheye", "double-sphere")])
 def test_a_model_that_cannot_follow_the_lens(lens: str, model: str) -> None:
     """It is said first, no single figure is given as the camera's, and the advice is another model."""
@@ -80,6 +81,7 @@ def test_a_model_that_cannot_follow_the_lens(lens: str, model: str) -> None:
     assert data["p"] < ALPHA and len(data["radii_px"]) == len(data["outward_px"]) + 1 == RINGS + 1
 
 
+@pytest.mark.slow
 def test_a_degree_that_no_photos_determine() -> None:
     """More photos are not the only remedy."""
     with pytest.raises(ol.GeometryError, match=r"leave a\d+ open; a lower `degree` may do, or add photos"):

@@ -64,6 +64,7 @@ def nearest_side(model, cam_from_board) -> str:
     return sides[round(math.degrees(math.atan2(v, u)) / 45) % 8]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(LENSES))
 def test_the_uncertainty_falls_as_promised(name):
     """Three photos shot as advised: after each the largest uncertainty of the camera calibrated anew is as was promised, and the

@@ -37,6 +37,7 @@ def scene(others: int, off_rad: float = 0.0) -> tuple[Segments, ImagePoses]:
     return segments, ImagePoses(names, moved, ("cam0",) * CAMERAS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_rad", [0.0, 0.003, 0.03])
 def test_poses_are_not_refined_by_lines_that_are_all_parallel(off_rad: float) -> None:
     segments, poses = scene(0, off_rad)

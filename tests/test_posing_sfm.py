@@ -117,6 +117,7 @@ def test_a_run_beside_keeps_its_folder_and_what_a_killed_one_left_is_removed(tmp
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
     camera, _ = scene_camera("scaramuzza", (800, 600), 0, 200.0)
     points, words = world(400, 1)
@@ -131,6 +132,7 @@ def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
     assert torch.equal(runs[0].poses.cam_from_world.translation, runs[1].poses.cam_from_world.translation)
 
 
+@pytest.mark.slow
 def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
     camera, _ = scene_camera("scaramuzza", (800, 600), 0, 220.0)
     second = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=torch.float64))
@@ -156,6 +158,7 @@ def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
     assert found.poses.frames == tuple(frame_of[n] for n in names)
 
 
+@pytest.mark.slow
 def test_photos_of_elsewhere_are_left_out_with_a_reason_and_nothing_in_common_is_refused(monkeypatch, tmp_path):
     camera, _ = scene_camera("opencv-fisheye", (800, 600), 0, 190.0)
     points, words = world(500, 1)

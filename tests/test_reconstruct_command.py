@@ -105,6 +105,7 @@ def test_the_table_that_names_a_wrong_camera_is_named(own, posed, said):
         assert cameras_of_images(segments, None, {"a": cameras["a"]}) == ["a"]
 
 
+@pytest.mark.slow
 def test_rig_is_refined_and_written(tmp_path, capsys):
     scene = RigScene(frames=10, lines=50)
     true = scene.rig.cam_from_rig

@@ -348,6 +348,7 @@ def test_a_bad_photo_is_skipped_and_a_photo_without_pose_is_named(room, rebuilt,
     assert len(read_lines(tmp_path / "scene" / "lines.csv")) == len(read_lines(rebuilt / "lines.csv"))
 
 
+@pytest.mark.slow
 def test_no_lines_comes_with_the_stage_and_the_reason(room, rebuilt, tmp_path, capsys):
     poses = read_poses(room / "poses.csv")
     order = np.random.default_rng(5).permutation(VIEWS)

@@ -47,6 +47,7 @@ def test_nothing_is_rendered_before_it_is_read(room: RenderedScene) -> None:
         room.photos["view02.png"]
 
 
+@pytest.mark.slow
 def test_given_polygons_cameras_and_poses_are_those_of_the_photos(room: RenderedScene) -> None:
     options = RenderOptions(fov_deg=190.0, seed=3)
     again = render(build_scene("room", 3), room.camera, options, poses=room.poses.cam_from_world)
@@ -63,6 +64,7 @@ def test_a_specification_with_a_colon_is_a_target() -> None:
     assert isinstance(wide := render("checkerboard:8x6:30mm", "pinhole", views=1), RenderedTargets) and wide.fov_deg == 80.0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_rendered_is_refused(room: RenderedScene) -> None:
     with pytest.raises(InputError, match="'cave'"):
         render("cave")

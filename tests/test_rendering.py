@@ -105,6 +105,7 @@ def test_options_out_of_range() -> None:
             render_target(BOARD, PINHOLE, facing(0.4), **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "max_angle"), CAMERAS)
 def test_board_poses_keep_their_promises(model: CameraModel, max_angle: float) -> None:
     poses = random_board_poses(BOARD, model, 20, max_angle, seed=3)

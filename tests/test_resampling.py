@@ -147,6 +147,7 @@ def test_the_grid_is_the_projection_of_each_pixel() -> None:
     assert 100 < seen_count < 400
 
 
+@pytest.mark.slow
 def test_panorama_and_back() -> None:
     image = photo(FISHEYE.image_size, seed=3)
     panorama = Equirectangular([], (3000, 1500))

@@ -220,6 +220,7 @@ def test_exact_corners_give_the_exact_rig():
     assert float((result.rig_from_target @ truth.inverse()).log().abs().max()) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_camera_that_shares_no_view_is_reported_and_calibrated_alone():
     rig = outward_rig(40)
     frames = tuple(f"late {f}" if c == "cam2" else f for c, f in zip(rig.corners.cameras, rig.corners.frames, strict=True))
@@ -241,6 +242,7 @@ def test_cameras_that_never_meet_are_refused():
         calibrate_rig(replace(rig.noisy(0.1, 1), frames=frames), setups(rig))
 
 
+@pytest.mark.slow
 def test_cameras_may_begin_from_calibrations_held_or_refined():
     rig = pair(14)
     noisy = rig.noisy(0.1, 1)

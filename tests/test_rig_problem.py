@@ -121,6 +121,7 @@ def test_normal_equations_are_those_of_the_dense_jacobian(free_boards, held):
     torch.testing.assert_close(coupling, dense[:k, k:], rtol=1e-8, atol=1e-10 * size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("free_boards", "held"), CASES)
 def test_covariance_is_the_dense_inverse(free_boards, held):
     problem, state = problem_of(free_boards, held)
@@ -220,6 +221,7 @@ def test_weakest_link_is_the_bottleneck_of_the_best_ties():
     assert abs(found[0].baseline_m - float((centre[0] - centre[1]).norm())) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("free_boards", [False, True])
 def test_a_bent_board_moves_residuals_as_its_derivatives_say(free_boards):
     """Against automatic derivatives of the residuals, with the terms of the shape behind those of cameras and boards."""

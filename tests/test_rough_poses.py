@@ -77,6 +77,7 @@ def test_poses_that_are_only_turned_are_mended_by_directions(exact: MatchingScen
     torch.testing.assert_close(result.poses.cam_from_world.centre, given.centre, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_rough_poses_take_places_from_the_photos_in_their_own_world(exact: MatchingScene) -> None:
     """Two photos have no pose but the given one: it stays, turned."""
     given = shaken(exact.poses, 2.0, 100.0, 3)

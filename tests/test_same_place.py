@@ -54,6 +54,7 @@ def test_the_second_photo_of_a_place_is_left_out(burst: tuple[PhotoArcs, PhotoPo
     assert used(asked) == ["0a.png", "1b.png", "2a.png", "3a.png", "4a.png"]
 
 
+@pytest.mark.slow
 def test_a_burst_has_the_lines_of_single_photos(burst: tuple[PhotoArcs, PhotoPoses, CameraModel]) -> None:
     arcs, posed, camera = burst
     single = replace(arcs, photos=arcs.photos[::2])

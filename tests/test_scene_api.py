@@ -156,6 +156,7 @@ def test_a_table_that_names_other_cameras_is_told(found: PhotoArcs, poses: Image
         assert not count or (f"The camera of {count} photos" in notes[0] and "is small, large in poses.csv" in notes[0])
 
 
+@pytest.mark.slow
 def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:
     three = replace(found, photos=found.photos[:3])
     own, asked = (reconstruct(three, poses, cameras["cam0"], SceneOptions(min_views=k)) for k in (4, 3))
@@ -244,6 +245,7 @@ def test_photos_of_12_bits_in_16_show_the_arcs_of_those_of_8(room: Path, cameras
         assert abs(len(one) - len(other)) < 0.05 * len(other) and len(other) > 20
 
 
+@pytest.mark.slow
 def test_matched_segments_take_the_place_of_arcs(scene: Scene, poses: ImagePoses, cameras: Calibration) -> None:
     again = reconstruct(scene.segments, poses, cameras)
     assert again.lines.tracks == scene.lines.tracks and not again.stages and again.families is None
@@ -274,6 +276,7 @@ def test_arrays_are_triangulated_as_tables_are(scene: Scene, poses: ImagePoses, 
             triangulate(arrays, few, cameras)
 
 
+@pytest.mark.slow
 def test_segments_of_another_detector_take_the_place_of_arcs(
     room: Path, found: PhotoArcs, poses: ImagePoses, cameras: Calibration
 ) -> None:
@@ -343,6 +346,7 @@ def test_a_revision_is_of_the_source_and_else_the_version(tmp_path: Path, monkey
         content_hash(tmp_path / "none")
 
 
+@pytest.mark.slow
 def test_a_result_is_the_last_one_only_with_the_contents_it_had(room: Path, poses: ImagePoses, tmp_path: Path) -> None:
     table = shutil.copy(room.parent / "poses.csv", tmp_path)
     first = reconstruct_photos([room], room.parent / "calibration.yaml", table, tmp_path / "scene")

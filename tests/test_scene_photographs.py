@@ -98,6 +98,7 @@ def test_photographs_cover_what_is_named_and_leave_the_edges() -> None:
     assert len(visible_stretches(covered, look, pose, scene_edges(scene))[0]) > 200
 
 
+@pytest.mark.slow
 def test_command_takes_a_folder_of_photographs(tmp_path: Path, capsys) -> None:
     (tmp_path / "photos").mkdir()
     cv2.imwrite(str(tmp_path / "photos" / "gravel.jpg"), (waves(20) // 257).astype(np.uint8))

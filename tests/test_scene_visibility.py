@@ -192,6 +192,7 @@ def test_visibility_against_brute_force(monkeypatch, name: str, model: str, fov_
     assert (seen != told)[plain].mean() < 0.008
 
 
+@pytest.mark.slow
 def test_contrast_is_that_of_the_photo() -> None:
     """The step in the photo two pixels to either side of long edges, against the contrast in the table."""
     scene = dataclasses.replace(furnished_room(4), textures=(PLAIN,) * 5)

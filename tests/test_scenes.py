@@ -86,6 +86,7 @@ def test_edges_of_the_plain_room_keep_apart() -> None:
     assert close < 0.15 * len(edges)
 
 
+@pytest.mark.slow
 def test_equal_brightness_and_different_colour() -> None:
     for hue in np.linspace(0, 330, 12):
         tone = colour(130.0, hue, 40.0)

@@ -280,6 +280,7 @@ def test_stated_noise_decides_whether_planes_differ() -> None:
     assert names == ["weak", "parallel_planes"]
 
 
+@pytest.mark.slow
 def test_methods_compared_with_the_bound() -> None:
     """The table at the head of `omnilines.triangulation`, with fewer trials."""
     table = {}

@@ -34,6 +34,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
     return int(end.value.code or 0), told.out, " ".join(told.err.split())
 
 
+@pytest.mark.slow
 def test_views_are_level_and_say_what_they_were_turned_by(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ("rectify", room, "--calibration", room / "calibration.yaml", "--upright", "--json", "--out", tmp_path)
     status, out, _ = run(capsys, *given, "--view", "cube", "--size", "64x64", "--yaw-deg", "30")

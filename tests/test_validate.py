@@ -283,6 +283,7 @@ def test_the_whole_path_holds(model: str, fov: int, tmp_path: Path, capsys: pyte
     assert "view00.png" in page and "Bearing error" in page and len(page) < 15e6
 
 
+@pytest.mark.slow
 def test_objects_in_objects_out(tmp_path: Path) -> None:
     told = []
     checked = validate(

@@ -194,6 +194,7 @@ def with_errors(done: Done, sigma: float) -> RebuiltScene:
     )
 
 
+@pytest.mark.slow
 def test_shares_inside_are_those_of_normal_errors(done: Done) -> None:
     """Errors of 0.2 mm at 1 m: far below the distance of edges. 95 percent of the ellipsoids hold the truth."""
     honest = compare_scene(done.truth, with_errors(done, 2e-4))

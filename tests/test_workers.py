@@ -66,6 +66,7 @@ def fails(*counts: int, error: BaseException) -> Callable[[int], None]:
     return before
 
 
+@pytest.mark.slow
 def test_any_executor_finds_what_this_process_does(scene: Scene) -> None:
     told: list[tuple[int, int]] = []
     with ThreadPoolExecutor(2) as threads:
