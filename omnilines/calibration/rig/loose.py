@@ -92,12 +92,7 @@ def loose_fit(
     frame (`doubted`) those take part that are no farther off than a board that moves.
     """
     state, placed = _placed(data, fit, start, seen)
-    chosen = np.array([v for v in range(len(data.views.camera)) if v in fit.views or v in seen.cam_from_board])
-    chosen = chosen[(data.block[chosen] >= 0) & placed[data.block[chosen]]]
-    good = seen.kept.copy()
-    # Views too small for a pose of their own keep what fits the rig.
-    small = ~np.isin(data.views.corners.view[fit.rows], list(seen.cam_from_board))
-    good[fit.rows[small]] = fit.kept.numpy()[small]
+    chosen, good = _taking_part(data, fit, seen, placed)
     sigma = np.tile(np.repeat(START, 3), (len(data.views.camera), 1))
     middle = torch.as_tensor(np.unique(data.board_m, axis=0).mean(0))
     found: LooseFit | None = None
@@ -130,6 +125,18 @@ def loose_fit(
         if before is not None and shutters.change(before) < SAME:
             break
     return found
+
+
+def _taking_part(
+    data: RigData, fit: RigFit, seen: SeenAlone, placed: Bool[np.ndarray, " b"]
+) -> tuple[Int[np.ndarray, " v"], Bool[np.ndarray, " n"]]:
+    """The views that the rig or their own camera fits, in frames that are placed, and their good corners."""
+    chosen = np.array([v for v in range(len(data.views.camera)) if v in fit.views or v in seen.cam_from_board])
+    good = seen.kept.copy()
+    # Views too small for a pose of their own keep what fits the rig.
+    small = ~np.isin(data.views.corners.view[fit.rows], list(seen.cam_from_board))
+    good[fit.rows[small]] = fit.kept.numpy()[small]
+    return chosen[(data.block[chosen] >= 0) & placed[data.block[chosen]]], good
 
 
 def _placed(data: RigData, fit: RigFit, start: RigState, seen: SeenAlone) -> tuple[RigState, Bool[np.ndarray, " b"]]:
