@@ -14,6 +14,7 @@ from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.uncertainty import supported_grid
 from omnilines.calibration.views import board_points
+from omnilines.pages.limits import board_advice
 from omnilines.records import Corners
 
 LENS = OpenCVFisheye([320.0, 321.0, 645.0, 470.0, 0.01, -0.005, 0.001, 0.0], (1280, 960))
@@ -54,6 +55,9 @@ def test_a_bend_is_told_with_what_it_does_to_the_camera() -> None:
     corners = seen(1.0, 0.0, 1)
     flat = calibrate_camera(corners, LENS.image_size, "opencv-fisheye")
     (note,) = said(flat)
+    assert flat.bent is not None and board_advice(flat, None, corners, compared=False)[0].limit.startswith(
+        "The board is not flat"
+    )
     off_mm, moved_px, stated_px = (float(note.split(before)[1].split()[0]) for before in ("by about ", "moves by ", "than the "))
     shape = BoardShape.to_refine(("flatness",), torch.as_tensor(BOARD))
     places = shape.moved(shape.free @ BEND_M).place(torch.as_tensor(BOARD))

@@ -26,6 +26,8 @@ from omnilines.calibration.uncertainty import projection_covariance_px2, project
 BENDS = ("flatness",)
 """Of `options.REFINABLE`: what is tested."""
 
+REMEDY = "Give `refine_board` flatness or surface, or use a board on glass or metal."
+
 
 @dataclass(frozen=True)
 class BentBoard:
@@ -41,15 +43,19 @@ class BentBoard:
     """Of as much where the board is flat."""
 
     @property
-    def note(self) -> str:
-        """What follows from it."""
+    def limit(self) -> str:
+        """What it does, one sentence."""
         return (
-            f"The board is not flat: all photos agree that it leaves a plane by about {rounded(1e3 * self.off_plane_m)} mm "
-            f"(Hotelling's T^2, p = {self.chance:.1g}). With the bend estimated the projection moves by "
-            f"{rounded(self.moved_px)} px, more than the {rounded(self.stated_px)} px that are stated (root mean squares where "
-            "corners lie): photos share it, so standard deviations do not hold it. Give `refine_board` flatness or surface, or "
-            "use a board on glass or metal."
+            f"The board is not flat: all photos agree that it leaves a plane by about {rounded(1e3 * self.off_plane_m)} mm. With "
+            f"the bend estimated the projection moves by {rounded(self.moved_px)} px, more than the {rounded(self.stated_px)} px "
+            "that are stated (root mean squares where corners lie)"
         )
+
+    @property
+    def note(self) -> str:
+        """That, with what it rests on and what follows."""
+        held = f"photos share it, so standard deviations do not hold it (Hotelling's T^2, p = {self.chance:.1g})"
+        return f"{self.limit}: {held}. {REMEDY}"
 
 
 def bent_board(

@@ -100,6 +100,7 @@ def camera_result(
     misfit = _misfit(final, model, residual)
     notes += () if misfit is None else (misfit.note(model.NAME),)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
+    bent = None
     if misfit is None and _of_one_drawing(final, state):
         reach = math.radians(low), math.radians(high)
         bent = bent_board(final.points, state, basis, final.weight, covariance, reach, thresholds.degeneracy.misfit_significance)
@@ -126,6 +127,7 @@ def camera_result(
         beyond_noise=certain.beyond_noise,
         curved=curved is not None,
         misfit=misfit,
+        bent=bent,
     )
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from camera_models.pose import Pose
 from camera_models.wording import rounded
 from omnilines import report
+from omnilines.calibration.bent_board import BentBoard
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
@@ -109,6 +110,11 @@ def misfit_data(misfit: ModelMisfit) -> dict[str, Any]:
     return {"radii_px": misfit.radii_px.tolist(), "outward_px": misfit.outward_px.tolist(), "p": misfit.chance}
 
 
+def bent_data(bent: BentBoard) -> dict[str, Any]:
+    """Of `calibration_data`."""
+    return {"off_plane_m": bent.off_plane_m, "moved_px": bent.moved_px, "stated_px": bent.stated_px, "p": bent.chance}
+
+
 def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
     """What `--json` prints; see docs/formats.md."""
     result, selection = calibrated.fit, calibrated.selection
@@ -121,6 +127,7 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
         "interval_95": {name: [_or_none(end) for end in ends] for name, ends in result.intervals.items()},
         "curved": result.curved,
         "misfit": None if result.misfit is None else misfit_data(result.misfit),
+        "bent_board": None if result.bent is None else bent_data(result.bent),
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "min_angle_deg": result.min_angle_deg,

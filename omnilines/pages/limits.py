@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from camera_models.wording import rounded
+from omnilines.calibration.bent_board import REMEDY
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.lines.camera import LineCamera, focal_length
@@ -58,7 +59,8 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
             found.insert(0, Advice(views.limits[-1], noise))
     if stated_px and not (views is not None and views.noisy) and fit.corner_sigma_px > UNEXPLAINED * stated_px:
         found.append(_unexplained("", fit.corner_sigma_px / stated_px, stated_px, noise))
-    return (*found, *_standing_out(fit.views), *unused)
+    bent = () if fit.bent is None else (Advice(f"{fit.bent.limit}.", REMEDY),)
+    return (*bent, *found, *_standing_out(fit.views), *unused)
 
 
 def _of_misfit(model: str, misfit: ModelMisfit, compared: bool) -> Advice:
