@@ -1,13 +1,14 @@
 """Whether the board is flat: what residuals of all photos say of its shape.
 
 A board that is bent alike in all photos pulls the camera the same way in each, so photos do not contradict each other, and no
-covariance holds it. Freed along the three bends of the second degree (`board_shape`), the normal equations of view v, its pose
-eliminated, are S_v and g_v for the camera (c) and the bends (s). With the camera re-estimated, a view pulls the bends by
+covariance holds it. Freed along the three bends of the second degree (`board_shape`), view v, its pose eliminated, adds S_v and
+h_v (`least_squares.groups`) to the normal equations of the camera (c) and the bends (s). With the camera re-estimated, it pulls
+the bends by
 
-    u_v = g_sv - S_sc S_cc^-1 g_cv,     U = sum u_v
+    u_v = h_sv - S_sc S_cc^-1 h_cv,     U = sum u_v
 
 A flat board has U = 0; that it is, is tested by how much the pulls of single views differ (Hotelling's T^2: corners of one view
-count once, however many there are). The bends are then -M^-1 U with M = S_ss - S_sc S_cc^-1 S_cs, and the camera moves along.
+count once, however many there are). The bends are then M^-1 U with M = S_ss - S_sc S_cc^-1 S_cs, and the camera moves along.
 """
 
 from dataclasses import dataclass
@@ -81,12 +82,12 @@ def bent_board(
     pull = each.gradient[:, q:] - each.gradient[:, :q] @ follow
     apart = pull - pull.mean(0)
     scatter = apart.mT @ apart * views / (views - 1)
-    mean = pull.sum(0)
-    statistic = float(mean @ torch.linalg.pinv(scatter, hermitian=True) @ mean) * (views - bends) / (bends * (views - 1))
+    whole = pull.sum(0)
+    statistic = float(whole @ torch.linalg.pinv(scatter, hermitian=True) @ whole) * (views - bends) / (bends * (views - 1))
     chance = float(stats.f.sf(statistic, bends, views - bends))
     if not chance < significance:
         return None
-    bend = torch.linalg.solve(total[q:, q:] - total[q:, :q] @ follow, mean)
+    bend = torch.linalg.solve(total[q:, q:] - total[q:, :q] @ follow, whole)
     step = basis @ (-follow @ bend)
     grid = supported_grid(state.model, reach_rad[1], reach_rad[0])
     jacobian, valid = projection_jacobian(state.model, grid, grid)
@@ -95,11 +96,4 @@ def bent_board(
     stated_px = float(worst_sigma_px(stated).square().mean().sqrt())
     if moved <= stated_px:
         return None
-    return BentBoard(_off_plane_m(shape.moved(shape.free @ bend), points), moved, stated_px, chance)
-
-
-def _off_plane_m(shape: BoardShape, points: BoardPoints) -> float:
-    places = shape.place(torch.unique(points.board, dim=0))
-    design = torch.cat([places[:, :2], torch.ones_like(places[:, :1])], 1)
-    left = places[:, 2:] - design @ torch.linalg.lstsq(design, places[:, 2:]).solution
-    return float(left.abs().max())
+    return BentBoard(shape.moved(shape.free @ bend).off_plane_m(points.board), moved, stated_px, chance)

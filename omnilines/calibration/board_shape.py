@@ -86,6 +86,13 @@ class BoardShape:
         jacobian[:, 2, 1:] = self._bends(board)
         return jacobian
 
+    def off_plane_m(self, board: Float[Tensor, "n 3"]) -> float:
+        """Largest distance of a corner from the plane nearest to all of them."""
+        places = self.place(torch.unique(board, dim=0))
+        design = torch.cat([places[:, :2], torch.ones_like(places[:, :1])], 1)
+        left = places[:, 2:] - design @ torch.linalg.lstsq(design, places[:, 2:]).solution
+        return float(left.abs().max())
+
     def moved(self, step: Float[Tensor, " t"]) -> "BoardShape":
         """The shape with other terms."""
         return self if self.plain else replace(self, terms=self.terms + step)

@@ -21,7 +21,7 @@ from omnilines.calibration.pose_candidates import Candidates, SeenBoards, candid
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.shooting_words import fall_words, limits_of, place_words, pose_words, px_words, sigma_words
 from omnilines.calibration.thresholds import ShootingThresholds
-from omnilines.calibration.uncertainty import most_stated_px
+from omnilines.calibration.uncertainty import as_stated_px, most_stated_px
 from omnilines.records import Corners
 
 TEN = 10
@@ -88,7 +88,7 @@ class NextViews:
     @property
     def stated_worst_px(self) -> float:
         """`worst_px` for people: infinite where it is stated as not known."""
-        return self.worst_px if self.worst_px <= self.most_px else math.inf
+        return as_stated_px(self.worst_px, self.most_px)
 
     @property
     def worst_words(self) -> str:

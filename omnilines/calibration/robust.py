@@ -58,13 +58,11 @@ class RobustTask:
         residual = self.residual_px(state)
         share = self.thresholds.many_unknowns_share
         scale = max(robust_scale_px(residual, share, unknowns), LEAST_SCALE_PX)
-        limit = self.thresholds.reject_sigma * scale
-        near = residual.norm(dim=-1) <= limit
-        if self.weight is not None:
-            noise = min(scale, self.stated_px)
-            own = self.thresholds.reject_sigma * (scale**2 - noise**2 + (noise / self.weight) ** 2).sqrt()
-            near = residual.norm(dim=-1) <= own * self.weight
-        return RobustFit(state, near, scale, limit)
+        weight = torch.ones(len(residual), dtype=residual.dtype) if self.weight is None else self.weight
+        noise = min(scale, self.stated_px)
+        own = ((scale**2 - noise**2) * weight**2 + noise**2).sqrt()
+        limit = self.thresholds.reject_sigma
+        return RobustFit(state, residual.norm(dim=-1) <= limit * own, scale, limit * scale)
 
 
 def robust_fit(

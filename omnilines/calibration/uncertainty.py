@@ -28,6 +28,11 @@ def most_stated_px(model: CameraModel) -> float:
     return LINEAR_SHARE * math.hypot(*model.image_size)
 
 
+def as_stated_px(sigma_px: float, most_px: float) -> float:
+    """A standard deviation of the projection for people: infinite where it is stated as not known (`most_stated_px`)."""
+    return sigma_px if sigma_px <= most_px else math.inf
+
+
 def bearing_jacobian(
     model: CameraModel, pixels: Float[Tensor, "n 2"]
 ) -> tuple[Float[Tensor, "n 3"], Bool[Tensor, " n"], Float[Tensor, "n 3 p"], Float[Tensor, "n 2 3"]]:

@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
 from camera_models import Calibration, load
 from camera_models.views import USUAL_PERSPECTIVE_DEG
 from omnilines.calibration.diagnose import angles_off_axis
@@ -76,7 +74,7 @@ def directions(
 def _view_of(cameras: Calibration) -> tuple[str, ...]:
     """The view that photos are turned upright in: a perspective one as wide as the widest camera sees where that is no wider than
     is usual; else, and of a rig, a panorama."""
-    grids = [(model, supported_grid(model, torch.pi)) for model in cameras.values()]
+    grids = [(model, supported_grid(model, math.pi)) for model in cameras.values()]
     across_deg = max(2.0 * math.degrees(float(angles_off_axis(model, pixels).max())) for model, pixels in grids)
     if cameras.rig or across_deg > USUAL_PERSPECTIVE_DEG:
         return ("--view", "panorama")

@@ -78,7 +78,8 @@ def looked_at(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | 
     for what, area in (("mask", keep), ("transparency", shown)):
         if area is not None and area.shape[::-1] != size:
             raise InputError(f"Its {what} has {area.shape[1]}x{area.shape[0]} px, where the photo has {size[0]}x{size[1]}.")
-    return keep if shown is None else shown if keep is None else shown & keep
+    areas = [area for area in (keep, shown) if area is not None]
+    return np.logical_and.reduce(areas) if areas else None
 
 
 def _opaque(photo: Photo) -> Bool[np.ndarray, "h w"] | None:

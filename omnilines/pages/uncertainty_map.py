@@ -1,6 +1,5 @@
 """The projection uncertainty of a camera over its image, as pages draw it and state it."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -12,7 +11,13 @@ from torch import Tensor
 from camera_models import CameraModel
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import MAP_STEPS, ImageField
-from omnilines.calibration.uncertainty import most_stated_px, projection_covariance_px2, supported_grid, worst_sigma_px
+from omnilines.calibration.uncertainty import (
+    as_stated_px,
+    most_stated_px,
+    projection_covariance_px2,
+    supported_grid,
+    worst_sigma_px,
+)
 
 
 @runtime_checkable
@@ -75,15 +80,14 @@ class UncertaintyMap:
     @property
     def stated_figures(self) -> tuple[float, float]:
         """`figures` for people: infinite where they are stated as not known."""
-        median, largest = (value if value <= self.most_px else math.inf for value in self.figures)
+        median, largest = (as_stated_px(value, self.most_px) for value in self.figures)
         return median, largest
 
     @property
     def stated_largest(self) -> tuple[float, tuple[float, float]]:
         """The largest standard deviation (px) of all the map, for people, and its pixel."""
         row, column = np.unravel_index(np.nanargmax(self.sigma_px), self.sigma_px.shape)
-        value = float(self.sigma_px[row, column])
-        return value if value <= self.most_px else math.inf, (float(self.u_px[column]), float(self.v_px[row]))
+        return as_stated_px(float(self.sigma_px[row, column]), self.most_px), (float(self.u_px[column]), float(self.v_px[row]))
 
     @property
     def stated_px(self) -> Float[np.ndarray, "h w"]:

@@ -111,8 +111,10 @@ def estimate_poses(
     if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):
         arcs = extract(photos, cameras, work=work, progress=progress)
     refs = [one.photo for one in photos.used] if isinstance(photos, PhotoArcs) else photos_of(photos)
-    named = {} if from_photos(source) else named_cameras(source)
-    camera_of = cameras_of_photos(refs, cameras, named) if arcs is None else arcs.camera_of
+    if arcs is None:
+        camera_of = cameras_of_photos(refs, cameras, None if from_photos(source) else named_cameras(source))
+    else:
+        camera_of = arcs.camera_of
     require_pattern(source, pattern)
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern)

@@ -17,7 +17,6 @@ is more than nobody minds; or even the least drift that chance leaves open (`lea
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
@@ -112,7 +111,12 @@ def line_check(
     # Of Hotelling's T^2 over that of F.
     scale, rest = samples * freedom / (samples - freedom + 1.0), samples - freedom + 1.0
     limit = float(stats.f.isf(significance, freedom, rest)) * scale
-    least = partial(_least_motion, score=total, precision=precision, information=information, limit=limit)
+
+    def least(part: Float[Tensor, "k 2 q"]) -> float:
+        """Over pixels that move so with the parameters; NaN of none."""
+        moved = torch.einsum("niq,nir->qr", part, part) / len(part) if len(part) else None
+        return math.nan if moved is None else least_drift(total, precision, information, moved, limit)
+
     return LineCheck(
         model=model,
         statistic=statistic,
@@ -130,19 +134,6 @@ def line_check(
         members=int((asked.families.of_chain >= 0).sum()),
         frames=asked.families.frames,
     )
-
-
-def _least_motion(
-    moving: Float[Tensor, "n 2 q"],
-    *,
-    score: Float[Tensor, " q"],
-    precision: Float[Tensor, "q q"],
-    information: Float[Tensor, "q q"],
-    limit: float,
-) -> float:
-    """`least_drift` over pixels that move by `moving` with the parameters; NaN of none."""
-    moved = torch.einsum("niq,nir->qr", moving, moving) / len(moving) if len(moving) else None
-    return math.nan if moved is None else least_drift(score, precision, information, moved, limit)
 
 
 def _scaled(matrix: Float[Tensor, "q q"]) -> Float[Tensor, "q q"]:

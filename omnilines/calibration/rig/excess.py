@@ -87,7 +87,7 @@ OF_PARAMETERS = (
 def _of_board(bent: RigState, points: RigPoints) -> str:
     return (
         "is a board that is not flat: estimated, its surface leaves a plane by up to "
-        f"{rounded(1e3 * _off_plane_m(bent.shape, points))} mm, and the cameras fit to "
+        f"{rounded(1e3 * bent.shape.off_plane_m(points.board_m))} mm, and the cameras fit to "
         f"{_rms_px(bent.residual_px(points)):.3g} px "
         "together (give `refine_board` surface, or a board on glass or metal: all photos share it, so that standard deviations "
         "do not hold it)"
@@ -114,14 +114,6 @@ def _bent(data: RigData, fit: RigFit, state: RigState) -> Solution[RigState] | N
     problem = replace(data, shape=shape).problem(fit.points.chosen(fit.kept))
     found = solve(problem, replace(state, shape=shape), max_iterations=ITERATIONS, damping=1e-8)
     return None if found.outcome is Outcome.DEGENERATE else found
-
-
-def _off_plane_m(shape: BoardShape, points: RigPoints) -> float:
-    """Largest distance of a corner from the plane nearest to all of them."""
-    places = shape.place(torch.unique(points.board_m, dim=0))
-    design = torch.cat([places[:, :2], torch.ones_like(places[:, :1])], 1)
-    left = places[:, 2:] - design @ torch.linalg.lstsq(design, places[:, 2:]).solution
-    return float(left.abs().max())
 
 
 def apart(data: RigData, points: RigPoints, state: RigState, *, hold: bool) -> Apart:

@@ -35,7 +35,7 @@ SAME = 0.02
 START = 2e-3, 1e-3
 """Standard deviations (rad, m) from which they begin."""
 
-ELSEWHERE = (
+OTHER_INSTANT = (
     "its board is {} times as far from where the other cameras see it as a board that moves between the shutters (wrong frame, "
     "detection or numbering)"
 )
@@ -186,7 +186,7 @@ def _elsewhere(
 ) -> dict[int, str]:
     """Views of another instant, which would make the board seem to move everywhere, and why they are left out."""
     far = elsewhere(poses, torch.as_tensor(np.isin(views, doubted)), moved.sigmas, significance).tolist()
-    return {int(v): ELSEWHERE.format(rounded(sigma)) for v, sigma in zip(views, far, strict=True) if sigma > 0}
+    return {int(v): OTHER_INSTANT.format(rounded(sigma)) for v, sigma in zip(views, far, strict=True) if sigma > 0}
 
 
 def _seen_poses(problem: RigProblem, state: RigState, shared: Int[Tensor, " s"]) -> SeenPoses:

@@ -125,7 +125,7 @@ def elsewhere(
         near = ~admitted & (far == 0)
         if not bool(near.any()):
             return far
-        # Of frames that no admitted view sees one view at a time.
+        # Of frames that no admitted view sees, one view at a time.
         admitted = admitted | (near & others[seen.frame]) | _first_of_frames(seen.frame, near & ~others[seen.frame])
 
 
