@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from calib_patterns._pattern import Detection, Pattern, check_image
+from calib_patterns.camera_map import camera_map, projected
 from calib_patterns.corner_growth import MIN_CORNERS, inside_photo, places_at
 from calib_patterns.corner_kind import accepted
 from calib_patterns.detection import grey_of
@@ -33,8 +34,6 @@ from camera_models.pose_fit import FREEDOM, refit_pose, robust_scale_px
 NEWS_PX = 0.2
 """A corner is fitted again when its prediction has moved by more than this."""
 _ROUNDS = 8
-_STEP = 0.02
-"""Step of the numerical derivatives along the board, in spacings: they are exact to some 1e-6 px."""
 
 
 @dataclass(frozen=True)
@@ -148,17 +147,11 @@ class _Search:
     def holds_alone(self) -> bool:
         """Whether a pose that no corner supported has led to so many that it must be right, and the marks say so too."""
         enough = int(self.good.sum()) >= BLOCK_CORNERS and self.consistent()
-        return enough and self.pattern.marks_agree(self.grey, partial(_projected, self.model, self.pose), self.options)
+        return enough and self.pattern.marks_agree(self.grey, partial(projected, self.model, self.pose), self.options)
 
     def _seen(self, ids: Int[np.ndarray, " k"]) -> tuple[LocalMap, Bool[np.ndarray, " k"]]:
         """The map at some corners as the camera alone has it, and which corners it sees with their surroundings."""
-        offsets = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=np.float64)
-        around = self.points_m[ids][:, None] + _STEP * self.kind.spacing_m * offsets
-        pixels, valid = _projected(self.model, self.pose, around)
-        at, right, left, down, up = np.moveaxis(pixels, 1, 0)
-        first = np.stack([right - left, down - up], -1) / (2 * _STEP)
-        second = np.stack([right - 2 * at + left, down - 2 * at + up], -1) / _STEP**2
-        return LocalMap(at, first, second, np.full(len(ids), self.scale_px)), np.asarray(valid.all(1))
+        return camera_map(self.model, self.pose, self.points_m[ids], self.kind.spacing_m, self.scale_px)
 
     def _predicted(self, ids: Int[np.ndarray, " k"], *, leave_out: bool = False) -> tuple[LocalMap, Bool[np.ndarray, " k"]]:
         """The same, corrected by what the camera leaves of the corners that are trusted, or of the others among them. Where no
@@ -241,12 +234,3 @@ class _Search:
         """What is known."""
         ids = np.flatnonzero(self.good)
         return Detection(ids, self.pixels[ids], self.sigma_px[ids], self.blur_px[ids])
-
-
-def _projected(
-    model: CameraModel, cam_from_board: Pose, points_m: Float[np.ndarray, "n k 3"]
-) -> tuple[Float[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
-    """Pixels of points of the board, and which of them the camera sees."""
-    with torch.no_grad():
-        pixels, valid = model.project(cam_from_board.transform(torch.as_tensor(points_m.reshape(-1, 3))))
-    return pixels.numpy().reshape(*points_m.shape[:2], 2), valid.numpy().reshape(points_m.shape[:2])

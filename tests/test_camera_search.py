@@ -174,21 +174,24 @@ def test_search_again_completes_photos_and_finds_lost_ones(photo_set: Set) -> No
     less = reduced(whole, photo_set)
     poses = {name: pose for name in less.corners.images if (pose := resected(BOARD, SMALL, less.detection(name))) is not None}
     told: list[tuple[str, int, int]] = []
-    again = search_again(less, SMALL, poses, lost_too=True, progress=lambda *step: told.append(step))
-    assert told == [("searching with the camera", k, 3) for k in (1, 2, 3)]
+    again = search_again(less, SMALL, poses, first=True, progress=lambda *step: told.append(step))
+    assert told == [("searching with the camera", k, 7) for k in range(1, 8)]
     assert again.corners.images == whole.corners.images and again.skipped == () and len(again.corners) == 7 * 42
     assert again.corners.ids is not None and again.corners.sigma_px is not None and again.blur_px is not None
     for k, name in enumerate(again.corners.images):
         found = again.detection(name)
         assert found.ids.tolist() == list(range(42)) and error_px(found, photo_set.truth[k], BOARD) < 0.2
         np.testing.assert_array_equal(again.corners.board_m[again.corners.view == k], BOARD.points_m)
-    # Those that were complete are as they were.
-    np.testing.assert_array_equal(again.detection("0.png").pixels, whole.detection("0.png").pixels)
-    kept = search_again(less, SMALL, poses, lost_too=False)
+    # Those that were complete are fitted again, along the edges that the camera sees.
+    moved = np.abs(again.detection("0.png").pixels - whole.detection("0.png").pixels).max()
+    assert 0.0 < moved < 0.05
+    told.clear()
+    kept = search_again(less, SMALL, poses, first=False, progress=lambda *step: told.append(step))
+    assert told[-1][2] == 2
     assert kept.skipped == less.skipped and "3.png" not in kept.corners.images and len(kept.corners) == 6 * 42
 
 
-def test_complete_photos_are_not_read_again(photo_set: Set, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complete_photos_are_read_the_first_time_only(photo_set: Set, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = detect(photo_set.folder, BOARD)
     poses = {name: pose for name in whole.corners.images if (pose := resected(BOARD, SMALL, whole.detection(name))) is not None}
     assert len(poses) == 7
@@ -197,8 +200,10 @@ def test_complete_photos_are_not_read_again(photo_set: Set, monkeypatch: pytest.
         raise AssertionError(f"{path} was read")
 
     monkeypatch.setattr(photos_module, "read_photo", unread)
-    again = search_again(whole, SMALL, poses, lost_too=True)
+    again = search_again(whole, SMALL, poses, first=False)
     np.testing.assert_array_equal(again.corners.pixels, whole.corners.pixels)
+    with pytest.raises(AssertionError, match="was read"):
+        search_again(whole, SMALL, poses, first=True)
 
 
 @pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.full)])

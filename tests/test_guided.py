@@ -13,6 +13,7 @@ from tag_views import View
 
 from calib_patterns import Detection, pattern
 from calib_patterns.board_poses import random_board_poses
+from calib_patterns.fitted_again import fitted_again
 from calib_patterns.guided import GuidedCorners, guided_search, seen_ids
 from calib_patterns.guided_part import guided_search_of_part
 from calib_patterns.rendering import render_target
@@ -20,10 +21,11 @@ from calib_patterns.tag_board import TagBoard
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.opencv_fisheye import OpenCVFisheye
+from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 from camera_models.pose_fit import refit_pose
 from omnilines.calibration.single import calibrate_camera
-from omnilines.synthetic.targets import simulate_corners
+from omnilines.synthetic.targets import example_camera, simulate_corners
 
 SIZE = (1280, 960)
 LENS_190 = OpenCVFisheye([286.0, 286.0, 639.5, 479.5, -0.01, 0.003, -0.001, 0.0001], SIZE)
@@ -253,6 +255,54 @@ def test_a_part_of_a_plain_board_finds_its_place() -> None:
         np.testing.assert_allclose(there, view.truth, atol=0.1)
         checked += 1
     assert checked == 2
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_corners_are_fitted_again_along_the_edges_that_the_camera_sees(spec: str) -> None:
+    """From places off by a fifth of a pixel, and a pose off by pixels, to the noise of the photo."""
+    board = pattern(spec)
+    for seed, (view, pose) in enumerate(rim_views(spec, "220")):
+        before = some(view, np.arange(len(view.truth)), seed)
+        again = fitted_again(view.image, board, LENS_220, nudged(pose, seed), before)
+        error = again.pixels - view.truth
+        assert again.ids.tolist() == before.ids.tolist() and (again.sigma_px < 0.2).all()
+        assert np.sqrt(np.mean((error / again.sigma_px[:, None]) ** 2)) < 1.1
+    assert len(rim_views(spec, "220")) == 2
+
+
+def test_bends_of_a_camera_correct_the_ends_of_a_board() -> None:
+    """Boards in hand beside a lens of 200 degrees, beyond its rim: what the detection finds there is off by several sigma."""
+    board, lens = pattern("charuco:7x5:60mm:45mm:DICT_4X4_50"), example_camera("double-sphere", 200.0, (480, 480), 0)
+    beside = Pose.exp(torch.tensor([0.0, 0.5 * math.pi, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64))
+    poses = random_board_poses(board, lens, 8, math.radians(98.0), min_spacing_px=12.0, seed=1)
+    before, after = [], []
+    for k in range(8):
+        pose = beside @ poses[k]
+        image = render_target(board, lens, pose, supersample=8, blur_px=0.5, noise_grey=2.0, seed=k)
+        found, _ = board.detect(image)
+        again = fitted_again(image, board, lens, pose, found)
+        truth = lens.project(pose.transform(torch.as_tensor(board.points_m[found.ids])))[0].numpy()
+        before.append((found.pixels - truth) / found.sigma_px[:, None])
+        after.append((again.pixels - truth) / again.sigma_px[:, None])
+    first, second = (np.concatenate(parts) for parts in (before, after))
+    assert np.abs(first).max() > 5.0 and np.abs(second).max() < 4.5
+    assert np.sqrt((first**2).mean()) > 1.2 and np.sqrt((second**2).mean()) < 1.0
+
+
+def test_what_is_no_corner_any_more_stays_as_it_was() -> None:
+    """Something that lies beside a corner, a place that the camera does not see, and no corner at all."""
+    board = pattern(PLAIN)
+    view, pose = rim_views(PLAIN, "190")[0]
+    image, before = view.image.copy(), some(view, np.arange(48), 0, sigma_px=0.02)
+    u, v = np.rint(view.truth[20]).astype(int)
+    image[v - 9 : v + 10, u + 3 : u + 12] = 110
+    again = fitted_again(image, board, LENS_190, pose, before)
+    assert (again.pixels[20] == before.pixels[20]).all() and again.sigma_px[20] == 0.02
+    assert (again.pixels != before.pixels).all(1).sum() > 40
+    behind = Pose.exp(torch.tensor([0.0, math.pi, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)) @ pose
+    narrow = Pinhole([500.0, 500.0, 639.5, 479.5, *np.zeros(9)], SIZE)
+    assert fitted_again(image, board, narrow, behind, before) is before
+    assert len(fitted_again(image, board, LENS_190, pose, Detection.empty())) == 0
 
 
 def test_pose_is_the_robust_least_squares_one() -> None:

@@ -1,7 +1,7 @@
 """Corners of a target by several cameras -> the calibrated rig, which in photos leads to corners that were missed."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -62,6 +62,11 @@ class RigSetup:
     def model_of(self, camera: str) -> str:
         """The camera model that is to be fitted."""
         return self.models.get(camera, self.models.get("", self.options.model))
+
+    def as_chosen(self, result: RigCalibration, cameras: Iterable[str]) -> "RigSetup":
+        """With the models that were chosen for the cameras of which none was named."""
+        chosen = {one.name: one.model.NAME for one in result.members if self.model_of(one.name) == AUTO}
+        return replace(self, models={name: chosen.get(name, self.model_of(name)) for name in cameras if name not in self.start})
 
     def axis_sign_open(self, camera: str) -> bool:
         """Whether the camera may turn out to look to either side."""
@@ -263,7 +268,9 @@ def calibrate_rig(
     found, result = corners, _fitted(corners, setup, progress)
     again = searched_with_rig(found, result, executor, progress)
     if again is not None:
-        found, result = again, _fitted(again, setup, progress)
+        # The same corners, a little nearer to where they are, choose no other model.
+        setup_again = setup if len(again.corners) > len(found.corners) else setup.as_chosen(result, found.image_sizes)
+        found, result = again, _fitted(again, setup_again, progress)
     remarks = found.remarks
     views = tuple(
         replace(view, remarks=(*view.remarks, remarks[view.name])) if view.used and view.name in remarks else view

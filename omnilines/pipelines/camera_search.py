@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from calib_patterns import Detection, DetectionOptions, Pattern
+from calib_patterns.fitted_again import fitted_again
 from calib_patterns.guided_part import guided_search_of_part
 from calib_patterns.tangent_views import detect_in_views
 from camera_models import CameraModel
@@ -32,12 +33,15 @@ def completed(
     *,
     options: DetectionOptions = DetectionOptions(),
 ) -> Detection | None:
-    """The corners found and those that the camera leads to from them; None where they are too few or contradict the camera."""
+    """The corners found and those that the camera leads to from them, all fitted along the edges that it sees; None where they
+    are too few or contradict the camera."""
     pose = resected(pattern, model, found) if cam_from_board is None else cam_from_board
     if pose is None:
         return None
     guided = guided_search_of_part(image, pattern, model, pose, found, options)
-    return guided.detection if guided.fits and len(guided.detection) >= options.min_corners else None
+    if not guided.fits or len(guided.detection) < options.min_corners:
+        return None
+    return fitted_again(image, pattern, model, guided.cam_from_board, guided.detection, options)
 
 
 def searched(

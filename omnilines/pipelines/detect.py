@@ -195,14 +195,14 @@ def search_again(
     model: CameraModel,
     poses: Mapping[str, Pose],
     *,
-    lost_too: bool,
+    first: bool,
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoCorners:
-    """The corners found and those that a camera leads to, worked on as `detect` does.
+    """The corners found and those that a camera leads to, fitted along the edges that it sees, worked on as `detect` does.
 
-    `poses`: cam_from_board of the photos, by name, whose corners fit the camera; photos of which all corners in the camera's
-    view are known are not read. `lost_too`: look through the other photos as well, those skipped included.
+    `poses`: cam_from_board of the photos, by name, whose corners fit the camera. `first`: look through all photos, the others,
+    and those skipped, included; without it through those of `poses` that may show more.
     """
     pattern = found.pattern
     assert pattern is not None
@@ -212,8 +212,8 @@ def search_again(
     def may_gain(photo: Photo) -> bool:
         if photo.name in turned:
             return False
-        if photo.name not in poses:
-            return lost_too
+        if first or photo.name not in poses:
+            return first
         return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
 
     again = [photo for photo in found.photos if may_gain(photo)]

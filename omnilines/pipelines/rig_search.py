@@ -23,10 +23,11 @@ SAME_CORNER_M = 1e-6
 def searched_with_rig(
     source: RigCorners, result: RigCalibration, executor: Executor | None, progress: ProgressCallback
 ) -> RigCorners | None:
-    """The corners found and those that the rig leads to; None where there are none."""
+    """The corners found and those that the rig leads to, fitted along the edges that its cameras see; None where no photo is
+    at hand."""
     members = {member.name for member in result.members}
     found: list[CameraCorners] = []
-    gained = 0
+    gained, looked = 0, False
     for item in source.cameras:
         known, poses = item.found, dict[str, Pose]()
         if item.camera in members:
@@ -39,14 +40,15 @@ def searched_with_rig(
         else:
             found.append(item)
             continue
-        again = search_again(known, model, poses, lost_too=True, executor=executor, progress=progress)
+        again = search_again(known, model, poses, first=True, executor=executor, progress=progress)
         gained += len(again.corners) - len(item.found.corners)
+        looked = looked or bool(poses)
         found.append(replace(item, found=again))
-    if not gained:
+    if not looked:
         return None
-    note = f"The rig led to {gained} corners that had been missed."
+    notes = (f"The rig led to {gained} corners that had been missed.",) if gained > 0 else ()
     fresh = corners_of_cameras(found, source.corners.boards is not None, source.times_s)
-    return replace(source, corners=fresh.corners, skipped=fresh.skipped, cameras=fresh.cameras, notes=(*source.notes, note))
+    return replace(source, corners=fresh.corners, skipped=fresh.skipped, cameras=fresh.cameras, notes=(*source.notes, *notes))
 
 
 def _predicted(item: CameraCorners, result: RigCalibration) -> dict[str, Pose]:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 
 from calib_patterns import Detection, DetectionOptions, Pattern
+from calib_patterns.fitted_again import fitted_again
 from calib_patterns.guided_part import guided_search_of_part
 from calib_patterns.tangent_views import detect_in_views
 from camera_models import CameraModel, GeometryError, InputError
@@ -128,9 +129,9 @@ def _completed(
     if start is None:
         return None
     guided = guided_search_of_part(image, pattern, model, start, found, detection)
-    corners = guided.detection
-    if not guided.fits or len(corners) < detection.min_corners:
+    if not guided.fits or len(guided.detection) < detection.min_corners:
         return None
+    corners = fitted_again(image, pattern, model, guided.cam_from_board, guided.detection, detection)
     board_m = pattern.points_m[corners.ids]
     pose, residual = refit_pose(model, guided.cam_from_board, board_m, corners.pixels)
     covariance = robust_scale_px(residual) ** 2 * pose_covariance(model, pose, board_m, 1.0)
