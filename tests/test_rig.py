@@ -3,6 +3,7 @@ users get wrong."""
 
 import itertools
 import math
+import re
 from dataclasses import replace
 
 import cv2
@@ -28,6 +29,7 @@ from rig_views import (
 )
 
 from camera_models import GeometryError, InputError
+from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
 from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
@@ -210,6 +212,25 @@ def test_real_stereo_pair_is_no_worse_than_opencv(shared_data):
 
 
 @pytest.mark.slow
+def test_distortion_that_corners_do_not_support_is_held_in_every_camera():
+    """What is held in the first camera stays so while that of the second is looked at."""
+    lens = Pinhole([2600.0, 2600.0, 650.0, 470.0, 0, -0.1, 0, 0, 0, 0, 0, 0, 0], (1300, 980))
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        directions = np.array([0.0, 0.0, 1.0]) + 0.08 * rng.standard_normal((5, 3)) * [1.0, 1.0, 0.0]
+        boards = boards_at(directions, rng.uniform(0.9, 2.0, 5), rng)
+        axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+        rig = scene((lens, lens), looking_along(axes, np.array([[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]])), boards)
+        result = calibrate_rig(rig.noisy(0.3, seed), setups(rig))
+        notes = [note for note in result.notes if "held at 0" in note]
+        assert len(notes) == 2
+        for member, note in zip(result.members, notes, strict=True):
+            named = re.search(rf"Camera {member.name}: the distortion ([kp0-9 ]+) is held.*chi-square ([-0-9.]+) of", note)
+            assert named and "k3" in named[1] and float(named[2]) >= 0.0
+            values = member.model.named_parameters()
+            assert all(values[name] == 0.0 for name in named[1].split()) and abs(values["k1"] + 0.1) < 0.1
+
+
 def test_exact_corners_give_the_exact_rig():
     rig = outward_rig(30)
     result = calibrate_rig(rig.corners, setups(rig))
