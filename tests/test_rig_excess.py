@@ -68,6 +68,7 @@ def test_a_board_that_moves_between_shutters_is_named_and_widens_what_is_stated(
     named = [note for note in moving.notes if note.startswith("The board moved between the shutters")]
     # One of two cameras that see it 1.5 mm apart is 1.06 mm from their mean.
     assert len(named) == 1 and 0.75 < float(named[0].split("by ")[1].split(" mm")[0]) < 1.45
+    assert still.one_pose_rms_px is None and (moving.one_pose_rms_px or 0.0) > 1.5 * moving.rms_px_per_point
     assert all(view.used for view in moving.views) and moving.rms_px_per_axis < 1.05 * NOISE_PX
     true = float(rig.cam_from_rig[1].centre.norm())
     link = moving.links[0]

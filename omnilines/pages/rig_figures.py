@@ -27,7 +27,7 @@ PARAMETERS_OF = "Parameters of "
 def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
     """The figures, where the cameras are, what ties them together, the parameters of each, and what to shoot next."""
     result = calibrated.fit
-    used = [view for view in result.views if view.used]
+    used, one_pose = [view for view in result.views if view.used], result.one_pose_rms_px
     rows = (
         ("cameras", ", ".join(member.name for member in result.members)),
         ("left out", ", ".join(result.left_out) or "none"),
@@ -36,6 +36,7 @@ def rig_summaries(calibrated: RigResult) -> tuple[Summary, ...]:
         ("corners used", f"{int(result.kept.sum())} of {len(result.kept)}"),
         ("rms_px_per_axis", figure(result.rms_px_per_axis, ".4f")),
         ("rms_px_per_point", figure(result.rms_px_per_point, ".4f")),
+        *(() if one_pose is None else (("with one pose of the board a frame", f"{figure(one_pose, '.4f')} px per point"),)),
         ("weakest link", "none" if result.weakest is None else _names(result, result.weakest)),
     )
     advice = rig_advice(result, dict(calibrated.next_views))
@@ -154,6 +155,7 @@ def rig_data(calibrated: RigResult) -> dict[str, Any]:
         "next_views": {name: next_views_data(views) for name, views in calibrated.next_views.items()},
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
+        "one_pose_rms_px_per_point": result.one_pose_rms_px,
         "frames": len(result.frames),
         "links": [
             {

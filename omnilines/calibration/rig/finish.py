@@ -76,6 +76,7 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         notes=rig_notes(outcome, members, weakest, left_out, against),
         line_delays=outcome.line_delays,
         against_alone=against,
+        one_pose_rms_px=outcome.one_pose_rms_px,
     )
 
 

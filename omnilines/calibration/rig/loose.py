@@ -19,6 +19,7 @@ from omnilines.calibration.board_shape import AS_DRAWN
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.excess import excess_note
+from omnilines.calibration.rig.followed import NOT_FOLLOWED
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.own_motion import OwnMotion, alone
@@ -66,11 +67,20 @@ def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcom
     cause = excess_note(outcome.data, outcome.fit, outcome.solution, thresholds.rig)
     notes = (*(() if cause is None else (cause,)), motion_note(found.shutters), *found.notes)
     reasons = {**outcome.reasons, **found.reasons}
-    names = [outcome.data.views.corners.view_names[v] for v in sorted(reasons) if v not in found.fit.views]
+    lost = [v for v in sorted(reasons) if v not in found.fit.views and reasons[v] != NOT_FOLLOWED]
+    names = [outcome.data.views.corners.view_names[v] for v in lost]
     if names:
         notes = (f"Left out, as the board is not where the other cameras of the frame see it: {listed(names)}.", *notes)
+    one_pose = outcome.solution.state.residual_px(outcome.fit.points.chosen(outcome.fit.kept))
     return replace(
-        outcome, data=found.data, fit=found.fit, solution=found.solution, shutters=found.shutters, notes=notes, reasons=reasons
+        outcome,
+        data=found.data,
+        fit=found.fit,
+        solution=found.solution,
+        shutters=found.shutters,
+        one_pose_rms_px=float(one_pose.square().sum(-1).mean().sqrt()),
+        notes=notes,
+        reasons=reasons,
     )
 
 

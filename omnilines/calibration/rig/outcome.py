@@ -47,6 +47,8 @@ class RigOutcome:
     thresholds: CalibrationThresholds
     shutters: Shutters | None = None
     """How far the board moves between the shutters of the cameras, where that was estimated."""
+    one_pose_rms_px: float | None = None
+    """Per point, with one pose of the board in each frame, where each view has a motion of its own."""
     clock_notes: tuple[str, ...] = ()
     """What else is said of the cameras' clocks, where they were compared."""
     moving_share: Float[Tensor, " k"] | None = None

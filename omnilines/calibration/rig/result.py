@@ -95,6 +95,9 @@ class RigCalibration:
     """What of the cameras alone contradicts the rig."""
     line_delays: tuple[LineDelay, ...] = ()
     """Rolling shutters that were recognised or estimated."""
+    one_pose_rms_px: float | None = None
+    """Per point, with one pose of the board in each frame, where each view has a motion of its own, which `rms_px_per_point`
+    does not hold."""
 
     @property
     def board_terms(self) -> dict[str, float]:
