@@ -28,6 +28,7 @@ from rig_views import (
     worst_pose_error,
 )
 
+import omnilines as ol
 from camera_models import GeometryError, InputError
 from camera_models.pinhole import Pinhole
 from camera_models.pose import Pose
@@ -39,6 +40,7 @@ from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.single import calibrate_camera
 from omnilines.least_squares import solve
+from omnilines.pipelines.calibrate_rig import RigSetup
 from omnilines.records import Corners
 
 NOISE_PX = 0.2
@@ -229,6 +231,20 @@ def test_distortion_that_corners_do_not_support_is_held_in_every_camera():
             assert named and "k3" in named[1] and float(named[2]) >= 0.0
             values = member.model.named_parameters()
             assert all(values[name] == 0.0 for name in named[1].split()) and abs(values["k1"] + 0.1) < 0.1
+
+
+@pytest.mark.slow
+def test_models_that_were_chosen_are_named_with_why():
+    rig = pair(8)
+    corners, size = rig.noisy(NOISE_PX, 0), {name: model.image_size for name, model in zip(rig.names, rig.models, strict=True)}
+    found = ol.calibrate_rig(corners, size, models={"cam0": "auto", "cam1": "opencv-fisheye"})
+    (note,) = (note for note in found.notes if "was taken" in note)
+    model = found.cameras["cam0"].NAME
+    assert note.startswith(f"Camera cam0: {model}") and "error of held-out views" in note
+    # A second fit, with the same corners a little better, takes the same models and says the same.
+    setup = RigSetup(ol.CalibrationOptions("auto"), {}, "fixed", {}, False).as_chosen(found.fit, size)
+    assert {name: one.model for name, one in setup.cameras(size).items()} == {"cam0": model, "cam1": "opencv-fisheye"}
+    assert setup.cameras(size)["cam0"].chosen in note and setup.cameras(size)["cam1"].chosen == ""
 
 
 def test_exact_corners_give_the_exact_rig():

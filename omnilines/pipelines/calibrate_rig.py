@@ -3,7 +3,7 @@
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Unpack
@@ -48,6 +48,8 @@ class RigSetup:
     start: Mapping[str, CameraModel]
     hold: bool
     time_offsets: bool = False
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    """Why models were chosen before, a sentence by camera."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
@@ -66,7 +68,8 @@ class RigSetup:
     def as_chosen(self, result: RigCalibration, cameras: Iterable[str]) -> "RigSetup":
         """With the models that were chosen for the cameras of which none was named."""
         chosen = {one.name: one.model.NAME for one in result.members if self.model_of(one.name) == AUTO}
-        return replace(self, models={name: chosen.get(name, self.model_of(name)) for name in cameras if name not in self.start})
+        models = {name: chosen.get(name, self.model_of(name)) for name in cameras if name not in self.start}
+        return replace(self, models=models, chosen={one.name: one.chosen for one in result.members})
 
     def axis_sign_open(self, camera: str) -> bool:
         """Whether the camera may turn out to look to either side."""
@@ -108,7 +111,9 @@ class RigSetup:
                     f"{start.image_size[0]}x{start.image_size[1]} px; give the calibration of these photos."
                 )
             hold = self.hold and start is not None
-            found[name] = CameraSetup(size, self.model_of(name), self.options.of_model, start, hold, self.options.mirror)
+            found[name] = CameraSetup(
+                size, self.model_of(name), self.options.of_model, start, hold, self.options.mirror, self.chosen.get(name, "")
+            )
         return found
 
 

@@ -45,6 +45,8 @@ class CameraSetup:
     hold: bool = False
     """Whether the intrinsics of `start` are held."""
     mirror: bool = False
+    chosen: str = ""
+    """Why the model was chosen before, one sentence."""
 
     @property
     def variant_open(self) -> bool:
@@ -71,6 +73,8 @@ class AloneCamera:
     """Of its corners, those that fit."""
     refusals: Mapping[int, str]
     """Views without a pose, and why."""
+    chosen: str = ""
+    """Why its model was chosen, one sentence; empty where it was named."""
 
 
 def alone_camera(
@@ -96,7 +100,13 @@ def alone_camera(
     rows: Bool[np.ndarray, " n"] = np.isin(corners.view, usable)
     points, weight = board_points(corners, rows, usable), corner_weights(corners, rows)
     stated_px = stated_rms_px(corners, rows)
-    fit = _robust(corners, points, weight, setup, loss, stated_px=stated_px, thresholds=thresholds, callback=callback)
+    chosen = setup.chosen
+    if setup.start is None and setup.model == AUTO:
+        selection = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds)
+        fit = _begun(points, weight, selection.result.model, loss, thresholds, stated_px=stated_px)
+        chosen = selection.reason
+    else:
+        fit = _robust(corners, points, weight, setup, loss, stated_px=stated_px, thresholds=thresholds, callback=callback)
     state, kept = fit.state, fit.kept
     if loss == "none":
         problem = BoardProblem(points, state.model.calibration_basis()[:, : 0 if setup.hold else None], weight)
@@ -131,6 +141,7 @@ def alone_camera(
         rms_px_per_point=float(residual.square().sum(-1).mean().sqrt()),
         kept=fitting & np.isin(corners.view, [usable[v] for v in good]),
         refusals={int(numbers[v]): reason for v, reason in refusals.items()},
+        chosen=chosen,
     )
 
 
@@ -145,12 +156,9 @@ def _robust(
     thresholds: CalibrationThresholds,
     callback: Callable[[Progress], None] | None,
 ) -> RobustFit:
-    """The robust fit from the given calibration or from none."""
+    """The robust fit of the model named, from the given calibration or from none."""
     if setup.start is not None:
         return _begun(points, weight, setup.start, loss, thresholds, stated_px=stated_px, hold=setup.hold)
-    if setup.model == AUTO:
-        chosen = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds).result
-        return _begun(points, weight, chosen.model, loss, thresholds, stated_px=stated_px)
     kind = CameraKind(setup.image_size, setup.model, setup.mirror, setup.options)
     fit = robust_camera(points, weight, kind, loss, thresholds, stated_px=stated_px, callback=callback, least_passes=2)
     model = fit.state.model

@@ -225,6 +225,7 @@ def _members(
                 time_offset_s=float(state.path.offset_s[k]) if k in clocks and state.path is not None else None,
                 time_offset_sigma_s=math.sqrt(float(covariance[clocks[k], clocks[k]])) if k in clocks else None,
                 line_delay=next((found for found in outcome.line_delays if found.camera == name and found.modelled), None),
+                chosen=outcome.alone[c].chosen,
             )
         )
         low = high

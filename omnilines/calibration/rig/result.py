@@ -47,6 +47,8 @@ class RigMember:
     """One standard deviation."""
     line_delay: LineDelay | None = None
     """Of its rolling shutter; None where that was not estimated."""
+    chosen: str = ""
+    """Why its model was chosen, one sentence; empty where it was named."""
 
     @property
     def sigma(self) -> dict[str, float]:
