@@ -35,7 +35,8 @@ class CalibrationOptions(CalibrationThresholds):
     rolling_shutter: bool = False
     """Whether the line delay of each camera is estimated, from the board's motion in frames that follow one another closely."""
     searches: int = 3
-    """Times at most that the camera is sent out for corners that were missed in its photos."""
+    """Times at most that the camera is sent out for corners that were missed in its photos; the first time all corners are fitted
+    again along the edges that it sees."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
