@@ -11,7 +11,9 @@ import torch
 import yaml
 
 from camera_models import Calibration, InputError, Scaramuzza
-from camera_models.formats import format_of_file, read, write
+from camera_models.formats import format_named, format_of_file, read, write
+from camera_models.formats.calibration_data import CameraEstimate
+from camera_models.formats.transfer import transfer
 from camera_models.formats.turn import turn_rad, turned
 from camera_models.pose import Pose
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -219,6 +221,27 @@ def test_the_inverse_polynomial_of_other_people(shared_data: Path) -> None:
     notes = read(omnimvs(shared_data, "itbt_sample")).notes
     assert sum("inverse polynomial" in note and "px; the direct one is taken" in note for note in notes) == 4
     assert not any("inverse polynomial" in note for note in read(omnimvs(shared_data, "sunny_single")).notes)
+
+
+def test_the_inverse_of_a_mirror_is_that_of_what_it_shows(tmp_path: Path) -> None:
+    """`kaidan`: no corner lies within 54 degrees of the axis, where the polynomial goes where it will."""
+    numbers = [324.564, 247.514, 1.0, 0.0, 0.0, -187.2104, 0.28560068113208387, -0.009900158703507292, 0.00015656436164915327]
+    numbers += [-1.365550378673913e-06, 6.808142825655262e-09, -1.8229382670680645e-11, 2.0390170222761136e-14]
+    mirror = Scaramuzza(numbers, (640, 480))
+    estimate = CameraEstimate(min_angle_deg=54.16, max_angle_deg=120.5)
+    path = tmp_path / "calib_results.txt"
+    fit = transfer(Calibration({"cam0": mirror}, {"cam0": estimate}), format_named("ocamcalib"), path)
+    assert fit.nearly["cam0"].off_px < 1e-3 and fit.nearly["cam0"].angles_deg == (54.16, 120.5)
+    assert "its inverse polynomial, 0.00072 px off at most from 54 to 120 degrees off axis" in fit.notes[-1]
+    write(path, fit.calibration, "ocamcalib")
+    theta, phi = np.radians(np.linspace(55, 120, 40)), np.linspace(0, 6, 40)
+    rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)], -1)
+    theirs = rays @ np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    assert np.abs(world2cam(path.read_text(), theirs) - mirror.project(rays)[0]).max() < 2e-3
+    (note,) = read(path).notes
+    assert "differs from the direct one, but from 41 to 127 degrees off axis, by up to" in note
+    unknown = transfer(Calibration({"cam0": mirror}), format_named("ocamcalib"), path)
+    assert unknown.nearly["cam0"].off_px > 10 and unknown.notes[-1].endswith("px off at most over the image.")
 
 
 @pytest.mark.parametrize(

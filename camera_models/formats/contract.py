@@ -35,6 +35,18 @@ class Content:
     """What the file holds beside, or says in a way that a reader should know of; one sentence each."""
 
 
+@dataclass(frozen=True)
+class Nearly:
+    """What a file says of a camera beside its parameters, and only nearly."""
+
+    what: str
+    """In messages."""
+    off_px: float
+    """The largest error."""
+    angles_deg: tuple[float, float] | None
+    """The angles off axis within which that is so; None for all that the image sees."""
+
+
 class CalibrationFormat(ABC):
     """One file format. `read` and `write` are complete: what has no place on the other side is refused or named in a note."""
 
@@ -80,6 +92,10 @@ class CalibrationFormat(ABC):
         alone = is_folder(path) and not self.FOLDERS
         several = len(calibration) > 1 and not alone
         return (frozenset() if several else self.KEEPS) | (frozenset({"rig"}) if self.RIGS and not alone else frozenset())
+
+    def nearly(self, calibration: Calibration) -> dict[str, Nearly]:
+        """What its own tools work with beside the exact parameters, where that is off, by camera; the default is nothing."""
+        return {}
 
     def forms_at(self, path: Path, calibration: Calibration) -> tuple[Form, ...]:
         """The forms that a camera of a calibration written to a path may have; the default is all."""

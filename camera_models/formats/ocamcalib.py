@@ -8,7 +8,8 @@
 
 Its x runs along the rows of the image (down), its y along the columns (right), its z towards the camera: a lens has ss_0 < 0.
 With x and y exchanged and z reversed, a rotation, these are our axes: a_k = -ss_k, while c, d and e stay what they are.
-The inverse polynomial is fitted when writing. When reading it is not used, but compared with the direct one.
+The inverse polynomial, with which its tools project, is fitted when writing: over the image, or where no polynomial follows that,
+as behind the middle of a mirror, over the angles that the data reach. When reading it is not used, but compared with the other.
 
 The YAML has the same numbers (poly, inv_poly, center, affine, image_size) for each of `cameras`, `pose` (rotation vector in rad
 and translation in m, of our axes, which take points of the camera to the rig) and max_fov (degrees).
@@ -21,12 +22,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
-from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, left_out
+from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, Nearly, left_out
 from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form
-from camera_models.formats.inverse_polynomial import compare, fit_inverse
+from camera_models.formats.inverse_polynomial import HARMLESS_PX, Inverse, compare, fit_inverse
 from camera_models.formats.rig_poses import pose_of_vectors, rig_of, vectors_of_pose
 from camera_models.formats.values import image_size as image_size_of
 from camera_models.formats.values import items, mapping, number, numbers, of_text, optional_number, required, text
@@ -69,6 +71,15 @@ class OCamCalib(CalibrationFormat):
         """A .yaml has `pose` and `max_fov`."""
         return frozenset({"rig", "max_angle_deg"} if path.suffix.lower() in _SUFFIXES_YAML else ())
 
+    def nearly(self, calibration: Calibration) -> dict[str, Nearly]:
+        """The inverse polynomial, where it is not one of the whole image."""
+        inverses = {name: _inverse_of(calibration, name) for name in calibration}
+        return {
+            name: Nearly("inverse polynomial", inverse.off_px, inverse.angles_deg)
+            for name, inverse in inverses.items()
+            if inverse.angles_deg is not None or inverse.off_px > HARMLESS_PX
+        }
+
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
         return _read_rig(path) if path.suffix.lower() in _SUFFIXES_YAML else _read_text(path)
 
@@ -80,8 +91,8 @@ class OCamCalib(CalibrationFormat):
                 f"{path} was expected to be a .yaml for a rig, or a folder, which gets a file for each camera, found "
                 f"{path.suffix} for {len(calibration)} cameras; give one of these."
             )
-        (model,) = calibration.values()
-        ocam = _numbers_of(model)
+        (name,) = calibration
+        ocam = _numbers_of(calibration, name)
         rows = [[len(ocam["poly"]), *ocam["poly"]], [len(ocam["inv_poly"]), *ocam["inv_poly"]]]
         rows += [ocam[key] for key in ("center", "affine", "image_size")]
         return {
@@ -89,14 +100,26 @@ class OCamCalib(CalibrationFormat):
         }
 
 
-def _numbers_of(model: Any) -> dict[str, list[Any]]:
+def _direct_of(model: CameraModel) -> list[float]:
+    a0, *higher = list(model.named_parameters().values())[5:]
+    return [-a0, 0.0, *(-a for a in higher)]
+
+
+def _inverse_of(calibration: Calibration, name: str) -> Inverse:
+    model, estimate = calibration[name], calibration.estimates.get(name, CameraEstimate())
+    reach_deg = estimate.max_angle_deg
+    angles_deg = None if reach_deg is None else (estimate.min_angle_deg, reach_deg)
+    return fit_inverse(_direct_of(model), model.image_radius_px, angles_deg)
+
+
+def _numbers_of(calibration: Calibration, name: str) -> dict[str, list[Any]]:
     """The numbers of a camera as OCamCalib has them, polynomials without their counts."""
-    cx, cy, c, d, e, a0, *higher = model.named_parameters().values()
+    model = calibration[name]
+    cx, cy, c, d, e = list(model.named_parameters().values())[:5]
     width, height = model.image_size
-    poly = [-a0, 0.0, *(-a for a in higher)]
     return {
-        "poly": poly,
-        "inv_poly": fit_inverse(poly, model.image_radius_px),
+        "poly": _direct_of(model),
+        "inv_poly": _inverse_of(calibration, name).coefficients,
         "center": [cy, cx],
         "affine": [c, d, e],
         "image_size": [height, width],
@@ -115,14 +138,17 @@ def _camera(ocam: dict[str, list[float]], size: tuple[int, int], where: str) -> 
     # Adding 0.0 turns -0.0 into 0.0.
     values = [column, row, *ocam["affine"], -poly[0] + 0.0, *(-a + 0.0 for a in poly[2:])]
     model = Scaramuzza.from_mapping(dict(zip(names_of_degree(len(poly) - 1), values, strict=True)), size)
-    off = compare(poly, ocam["inv_poly"], 0.5 * min(size))
-    notes = []
-    if off > _DISAGREE_PX:
-        notes.append(
-            f"The inverse polynomial of {where} differs from the direct one by up to {off:.3g} px; the direct one is taken; "
-            "check which of them is right."
-        )
-    return model, notes
+    off_px, near_deg = compare(poly, ocam["inv_poly"], 0.5 * min(size), _DISAGREE_PX)
+    if off_px <= _DISAGREE_PX:
+        return model, []
+    but, do = "", "check which of them is right"
+    if near_deg is not None:
+        but = f", but from {near_deg[0]:.0f} to {near_deg[1]:.0f} degrees off axis,"
+        do = "check which of them is right, or keep to these angles"
+    return model, [
+        f"The inverse polynomial of {where} differs from the direct one{but} by up to {off_px:.3g} px; the direct one is taken; "
+        f"{do}."
+    ]
 
 
 def _read_text(path: Path) -> Content:
@@ -199,7 +225,7 @@ def _counted(camera: dict[str, Any], key: str, name: str) -> list[float]:
 def _rig_text(calibration: Calibration) -> str:
     cameras = []
     for index, (name, model) in enumerate(calibration.items()):
-        ocam = _numbers_of(model)
+        ocam = _numbers_of(calibration, name)
         pose = calibration.rig[name].cam_from_rig if calibration.rig else Pose.identity()
         rotation, translation = vectors_of_pose(pose.inverse())
         estimate = calibration.estimates.get(name, CameraEstimate())

@@ -20,7 +20,7 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.fitting import Conversion, convert, widest
 from camera_models.formats.calibration_data import Calibration, CameraEstimate, RigCamera
-from camera_models.formats.contract import CalibrationFormat, is_folder
+from camera_models.formats.contract import CalibrationFormat, Nearly, is_folder
 from camera_models.formats.forms import Form
 from camera_models.formats.turn import turn_rad, turned
 from camera_models.pose import Pose
@@ -42,6 +42,8 @@ class Transfer:
     """Of the cameras that were fitted; the others are as given. Errors of a turned camera are those in its turned frame."""
     dropped: tuple[str, ...]
     """What the file has no place for."""
+    nearly: dict[str, Nearly]
+    """What the file states only nearly beside exact parameters, of the cameras where that is off."""
     notes: tuple[str, ...]
     """The same and the limits of the format as sentences."""
 
@@ -76,8 +78,9 @@ def transfer(
     forms = {name: exact[name] or target.exact_form(camera) for name, camera in cameras.items()}
     dropped = _dropped(calibration, fitted, target, path)
     notes += [f"Not kept: {'; '.join(dropped)}."] if dropped else []
-    notes += [*_ends(original, conversions), *_limits(fitted, forms, target)]
-    return Transfer(fitted, forms, conversions, tuple(dropped), tuple(notes))
+    nearly = target.nearly(fitted)
+    notes += [*_ends(original, conversions), *_limits(fitted, forms, target), *_off(nearly, target)]
+    return Transfer(fitted, forms, conversions, tuple(dropped), nearly, tuple(notes))
 
 
 def _forms(target: CalibrationFormat, allowed: Sequence[Form], model: str | None) -> list[Form]:
@@ -268,3 +271,16 @@ def _limits(calibration: Calibration, forms: dict[str, Form], target: Calibratio
         f"{sentence}: what {listed(names)} sees beyond is missing or wrong there, though the parameters are right."
         for sentence, names in beyond.items()
     ]
+
+
+def _off(nearly: dict[str, Nearly], target: CalibrationFormat) -> list[str]:
+    """What tools that take the near statement see, one sentence for each camera."""
+    sentences = []
+    for name, item in nearly.items():
+        where = "over the image"
+        if item.angles_deg is not None:
+            where = "from {:.0f} to {:.0f} degrees off axis, where the data of the calibration lie, and wrong beyond".format(
+                *item.angles_deg
+            )
+        sentences.append(f"{target.TITLE} itself projects {name} by its {item.what}, {item.off_px:.2g} px off at most {where}.")
+    return sentences

@@ -43,6 +43,9 @@ def _checks(result: ConversionResult) -> tuple[Check, ...]:
         checks.append(
             Check(f"RMS error of {name}, beside a hundredth of the image", error.rms_px, limit, "px", error.rms_px <= limit)
         )
+    for name, near in result.fit.nearly.items():
+        limit = MOST_OFF * max(result.original[name].image_size)
+        checks.append(Check(f"Largest error of the {near.what} of {name}", near.off_px, limit, "px", near.off_px <= limit))
     return tuple(checks)
 
 
@@ -54,7 +57,7 @@ def _camera_data(result: ConversionResult, name: str) -> dict[str, Any]:
         "form": result.fit.forms[name].name,
         "image_size": list(model.image_size),
         "parameters": model.named_parameters(),
-        "exact": error is None,
+        "exact": error is None and name not in result.fit.nearly,
         **{key: None if error is None else getattr(error, key) for key in FIGURES},
     }
 
@@ -62,8 +65,9 @@ def _camera_data(result: ConversionResult, name: str) -> dict[str, Any]:
 def _sentence(result: ConversionResult, name: str) -> str:
     model, form, error = result.calibration[name].NAME, result.fit.forms[name].name, result.errors.get(name)
     held = model if form == model else f"{model} as {form}"
+    near = result.fit.nearly.get(name)
     if error is None:
-        return f"{held}, exactly"
+        return f"{held}, exactly" if near is None else f"{held}, its {near.what} {near.off_px:.2g} px off at most"
     return (
         f"{result.original[name].NAME} fitted by {held}: {error.rms_px:.3g} px RMS, {error.max_px:.3g} px at most, within "
         f"{error.fov_deg:.0f} degrees"
