@@ -8,7 +8,7 @@ from omnilines.pipelines import convert as pipeline
 from omnilines.pipelines.convert import FIGURES, ConversionResult
 from omnilines.records import Check, Summary
 
-MOST_OFF = 0.01
+MOST_OFF = 0.002
 """Of the longer side of the image, by which a fitted camera may be off from the one that was read (RMS)."""
 
 
@@ -40,9 +40,7 @@ def _checks(result: ConversionResult) -> tuple[Check, ...]:
     checks = []
     for name, error in result.errors.items():
         limit = MOST_OFF * max(result.original[name].image_size)
-        checks.append(
-            Check(f"RMS error of {name}, beside a hundredth of the image", error.rms_px, limit, "px", error.rms_px <= limit)
-        )
+        checks.append(Check(f"RMS error of {name}, beside 0.2 % of the image", error.rms_px, limit, "px", error.rms_px <= limit))
     for name, near in result.fit.nearly.items():
         limit = MOST_OFF * max(result.original[name].image_size)
         checks.append(Check(f"Largest error of the {near.what} of {name}", near.off_px, limit, "px", near.off_px <= limit))

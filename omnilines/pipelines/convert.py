@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from camera_models import Calibration, Conversion, InputError
-from camera_models.formats import format_for_writing, format_named, format_of_file
+from camera_models import Calibration, CameraEstimate, CameraModel, Conversion, InputError
+from camera_models.formats import FORMATS, format_for_writing, format_named, format_of_file
 from camera_models.formats.camera_doubts import camera_doubts
 from camera_models.formats.contract import CalibrationFormat
 from camera_models.formats.disk import write_atomically
 from camera_models.formats.transfer import Transfer, transfer
 from camera_models.typed import typed
+from camera_models.wording import listed
 from omnilines.files.folders import OF_CONVERT
 from omnilines.files.sets import claimed
 from omnilines.provenance import provenance
@@ -25,6 +26,10 @@ COLUMNS = (
 FIGURES = ("rms_px", "max_px", "rms_deg", "max_deg", "fov_deg")
 """Of a conversion as a whole."""
 IN_MEMORY = "in memory"
+LARGE_PX = 1.0
+"""RMS error of a conversion that is more than calibrations are off by, where it is not known how well one fits."""
+TANGENTIAL = ("p1", "p2")
+"""Parameters of a lens that is not round, which purely radial models have no place for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +132,35 @@ def convert(
         figures = {name: {key: getattr(error, key) for key in FIGURES} for name, error in fit.conversions.items()}
         beside = {"conversion": figures, "source": final.provenance}
         final = replace(final, provenance=provenance(made_of) | {key: value for key, value in beside.items() if value})
-    notes = [f"{source}: {note}" for note in said] + [f"{path}: {note}" for note in fit.notes]
+    notes = [f"{source}: {note}" for note in said] + [
+        f"{path}: {note}" for note in (*_losses(calibration, fit, writer), *fit.notes)
+    ]
     read = () if isinstance(source, Calibration) else (Path(source), *(Path(source).iterdir() if Path(source).is_dir() else ()))
     return ConversionResult(calibration, fit, final, reader, writer, path, read, tuple(notes))
+
+
+def _losses(original: Calibration, fit: Transfer, writer: CalibrationFormat) -> list[str]:
+    """Of each camera that the file holds worse than the calibration fits its corners, what is lost and what would hold it."""
+    sentences = []
+    for name, error in fit.conversions.items():
+        camera, known_px = original[name], original.estimates.get(name, CameraEstimate()).rms_px_per_point
+        if error.rms_px <= (LARGE_PX if known_px is None else known_px):
+            continue
+        beside = "" if known_px is None else f", {error.rms_px / known_px:.2g} times the {known_px:.2g} px RMS of its calibration"
+        fitted, given = error.model.named_parameters(), camera.named_parameters()
+        lost = [f"{key} = {given[key]:.3g}" for key in TANGENTIAL if given.get(key) and key not in fitted]
+        why = f": {error.model.NAME} has no place for {listed(lost)}" if lost else ""
+        sentences.append(f"{name} is {error.rms_px:.3g} px RMS off in this file{beside}{why}; {_better(camera, error, writer)}.")
+    return sentences
+
+
+def _better(camera: CameraModel, error: Conversion, writer: CalibrationFormat) -> str:
+    """What to do for a smaller error."""
+    if writer.form_of(camera) is not None:
+        return "leave `model` out, and it is held exactly"
+    formats = [entry.name for entry in FORMATS if format_named(entry.name).form_of(camera) is not None]
+    again = "" if error.model.NAME == camera.NAME else f"calibrate with `model` {error.model.NAME}, or "
+    return f"{again}write it exactly with one of `to_format` {listed(formats)}"
 
 
 def _read(
