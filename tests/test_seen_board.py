@@ -1,13 +1,20 @@
 """Photos that show another target than the one asked for are answered with what they show."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 import calib_patterns
+import omnilines as ol
+from calib_patterns import DetectionOptions
 from calib_patterns.seen_board import SeenBoard, seen_board
-from camera_models import InputError
+from camera_models import InputError, OmnilinesError
+from omnilines.files import photos_of
 from omnilines.pipelines.detect import detect
 from omnilines.pipelines.photo_corners import counts_remark
+from omnilines.pipelines.seen_boards import other_board
+from omnilines.progress import silent
 
 BOARDS = {
     "checkerboard:8x6:30mm": SeenBoard("checkerboard", 8, 6),
@@ -15,6 +22,7 @@ BOARDS = {
     "charuco:5x8:35mm:25mm:DICT_APRILTAG_36h11": SeenBoard("charuco", 5, 8, "DICT_APRILTAG_36h11"),
     "aprilgrid:6x5:35mm:0.3:36h11": SeenBoard("aprilgrid", 6, 5, "36h11"),
 }
+NEGATIVE = "charuco:4x5:54mm:40.5mm:DICT_4X4_1000:inverted"
 
 
 def photo(specification: str, seed: int = 0, pixels: int = 640) -> np.ndarray:
@@ -44,14 +52,38 @@ def test_a_negative_and_a_mirror_image_are_told_and_texture_is_nothing():
     ("shown", "asked", "said"),
     [
         ("checkerboard:8x6:30mm", "checkerboard:7x5:30mm", "look like a checkerboard of 8x6 inner corners"),
-        ("checkerboard:8x6:30mm", "aprilgrid:6x6:35mm:0.3:36h11", "give checkerboard:8x6 with its square"),
+        ("checkerboard:8x6:30mm", "aprilgrid:6x6:35mm:0.3:36h11", "give checkerboard:8x6:SQUARE"),
         ("charuco:9x7:30mm:22mm:DICT_5X5_100", "charuco:9x7:30mm:22mm:DICT_4X4_50", "with tags of DICT_5X5_50"),
         ("aprilgrid:6x5:35mm:0.3:36h11", "charuco:9x7:30mm:22mm:DICT_4X4_50", "look like an AprilGrid of 6x5 tags of 36h11"),
+        (NEGATIVE, "aprilgrid:6x6:35mm:0.3:36h11", r"white on black: .*give charuco:4x5:SQUARE:TAG:DICT_4X4_50:inverted\."),
+        (NEGATIVE, "charuco:6x6:54mm:40mm:DICT_5X5_50", r"give charuco:4x5:54mm:40mm:DICT_4X4_50:inverted\."),
     ],
 )
 def test_the_error_says_what_the_photos_show(shown, asked, said):
     with pytest.raises(InputError, match=said):
         detect({f"{k}.png": photo(shown, k) for k in range(2)}, asked)
+
+
+def test_a_board_of_other_sizes_is_to_be_measured() -> None:
+    """Its tags are those asked for: no other board is named, and only where no photo has a corner are the sizes doubted."""
+    photos, asked = photos_of({f"{k}.png": photo(NEGATIVE, k) for k in range(2)}), NEGATIVE.replace("40.5", "30")
+    look = partial(other_board, photos, calib_patterns.pattern(asked), False, DetectionOptions(), silent)
+    assert look(in_no_photo=False) is None
+    assert look(in_no_photo=True) == (
+        "The photos show its tags, but not its corners where these sizes have them: measure squares and tags."
+    )
+
+
+def test_a_wrong_layout_is_said_before_what_geometry_says_of_it() -> None:
+    """Some tags of another layout agree with the one given: their corners leave any camera open."""
+    asked = NEGATIVE.replace("4x5", "6x7")
+    photos = {f"{k}.png": photo(NEGATIVE, k) for k in range(4)}
+    said = rf"^The photos look like a ChArUco board of 4x5 .*give {NEGATIVE}\. .* those of {asked} leave the camera open \("
+    with pytest.raises(OmnilinesError, match=said):
+        ol.calibrate(photos, asked, model="pinhole")
+    rig = {"left": photos, "right": photos}
+    with pytest.raises(OmnilinesError, match=rf"^Camera left: {said[1:]}"):
+        ol.calibrate_rig(ol.detect_rig(rig, asked), model="pinhole")
 
 
 def test_photos_that_were_flipped_are_said_to_be() -> None:

@@ -30,6 +30,7 @@ from omnilines.pipelines.line_delay import require_close, timed, with_line_delay
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.photo_corners import CORNERS, PhotoCorners
+from omnilines.pipelines.seen_boards import before_geometry
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, Detail, ViewResult
 
@@ -168,20 +169,27 @@ def calibrate_corners(
         require_close(timed(corners).corners, options.clocks)
     else:
         corners = corners_without_copies(corners)
-    found, result = _guided(corners, options, executor, progress) if corners.photos else (corners, None)
-    found = timed(found)
+    with before_geometry({"": corners}, progress):
+        found, selection, options, result = _calibrated(corners, options, executor, progress)
     notes = (*_gains(corners, found), *found.notes)
-    selection = None
-    if options.model == AUTO:
-        selection, options, result = _selected(found, options, executor, progress)
-    if result is None:
-        result = _fitted(found, options, progress)
-    result = with_line_delay(found, result, options, progress)
     # Frames that follow one another are alike, and are meant to be.
     duplicates = None if options.rolling_shutter else options.duplicates
     result = with_remarks(result, _remarks(found, result, duplicates))
     result = replace(result, views=result.views + found.skipped, notes=notes + result.notes)
     return CalibrationResult(result, found, calibration_record(result, options.mirror, found.inputs), selection, options.shooting)
+
+
+def _calibrated(
+    corners: PhotoCorners, options: CalibrationOptions, executor: Executor | None, progress: ProgressCallback
+) -> tuple[PhotoCorners, Selection | None, CalibrationOptions, CameraCalibration]:
+    """The corners that the camera leads to, how its model was chosen, the options with that model, and the calibration."""
+    found, result = _guided(corners, options, executor, progress) if corners.photos else (corners, None)
+    found, selection = timed(found), None
+    if options.model == AUTO:
+        selection, options, result = _selected(found, options, executor, progress)
+    if result is None:
+        result = _fitted(found, options, progress)
+    return found, selection, options, with_line_delay(found, result, options, progress)
 
 
 def view_details(views: Sequence[ViewResult]) -> tuple[Detail, ...]:

@@ -32,6 +32,7 @@ from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.rig_corners import RigCorners, require_all_named
 from omnilines.pipelines.rig_search import searched_with_rig
+from omnilines.pipelines.seen_boards import before_geometry
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners, ViewResult
 
@@ -270,7 +271,10 @@ def calibrate_rig(
         )
     if setup.options.rolling_shutter:
         require_times(corners.corners)
-    found, result = corners, _fitted(corners, setup, progress)
+    # Of several boards each may show the tags of another.
+    one_board = len({item.pattern for item in corners.cameras}) == 1
+    with before_geometry({item.camera: item.found for item in corners.cameras} if one_board else {}, progress):
+        found, result = corners, _fitted(corners, setup, progress)
     again = searched_with_rig(found, result, executor, progress)
     if again is not None:
         # The same corners, a little nearer to where they are, choose no other model.

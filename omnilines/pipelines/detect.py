@@ -130,7 +130,8 @@ def detect(
         photo for photo, (detection, _, its_size) in zip(found_photos, found, strict=True) if its_size and not len(detection)
     ]
     few = 2 * len(without) > len(found)
-    other = other_board(without, target, mirrored, options, progress) if few else None
+    in_none = not any(len(detection) for detection, _, _ in found)
+    other = other_board(without, target, mirrored, options, progress, in_no_photo=in_none) if few else None
     size = _common_size(found, target, other)
     if camera is not None:
         _require_size(camera, size)

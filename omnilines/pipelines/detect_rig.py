@@ -91,6 +91,7 @@ def detect_rig(
             try:
                 looked = _look(own, board, perhaps, mirrored=mirrored, options=options, executor=executor, progress=progress)
                 found.append(CameraCorners(name, looked))
+                notes += [f"Camera {name}: {looked.other}"] if looked.other and not several else []
             except InputError as error:
                 notes.append(f"Camera {name}: {error}")
                 blind[name] = str(error).rstrip(".")
