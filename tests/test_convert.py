@@ -89,9 +89,9 @@ def test_a_fit_says_its_error_and_writes_it_beside(tmp_path: Path, capsys) -> No
     assert "note: " in err and "Not kept: sigma of cam0" in err
     # As far as the data of the calibration reach.
     assert 155 < camera["fov_deg"] <= 160
-    rows = list(csv.DictReader((tmp_path / "cameras_conversion.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "cameras.txt_conversion.csv").read_text().splitlines()))
     assert list(rows[0]) == list(COLUMNS) and len(rows) == 16
-    assert data["files"] == [str(tmp_path / "cameras.txt"), str(tmp_path / "cameras_conversion.csv")]
+    assert data["files"] == [str(tmp_path / "cameras.txt"), str(tmp_path / "cameras.txt_conversion.csv")]
     # The rings together are the whole, and every figure is that of the file that was written.
     weight = np.array([int(row["pixels"]) for row in rows])
     squared = np.array([float(row["rms_px"]) ** 2 for row in rows])
@@ -103,6 +103,16 @@ def test_a_fit_says_its_error_and_writes_it_beside(tmp_path: Path, capsys) -> No
     off = np.linalg.norm(OCAM.project(rays)[0] - written.project(rays)[0], axis=-1)
     ring = next(row for row in rows if float(row["from_deg"]) == 60)
     assert np.sqrt((off**2).mean()) == pytest.approx(float(ring["rms_px"]), rel=0.3)
+
+
+def test_names_of_formats_and_files_that_differ_in_their_ending(tmp_path: Path, capsys) -> None:
+    source = save(tmp_path / "calibration.yaml", OCAM)
+    for name in ("ros.yaml", "opensfm.json", "openmvg.json", "opencv.json", "opencv.yaml"):
+        status, text, _ = run(capsys, source, tmp_path / name, "--fov", 120, "--json")
+        assert status == 0 and json.loads(text)["to_format"] == name.partition(".")[0]
+        assert (tmp_path / f"{name}_conversion.csv").exists()
+    sentence = refused(capsys, source, tmp_path / "ros.json")
+    assert "ROS camera_info files end in .yaml or .yml, found 'ros.json'; give such a name, or the format with --to" in sentence
 
 
 def test_a_fit_worse_than_the_calibration_says_what_is_lost(tmp_path: Path, capsys) -> None:
@@ -304,7 +314,7 @@ def test_the_size_of_the_image_may_be_given(tmp_path: Path, capsys) -> None:
 def test_the_python_function(tmp_path: Path) -> None:
     source = save(tmp_path / "calibration.yaml", OCAM)
     result = command(source, tmp_path / "camchain.yaml", fov_deg=120)
-    assert result.files == (tmp_path / "camchain.yaml", tmp_path / "camchain_conversion.csv") and result.holds
+    assert result.files == (tmp_path / "camchain.yaml", tmp_path / "camchain.yaml_conversion.csv") and result.holds
     with pytest.raises(InputError, match="Another file than the input"):
         command(source, source)
 

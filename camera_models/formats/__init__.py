@@ -87,8 +87,18 @@ def format_of_file(path: str | Path) -> "CalibrationFormat":
 
 
 def format_for_writing(path: str | Path) -> "CalibrationFormat":
-    """The format that owns a file name; raises InputError where none does."""
+    """The format that owns a file name: the one that it is the name of, else that of its pattern. Raises InputError where none
+    does, or the format that it is the name of has no such files."""
     name = Path(path).name.lower()
+    stem, suffix = Path(name).stem, Path(name).suffix
+    if suffix and any(entry.name == stem for entry in FORMATS):
+        named = format_named(stem)
+        if suffix not in named.SUFFIXES:
+            raise InputError(
+                f"{named.TITLE} files end in {' or '.join(named.SUFFIXES)}, found '{Path(path).name}'; give such a name, or the "
+                "format with `to_format`."
+            )
+        return named
     for entry in FORMATS:
         if any(fnmatch.fnmatchcase(name, pattern) for pattern in entry.files):
             return format_named(entry.name)

@@ -40,9 +40,9 @@ def fit_inverse(poly: list[float], radius_px: float, angles_deg: tuple[float, fl
     coefficients, off_px = _fitted(rho, theta)
     if off_px > HARMLESS_PX and angles_deg is not None:
         away = _off_axis_deg(theta)
-        ends = np.interp(np.clip(angles_deg, away[0], away[-1]), away, rho)
-        if ends[1] > ends[0]:
-            rho = np.linspace(*ends, SAMPLES)
+        first, last = np.interp(angles_deg, away, rho).tolist()
+        if last > first:
+            rho = np.linspace(first, last, SAMPLES)
             coefficients, off_px = _fitted(rho, np.arctan2(polyval(rho, np.array(poly)), rho))
             return Inverse(coefficients, off_px, angles_deg)
     return Inverse(coefficients, off_px)

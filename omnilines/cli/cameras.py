@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 DEFAULT = CalibrationOptions
 """Its defaults."""
 EACH = "; of a rig also by camera, as in cam0=...,cam1=..."
+FILE_NAMES = ", ".join(f"{pattern} ({entry.name})" for entry in FORMATS for pattern in entry.files)
 FORMAT_NAMES = ", ".join(sorted(entry.name for entry in FORMATS))
 
 
@@ -184,13 +185,18 @@ def guide(
 @app.command()
 def convert(
     source: Annotated[Path, typer.Argument(help="Calibration file, or folder of them.", metavar="IN", show_default=False)],
-    out: Annotated[Path, typer.Argument(help="File or folder to write; its name tells the format.", metavar="OUT")],
+    out: Annotated[Path, typer.Argument(help="File or folder to write, such as ros.yaml.", metavar="OUT")],
     from_format: Annotated[
         str | None,
         typer.Option("--from", help=f"Format of IN, else told by its contents: {FORMAT_NAMES}.", autocompletion=format_names),
     ] = None,
     to_format: Annotated[
-        str | None, typer.Option("--to", help="Format of OUT, else told by its name.", autocompletion=format_names)
+        str | None,
+        typer.Option(
+            "--to",
+            help=f"Format of OUT, one of these too; else told by its name: that of a format (ros.yaml), or {FILE_NAMES}.",
+            autocompletion=format_names,
+        ),
     ] = None,
     model: Annotated[
         str | None,

@@ -71,7 +71,7 @@ class ConversionResult:
         # A folder may hold the cameras in one format beside another.
         which = out.name if out in files else f"{out.name} to {self.writer.NAME}"
         if self.errors:
-            files.append(out.with_name(f"{out.stem}_conversion.csv"))
+            files.append(out.with_name(f"{out.name}_conversion.csv"))
         names = [path.relative_to(out.parent).as_posix() for path in files]
         with claimed(out.parent, names, self.read, by=f"{OF_CONVERT}{which}"):
             self.writer.write(out, self.calibration)

@@ -172,7 +172,14 @@ def over_inputs() -> Iterator[Case]:
 
     def with_own_files(folder: Path) -> None:
         own(folder)
-        for name in ("mine.pdf", "mine.yml", "checkerboard_7x5_30mm.svg", "report.html", "new_conversion.csv", "mine/work/notes"):
+        for name in (
+            "mine.pdf",
+            "mine.yml",
+            "checkerboard_7x5_30mm.svg",
+            "report.html",
+            "new.yml_conversion.csv",
+            "mine/work/notes",
+        ):
             (folder / "IN" / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / "IN" / name).write_bytes(b"mine")
         (folder / "IN/ours/work").mkdir(parents=True)
