@@ -162,6 +162,16 @@ def test_what_photos_can_get_wrong(photos, tmp_path, capsys):
     empty = tmp_path / "empty"
     empty.mkdir()
     assert "No image found" in refused(capsys, "calibrate", empty, "--pattern", SPEC, *out)
+    (empty / "corners.csv").write_text("view,board_x_m,board_y_m,u_px,v_px\n")
+    size = ("--image-size", "640x480")
+    assert f"found a table of corners and no photo; give {empty / 'corners.csv'} itself" in refused(
+        capsys, "calibrate", empty, *size, *out
+    )
+    assert "into one table with a column camera, or calibrate each camera alone" in refused(
+        capsys, "calibrate", empty / "corners.csv", tmp_path / "b.csv", *size, *out
+    )
+    assert "--image-size beside corners.csv was expected" in refused(capsys, "calibrate", empty / "corners.csv", *out)
+    assert "found photos, which have a size" in refused(capsys, "calibrate", photos, "--pattern", SPEC, *size, *out)
     assert "does not exist" in refused(capsys, "calibrate", tmp_path / "nowhere", "--pattern", SPEC, *out)
     assert "--pattern was expected" in refused(capsys, "calibrate", photos, *out)
     assert "checkerboard:4x4:30mm was expected" in refused(

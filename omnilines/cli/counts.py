@@ -63,6 +63,13 @@ def _of_rig(call: Call) -> bool:
     return is_rig(call.values["photos"]) or call.has("split") or len(_targets(call)) > 1
 
 
+def _of_table_or_its_folder(call: Call) -> bool:
+    """Whether corners are given, or a folder of nothing else, which the command refuses."""
+    from omnilines.pipelines.detect_rig import table_without_photos
+
+    return of_table(call) or table_without_photos(call.values["photos"]) is not None
+
+
 def _of_board_photos(call: Call) -> bool:
     data = Path(call.values["data"])
     return data.suffix != ".csv" and not (data / "corners.csv").is_file()
@@ -141,7 +148,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule(("frames.",), _of_video, "with a video"),
         Rule(("split", "cluster"), lambda call: not of_table(call), "with photos, found a table"),
         Rule(("frames.most_of_scene", "frames.step_share"), lambda call: False, "in `frames` without `pattern`"),
-        Rule(("image_size",), of_table, "with a corners.csv, found photos, which have a size"),
+        Rule(("image_size",), _of_table_or_its_folder, "with a corners.csv, found photos, which have a size"),
         Rule(("boards", "calibration", "hold", "time_offsets", "calibration.rig.", "calibration.clocks."), _of_rig, IN_RIG),
         Rule(("calibration.duplicates.",), lambda call: not _of_rig(call), "with one camera, found a rig"),
         Rule(("detection.tags.", "detection.appearance."), _of_tags, "with a target of tags"),

@@ -16,7 +16,7 @@ from omnilines.commands.result import CommandResult
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.calibrate_one import shown_by
 from omnilines.pipelines.calibrate_rig import RigSetup
-from omnilines.pipelines.detect_rig import is_rig
+from omnilines.pipelines.detect_rig import is_rig, table_without_photos
 from omnilines.pipelines.line_delay import CAMERA
 from omnilines.pipelines.line_options import LinesOptions
 from omnilines.progress import ProgressCallback
@@ -42,11 +42,18 @@ class CalibrationInputs:
     """Of lines: an image or a folder of masks."""
 
     def __post_init__(self) -> None:
-        if self.table and (len(self.photos) > 1 or not self.image_sizes):
-            wanted = "one corners.csv alone" if len(self.photos) > 1 else "`image_size` beside corners.csv"
+        given = " ".join(map(str, self.photos))
+        if self.table and len(self.photos) > 1:
             raise InputError(
-                f"{wanted} was expected, found {' '.join(map(str, self.photos))}; a table does not hold the size of the photos."
+                f"One table of corners alone was expected, found {given}; put the corners of all cameras into one table with a "
+                "column camera, or calibrate each camera alone."
             )
+        if self.table and not self.image_sizes:
+            raise InputError(
+                f"`image_size` beside corners.csv was expected, found {given}; a table does not hold the size of the photos."
+            )
+        if table := table_without_photos(self.photos):
+            raise InputError(f"Photos were expected in {given}, found a table of corners and no photo; give {table} itself.")
         if self.lines and self.rig:
             raise InputError(
                 "Photos of one camera were expected with `pattern` lines, found a rig: lines do not tell how its cameras stand "

@@ -20,7 +20,7 @@ from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_fold
 from omnilines.files.frames import times_of
 from omnilines.files.videos import find_videos
 from omnilines.pipelines.detect import detect
-from omnilines.pipelines.photo_corners import IN_MEMORY, PhotoCorners
+from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.rig_corners import SHOWN_NAMES, CameraCorners, RigCorners, frame_of
 from omnilines.progress import ProgressCallback, silent
@@ -35,6 +35,17 @@ def is_rig(paths: Sequence[Path]) -> bool:
     if len(paths) == 1 and paths[0].suffix.lower() == ".csv":
         return paths[0].is_file() and is_rig_table(paths[0])
     return all(path.is_dir() for path in paths) and bool(shared_frames(find_photos(paths)))
+
+
+def table_without_photos(paths: Sequence[Path]) -> Path | None:
+    """The corners.csv of the one folder given, where it holds neither photos nor videos."""
+    if len(paths) != 1 or not (table := paths[0] / CORNERS).is_file() or find_videos(paths):
+        return None
+    try:
+        find_photos(paths)
+    except InputError:
+        return table
+    return None
 
 
 def shared_frames(photos: Sequence[Photo]) -> tuple[str, ...]:
