@@ -1,5 +1,6 @@
 """How pages name the parameters that texts have in backticks: as in Python, or as the command that runs does."""
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -10,6 +11,11 @@ _spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
 def spelled(name: str) -> str:
     """A parameter as whoever asked for the page names it."""
     return _spelled.get()(name)
+
+
+def spelled_in(text: str) -> str:
+    """A plain text with every parameter that whoever asked for the page names otherwise in that spelling."""
+    return re.sub("`([^`<>]+)`", lambda name: name[0] if spelled(name[1]) == name[1] else spelled(name[1]), text)
 
 
 @contextmanager

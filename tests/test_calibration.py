@@ -25,6 +25,7 @@ from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.views import board_points
 from omnilines.commands.calibrate import calibrate_photos
 from omnilines.files import read_corners
+from omnilines.pipelines.calibrate import calibrate_corners
 from omnilines.records import Corners
 
 BOARD = np.array([[x * 0.03, y * 0.03, 0.0] for y in range(6) for x in range(9)])
@@ -140,6 +141,16 @@ def test_the_mirror_flag_only_turns_the_sign(shared_data):
     assert a[5] > 0 > b[5]
     np.testing.assert_allclose(a[5:], -b[5:], rtol=1e-4)
     assert lens.min_angle_deg > 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size", "mirror", "said"), [
+    ("kaidan", (640, 480), False, True), ("kaidan", (640, 480), True, False), ("fisheye1", (1032, 778), False, False),
+])  # fmt: skip
+def test_a_lens_is_said_to_be_assumed_where_a_mirror_may_be(shared_data, name, size, mirror, said):
+    corners = read_corners(shared_data / f"calibration/{name}/corners.csv")
+    notes = calibrate_corners(corners, size, model="scaramuzza", mirror=mirror).notes
+    assert any(note.startswith("A lens is assumed") and note.endswith("give `mirror`.") for note in notes) is said
 
 
 @pytest.mark.slow

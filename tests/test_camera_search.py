@@ -280,6 +280,10 @@ def test_every_photo_of_a_mirror_is_used(shared_data: Path, tmp_path: Path) -> N
     assert result.data["rms_px_per_axis"] < 0.25
     eighth = next(view for view in views if view["image"] == "KaidanOmni8.jpg")
     assert eighth["rms_px_per_point"] < 0.4
+    assert (
+        result.warnings[0].startswith("A lens is assumed, though no corner lies near the axis")
+        and "`mirror`" in result.warnings[0]
+    )
 
 
 @pytest.mark.slow

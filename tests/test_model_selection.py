@@ -14,13 +14,16 @@ from camera_models.pose import Pose
 from omnilines.calibration.diagnose import grows_beyond
 from omnilines.calibration.held_out import held_out
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.select import Candidate, all_candidates, fit_boards, select_model
+from omnilines.calibration.result import CameraCalibration
+from omnilines.calibration.select import Candidate, Selection, Trial, all_candidates, fit_boards, select_model
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.calibration.views import board_points
 from omnilines.evaluation.cameras import bearing_errors
 from omnilines.files import read_corners
+from omnilines.pages.calibration import trial_rows
 from omnilines.records import Corners
+from omnilines.spelling import spelled_as
 
 SIZE = (1280, 960)
 FEW = (
@@ -272,3 +275,13 @@ def test_held_out_views_of_published_corners(shared_data, name):
         print(f"{name} {trial.candidate.label:24s} {trial.in_sample_px:.4f} {trial.held_out_px:.4f} {trial.failure or ''}")
     assert selection.chosen.monotone and selection.chosen.held_out_px <= by_label["scaramuzza degree 4"].held_out_px * 1.01
     print(selection.reason)
+
+
+def test_what_was_not_fitted_says_it_as_the_command_line_does() -> None:
+    failure = "Camera model pinhole expects a lens that looks along +z, found `mirror`; use `model` scaramuzza."
+    trials = Trial(Candidate("pinhole", {}), failure), Trial(Candidate("scaramuzza", {}), None)
+    selection = Selection(trials[:1], trials[1], "", object.__new__(CameraCalibration))
+    assert trial_rows(selection, "views") == (("pinhole", f"not fitted: {failure}"),)
+    with spelled_as(lambda name: f"--{name}"):
+        ((_, text),) = trial_rows(selection, "views")
+    assert text.endswith("found --mirror; use --model scaramuzza.")

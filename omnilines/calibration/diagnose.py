@@ -98,12 +98,18 @@ def supported_angles_deg(model: CameraModel, pixels: Float[Tensor, "n 2"]) -> tu
     return (low if low > 0.1 * high else 0.0), high
 
 
+def has_blind_centre(model: CameraModel, pixels: Float[Tensor, "n 2"]) -> bool:
+    """Whether no corner lies near the centre, for how far they reach: a mirror shows its own camera there."""
+    radius = (pixels - model.centre_px).norm(dim=-1)
+    return float(radius.min()) > 1 / 3 * float(radius.max())
+
+
 def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size: tuple[int, int]) -> tuple[str, ...]:
     """Sentences on parts of the image without corners."""
     radius = (pixels - model.centre_px).norm(dim=-1)
     shorter = min(image_size) / 2
     notes: tuple[str, ...] = ()
-    if float(radius.min()) > 1 / 3 * float(radius.max()):
+    if has_blind_centre(model, pixels):
         notes = (
             f"No corner lies within {float(radius.min()):.0f} px of the centre: the calibration is extrapolated there, where "
             "single parameters begin, which say little by themselves; add photos with the board in the middle, unless a mirror "

@@ -26,6 +26,7 @@ from omnilines.pipelines.calibrate import CalibrationResult
 from omnilines.records import Corners, ImagePoses, Polyline, Summary, ViewResult
 from omnilines.report import Section
 from omnilines.report.numbers import figure, with_sigma
+from omnilines.spelling import spelled_in
 
 
 def calibration_summaries(calibrated: CalibrationResult) -> tuple[Summary, ...]:
@@ -94,7 +95,7 @@ def trial_rows(selection: Selection | LineSelection, left_out: str) -> tuple[tup
     rows = []
     for trial in selection.trials:
         if trial.failure is not None:
-            text = f"not fitted: {trial.failure}"
+            text = f"not fitted: {spelled_in(trial.failure)}"
         else:
             held_out = (
                 figure(trial.held_out_px, ".4f") if math.isfinite(trial.held_out_px) else f"open without one of the {left_out}"

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from camera_models import Calibration, CameraModel, InputError, save
 from camera_models.typed import typed
+from omnilines.calibration.diagnose import has_blind_centre
 from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.next_pose import NextViews
@@ -171,7 +173,7 @@ def calibrate_corners(
         corners = corners_without_copies(corners)
     with before_geometry({"": corners}, progress):
         found, selection, options, result = _calibrated(corners, options, executor, progress)
-    notes = (*_gains(corners, found), *found.notes)
+    notes = (*_side(found, result, options.mirror), *_gains(corners, found), *found.notes)
     # Frames that follow one another are alike, and are meant to be.
     duplicates = None if options.rolling_shutter else options.duplicates
     result = with_remarks(result, _remarks(found, result, duplicates))
@@ -272,6 +274,20 @@ def _selected(
     chosen = selection.chosen.candidate
     options = replace(options, model=chosen.model, **chosen.options)
     return selection, options, None if options.refine_board else selection.result
+
+
+def _side(found: PhotoCorners, result: CameraCalibration, mirror: bool) -> tuple[str, ...]:
+    """One sentence where the camera may look into a mirror and was taken for a lens, on nothing but that it was not said."""
+    # Tags are read in one sense alone.
+    tagged = found.pattern is not None and found.pattern.plain_grid is None
+    wide = result.model.AXIS_SIGN_OPEN or result.max_angle_deg > 90
+    pixels = torch.from_numpy(found.corners.pixels[result.kept])
+    if mirror or tagged or not wide or not has_blind_centre(result.model, pixels):
+        return ()
+    return (
+        "A lens is assumed, though no corner lies near the axis, where a mirror would show its own camera: boards without tags "
+        "fit both equally well; where the camera looks into a mirror, give `mirror`.",
+    )
 
 
 def _gains(first: PhotoCorners, last: PhotoCorners) -> tuple[str, ...]:
