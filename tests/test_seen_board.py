@@ -86,6 +86,16 @@ def test_a_wrong_layout_is_said_before_what_geometry_says_of_it() -> None:
         ol.calibrate_rig(ol.detect_rig(rig, asked), model="pinhole")
 
 
+@pytest.mark.parametrize(
+    "asked", ["charuco:4x5:54mm:40.5mm:DICT_4X4_1000:start=20", "charuco:4x6:54mm:40.5mm:DICT_4X4_50:legacy"]
+)
+def test_tags_that_are_numbered_otherwise_are_no_other_board(asked: str) -> None:
+    photos = {f"{k}.png": photo(asked, k) for k in range(4)}
+    with pytest.raises(OmnilinesError) as refused:
+        ol.calibrate(photos, asked, model="pinhole")
+    assert "look like" not in str(refused.value)
+
+
 def test_photos_that_were_flipped_are_said_to_be() -> None:
     """Whose tags read as the board asked for, in a mirror: flipped by software or a mirror, no board with other tags."""
     asked = "charuco:9x7:30mm:22mm:DICT_5X5_100"

@@ -121,7 +121,11 @@ def _alike(seen: SeenBoard, printed: Pattern) -> bool:
     """Whether a board with tags is the one asked for, or part of it, however it is shown."""
     if seen.name != printed.NAME or not isinstance(printed, ChArUco | AprilGrid):
         return False
-    return _tags(seen, printed) == _tags_of(printed) and seen.columns in (0, printed.nx) and seen.rows <= printed.ny
+    if _tags(seen, printed) != _tags_of(printed):
+        return False
+    # `seen_board` knows the usual layout alone.
+    usual = printed.with_first_tag(0) == printed and not (isinstance(printed, ChArUco) and printed.legacy)
+    return not usual or (seen.columns in (0, printed.nx) and seen.rows <= printed.ny)
 
 
 def _tags_of(printed: ChArUco | AprilGrid) -> str:
