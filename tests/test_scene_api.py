@@ -28,6 +28,7 @@ from omnilines.pipelines import arcs as arcs_module
 from omnilines.pipelines.adjust import adjust, segments_of_arrays, triangulate
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.given_arcs import given_arcs
+from omnilines.pipelines.lines import still_held
 from omnilines.pipelines.options import RoundOptions, SceneOptions
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.pose_tables import given_poses
@@ -190,6 +191,40 @@ def test_a_prior_holds_given_poses_but_that_of_a_photo_which_lines_put_elsewhere
     assert (largest[:3] <= sigma[0] ** 2).all() and (largest[3:] <= sigma[1] ** 2).all()
     with pytest.raises(InputError, match="`refine` with poses"):
         reconstruct(found, given, cameras["cam0"], pose_sigma=sigma)
+
+
+@pytest.mark.slow
+def test_rough_poses_are_made_better_before_a_prior_holds_them(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:
+    true, sigma = poses.cam_from_world, (math.radians(1.0), 0.05)
+    twists = torch.randn(VIEWS, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    twists *= torch.tensor([sigma[0]] * 3 + [sigma[1]] * 3, dtype=torch.float64)
+    given = replace(poses, cam_from_world=Pose.exp(twists) @ true)
+    options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(max_rounds=4))
+    held = reconstruct(found, given, cameras["cam0"], options, pose_sigma=sigma)
+    assert not any("no prior holds" in one for one in held.told)
+    assert held.poses.covariance is not None
+    off = (held.poses.cam_from_world @ true.inverse()).log().numpy()
+    squared = (off * np.linalg.solve(held.poses.covariance, off[..., None])[..., 0]).sum(-1)
+    # Errors of six given poses that all photos share are not independent.
+    assert squared.mean() < 12.0
+    relative = [moved @ moved[0].inverse() for moved in (held.poses.cam_from_world, given.cam_from_world, true)]
+    shape = [float((one @ relative[2].inverse()).log()[:, :3].norm()) for one in relative[:2]]
+    assert shape[0] < 0.3 * shape[1]
+
+
+def test_a_photo_that_lines_put_back_is_held_again(poses: ImagePoses) -> None:
+    known = KnownPoses(poses, 1e-3, 1e-3)
+    twist = torch.zeros(VIEWS, 6, dtype=torch.float64)
+    twist[2, 0] = 0.1
+    moved = replace(poses, cam_from_world=Pose.exp(twist) @ poses.cam_from_world)
+    without = still_held(known, known, poses, moved, SceneOptions())
+    assert without is not None and without.poses.images == tuple(np.delete(poses.images, 2))
+    assert still_held(known, without, moved, moved, SceneOptions()) is without
+    again = still_held(known, without, poses, poses, SceneOptions())
+    assert again is not None and again.poses.images == poses.images
+    # What lines tell poorly is no contradiction.
+    unsure = replace(moved, covariance=np.tile(0.01 * np.eye(6), (VIEWS, 1, 1)))
+    assert len(known.agreeing(unsure, 0.001).poses) == VIEWS and len(known.agreeing(moved, 0.001).poses) == VIEWS - 1
 
 
 def test_a_scene_is_exported_from_memory_as_from_its_folder(scene: Scene, tmp_path: Path) -> None:

@@ -65,11 +65,15 @@ class KnownPoses:
         return PosePrior(mean, *(one.masked_fill(free, math.inf) for one in sigma))
 
     def agreeing(self, poses: ImagePoses, significance: float) -> "KnownPoses":
-        """Those of photos that are no farther off in `poses` than chance makes more often than this (chi-square)."""
+        """Those of photos that are no farther off in `poses` than chance makes more often than this (chi-square), by these
+        deviations and the covariances that `poses` state."""
         row = {image: k for k, image in enumerate(poses.images)}
         shared = [k for k, image in enumerate(self.poses.images) if image in row]
         own = [row[self.poses.images[k]] for k in shared]
-        off = (poses.cam_from_world[own] @ self.poses.cam_from_world[shared].inverse()).log()
-        squared = ((off[:, :3] / self.sigma_rad).square() + (off[:, 3:] / self.sigma_m).square()).sum(-1)
-        near = np.array(shared)[(squared <= chi2.isf(significance, 6)).numpy()].tolist()
+        off = (poses.cam_from_world[own] @ self.poses.cam_from_world[shared].inverse()).log().numpy()
+        spread = np.diag(np.square([self.sigma_rad] * 3 + [self.sigma_m] * 3))
+        spread = spread if poses.covariance is None else spread + poses.covariance[own]
+        squared = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(-1)
+        # What is not known contradicts nothing.
+        near = np.array(shared, dtype=np.int64)[~(squared > chi2.isf(significance, 6))].tolist()
         return replace(self, poses=self.poses.rows(near))

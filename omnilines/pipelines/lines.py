@@ -22,6 +22,9 @@ from omnilines.pipelines.photo_arcs import FoundArcs, in_order, segments_of, vie
 from omnilines.progress import Each, ProgressCallback
 from omnilines.records import ImagePoses, Segments
 
+FEWEST_HELD = 2
+"""Given poses that say how large the scene is."""
+
 
 def lines_of_arcs(
     found: Sequence[FoundArcs],
@@ -38,19 +41,20 @@ def lines_of_arcs(
 
     With poses refined, photos whose pose the lines contradict, or that have none, are placed by the lines of the others, and
     arcs are matched again with the better poses until no photo moves and tracks gain no more arcs (`options.rounds`). A prior
-    holds the poses `known`, but for those of photos that lines put elsewhere. `workers` adjust the parts of a scene that is
-    divided (`options.partition`), and those of `compare` compare arcs.
+    holds the poses `known`, but for those of photos that lines put elsewhere in the end. `workers` adjust the parts of a
+    scene that is divided (`options.partition`), and those of `compare` compare arcs.
 
     Raises GeometryError naming the stage where no line is left, and InputError where lines contradict the poses known.
     """
     turn, before, tolerance_px = 0, 0, math.inf
+    held = None if known is None else _held_at_first(known, poses, options)
     while True:
         turn += 1
         # From the second round on poses are those of the adjustment: what they still lack is found anew.
         matched = _matched(viewed_arcs(found, poses, cameras), options, progress, compare)
         _require(matched)
         segments = _with_tracks(segments_of(in_order(found, poses)), matched)
-        scene = _adjusted(segments, poses, cameras, options, progress, workers=workers, known=known)
+        scene = _adjusted(segments, poses, cameras, options, progress, workers=workers, known=held)
         if "poses" not in options.refine or turn == options.rounds.max_rounds:
             break
         refined = replace(cameras, cameras=_refined(cameras, scene))
@@ -59,33 +63,51 @@ def lines_of_arcs(
         settled = members < options.rounds.min_gain * before and matched.tolerance_px >= options.rounds.same_slack * tolerance_px
         if moved is None and settled and turn >= options.rounds.min_rounds:
             break
-        if known is not None and moved is not None:
-            known = _still_known(known, scene.poses, moved, options)
+        held = still_held(known, held, scene.poses, scene.poses if moved is None else moved, options)
         before, tolerance_px = members, matched.tolerance_px
         poses, cameras = scene.poses if moved is None else moved, refined
     cameras = replace(cameras, cameras=_refined(cameras, scene))
     # Only now do long edges that bow take part: poses are those of edges that fit as they are.
     longer = _with_long_edges(matched, options, progress)
-    if longer is not matched:
-        matched, segments = longer, _with_tracks(segments, longer)
-        scene = _adjusted(segments, scene.poses, cameras, options, progress, workers=workers, known=known)
+    last = still_held(known, held, scene.poses, scene.poses, options)
+    if longer is not matched or last is not held:
+        matched, segments, held = longer, _with_tracks(segments, longer), last
+        scene = _adjusted(segments, scene.poses, cameras, options, progress, workers=workers, known=held)
         cameras = replace(cameras, cameras=_refined(cameras, scene))
     kept = kept_lines(found, segments, matched, scene, cameras.cameras, options=options, progress=progress)
-    kept = replace(kept, held=known)
+    kept = replace(kept, held=held)
     again = _moved_lines(kept, found, cameras, options, progress, compare)
     kept = with_chance(kept, found, cameras.cameras, again, options=options, progress=progress)
     return _with_spare(kept, found, cameras, options, progress)
 
 
-def _still_known(known: KnownPoses, before: ImagePoses, moved: ImagePoses, options: SceneOptions) -> KnownPoses:
-    """But those of photos that lines moved to elsewhere. Raises InputError where two are not left, which say how large the scene
-    is."""
+def _held_at_first(known: KnownPoses, poses: ImagePoses, options: SceneOptions) -> KnownPoses:
+    """Those that agree with the poses to begin with, which may have been made better; all where too few do, as poses that are
+    better beside each other may lie elsewhere as a whole."""
+    agreeing = known.agreeing(poses, options.adjustment.significance)
+    return known if len(agreeing.poses) < FEWEST_HELD else agreeing
+
+
+def still_held(
+    known: KnownPoses | None, held: KnownPoses | None, before: ImagePoses, moved: ImagePoses, options: SceneOptions
+) -> KnownPoses | None:
+    """Of the poses known those of photos that were held and have not moved, and all that agree with what lines tell now.
+
+    A photo that lines moved with the poses of an early round is so held again where they put it back. Raises InputError where two
+    are not left, which say how large the scene is.
+    """
+    if known is None or held is None:
+        return None
+    significance = options.adjustment.significance
     own = [moved.images.index(image) for image in before.images]
     same = (moved.cam_from_world[own].translation == before.cam_from_world.translation).all(-1).tolist()
     stayed = {image for image, stays in zip(before.images, same, strict=True) if stays}
-    kept = stayed.union(known.agreeing(moved, options.adjustment.significance).poses.images)
+    kept = stayed.intersection([*held.poses.images, *known.agreeing(before, significance).poses.images])
+    kept |= set(known.agreeing(moved, significance).poses.images)
+    if kept == set(held.poses.images):
+        return held
     rows = [k for k, image in enumerate(known.poses.images) if image in kept]
-    if len(rows) < 2:
+    if len(rows) < FEWEST_HELD:
         raise InputError(
             f"Given poses within `pose_sigma_deg` and `pose_sigma_m` of where lines put their photos were expected, found "
             f"{len(rows)} of {len(known.poses)}; give larger deviations, or leave them out."

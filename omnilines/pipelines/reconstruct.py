@@ -135,8 +135,7 @@ def reconstruct(
         return adjust(arcs, poses, camera, options, pose_sigma=pose_sigma, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
     check_options(options, cameras, pose_sigma)
-    arcs, posed = _with_poses(arcs, poses, cameras, options, distance, work, progress, prior=pose_sigma is not None)
-    given = None if pose_sigma is None else KnownPoses(posed.poses, *pose_sigma)
+    arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.
         options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))
@@ -169,16 +168,18 @@ def _with_poses(
     distance: KnownDistance | None,
     work: str | Path | None,
     progress: ProgressCallback,
-    *,
-    prior: bool,
-) -> tuple[PhotoArcs, PhotoPoses]:
-    """The photos that tell something beside others, and the poses that they are matched with; those of a `prior` are no rough
-    ones. Raises InputError where that holds poses that were found in the photos."""
+    pose_sigma: tuple[float, float] | None,
+) -> tuple[PhotoArcs, PhotoPoses, KnownPoses | None]:
+    """The photos that tell something beside others, the poses that they are matched with, and what a prior says of those given.
+
+    Raises InputError where a prior holds poses that were found in the photos.
+    """
     arcs = without_copies(arcs, (poses if isinstance(poses, ImagePoses) else poses.poses).images)
     posed = poses if isinstance(poses, PhotoPoses) else _of_table(arcs, poses, cameras)
-    if prior and posed.source == SFM:
+    given = posed.poses
+    if pose_sigma is not None and posed.source == SFM:
         raise InputError("A prior holds given poses, found those of the photos alone (`poses` sfm); leave the prior out.")
-    if "poses" in options.refine and not prior and posed.source in ("table", "colmap") and posed.poses.frames is None:
+    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
         posed = better_poses(
             arcs.photos,
             posed,
@@ -190,7 +191,11 @@ def _with_poses(
             progress=progress,
         )
     asked = () if distance is None else (distance.first, distance.second)
-    return without_same_place(arcs, posed, cameras, options.same_place, asked)
+    arcs, posed = without_same_place(arcs, posed, cameras, options.same_place, asked)
+    if pose_sigma is None:
+        return arcs, posed, None
+    rows = [k for k, image in enumerate(given.images) if image in posed.poses.images]
+    return arcs, posed, KnownPoses(given.rows(rows), *pose_sigma)
 
 
 def _of_table(arcs: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> PhotoPoses:
