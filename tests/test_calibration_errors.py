@@ -18,10 +18,11 @@ from omnilines.adjustment.lines import motion_across
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
-from omnilines.pages.limits_of_lines import scene_advice
+from omnilines.pages.limits_of_lines import length, scene_advice
+from omnilines.pages.scene import scene_summary
 from omnilines.pipelines.assumed_errors import assumed_covariance
 from omnilines.pipelines.options import OF_TABLES
-from omnilines.records import ImagePoses, Lines, PosePoints, Segments
+from omnilines.records import ImagePoses, LengthUnit, Lines, PosePoints, Segments
 
 CAMERA = OpenCVFisheye([320.0, 322.0, 510.0, 390.0, 0.02, -0.01, 0.002, 0.0], (1032, 778))
 SIGMA = np.array([0.5, 0.5, 0.3, 0.3, 1e-3, 5e-4, 0.0, 0.0])
@@ -225,6 +226,16 @@ def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
         "states its errors" in scene_advice(exact)[0].do
         and f"{1e3 * exact.median_sigma_m():.2g} mm" in scene_advice(exact)[0].limit
     )
+    # Before other advice, and in the verdict, which tells how well lines are known.
+    adjusted = exact.adjusted
+    open_scale = replace(exact, adjusted=replace(adjusted, lines=replace(adjusted.lines, unit=LengthUnit.OPEN)))
+    first, scale = scene_advice(open_scale)[:2]
+    assert first.do == scene_advice(exact)[0].do and "how large the scene is" in scale.limit
+    assert ("places of photos are" in first.limit) == ("poses" in refine)
+    assert exact.supposed is not None
+    with_them = length(exact.supposed.of_lines * exact.median_sigma_m(), exact.lines.unit)
+    assert f"({with_them} where the calibration is off by 0.5 px)" in str(scene_summary(exact).verdict)
+    assert "where the calibration" not in str(scene_summary(half).verdict)
 
 
 @pytest.mark.slow

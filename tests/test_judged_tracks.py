@@ -158,6 +158,21 @@ def test_photos_whose_names_were_exchanged_are_named_and_not_the_calibration(ref
     assert not any("of another photo" in one.limit for one in rough.advice)
 
 
+def test_observations_of_other_lines_are_told_with_the_option_that_leaves_them_out() -> None:
+    segments, poses = scene(40, 8, seed=0)
+    track = segments.track.copy()
+    swapped = np.arange(0, len(track), 41)
+    track[swapped] = (track[swapped] + 1) % 40
+    keep = np.setdiff1d(np.arange(len(track)), swapped + 1)
+    mixed = replace(segments.rows(keep), track=track[keep])
+    plain, robust = (adjust(mixed, poses, LENS, OF_TABLES, robust=asked) for asked in (False, True))
+    count = len(plain.adjusted.suspect)
+    told = scene_advice(plain)[0]
+    assert told.limit.startswith(f"{count} of {len(keep)} observations lie farther") and "`robust`" in told.do
+    every = [*scene_advice(robust), *scene_advice(adjust(segments, poses, LENS, OF_TABLES))]
+    assert every and not any("`robust`" in one.do for one in every)
+
+
 def test_a_photo_whose_pose_is_rough_is_named_with_how_far_its_segments_lie() -> None:
     segments, poses = scene(40, 8, seed=0)
     twists = torch.zeros(8, 6, dtype=torch.float64)

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.stats import binom
 
 from camera_models import CameraModel
 from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck
 from omnilines.pages.limits import named
-from omnilines.pages.noise_notes import WORTH_SAYING
+from omnilines.pages.noise_notes import MANY, WORTH_SAYING
 from omnilines.pipelines.advice import weak_photos
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.directions import PhotoDirections
@@ -44,7 +45,7 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
              for check in scene.checks if not check.holds]  # fmt: skip
     of_photos = scene.from_photos
     found += _skipped(of_photos.skipped, of_photos.given) if of_photos is not None else ()
-    found += [*_contradicted(scene), *scene.advice]
+    found += [*_contradicted(scene), *_supposed(scene), *scene.advice, *_other_lines(scene)]
     noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
     # Of matched segments, advice names photos at fault: until they are put right, residuals say nothing of the calibration.
     single = scene.from_photos is None and bool(scene.advice)
@@ -77,6 +78,46 @@ def _contradicted(scene: Scene) -> list[Advice]:
         "poses are off by that, which no standard deviation holds."
     )
     return [Advice(limit, f"{CHECK_IT} Or refine it: `refine` lines,poses,intrinsics.")]
+
+
+def sigma_with_supposed_m(scene: Scene) -> float:
+    """The median sigma of a line with errors of a calibration that states none, where these are more than all that is stated; NaN
+    elsewhere."""
+    times = 1.0 if scene.supposed is None else scene.supposed.of_lines
+    return times * scene.median_sigma_m() if times**2 > 2.0 else math.nan
+
+
+def _supposed(scene: Scene) -> list[Advice]:
+    """Errors of a calibration that states none, where they are more than all that is stated."""
+    with_them, unit = sigma_with_supposed_m(scene), scene.lines.unit
+    of_photos = None if scene.supposed is None else scene.supposed.of_photos
+    lacking = []
+    if not math.isnan(with_them):
+        lacking.append(f"the sigma of a line is {length(with_them, unit)} in place of {length(scene.median_sigma_m(), unit)}")
+    if of_photos is not None and of_photos**2 > 2.0:
+        lacking.append(f"places of photos are {rounded(of_photos)} times as uncertain as stated")
+    if not lacking:
+        return []
+    said = (
+        f"Uncertainties lack errors of the calibration, which states none: where it is off by {SUPPOSED_PX:g} px (RMS), "
+        f"{' and '.join(lacking)}, and more photos do not lower that."
+    )
+    do = "Calibrate the camera with omnilines calibrate, which states its errors, or say them: `scene.calibration_error_px`."
+    return [Advice(said, do)]
+
+
+def _other_lines(scene: Scene) -> list[Advice]:
+    """Of matched segments: far more observations stand out than chance makes, and none was left out."""
+    count, every, chance = len(scene.adjusted.suspect), len(scene.segments), scene.options.adjustment.significance
+    if scene.from_photos is not None or scene.advice or scene.adjusted.wrong or count <= MANY * every:
+        return []
+    if binom.sf(count - 1, every, chance) >= chance:
+        return []
+    said = (
+        f"{count} of {every} observations lie farther from their line than {100 * (1 - chance):g} percent should, where chance "
+        f"makes {rounded(chance * every)}: they are of other lines, or matched badly, and move those that they are taken for."
+    )
+    return [Advice(said, "Find observations of other lines and leave them out: `robust`.")]
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:
@@ -161,20 +202,10 @@ def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
 
 
 def _of_number(scene: Scene) -> tuple[Advice, ...]:
-    """Where nothing else limits: what as many photos again would do, or a better calibration; of one that states no errors, these
-    count as supposed."""
+    """Where nothing else limits: what as many photos again would do, or a better calibration."""
     sigma, views, common = scene.median_sigma_m(), scene.lines.views[scene.lines.known], scene.median_calibration_sigma_m()
     if not len(views) or math.isnan(sigma):
         return ()
-    supposed = scene.supposed
-    if supposed is not None and supposed.of_lines**2 > 2.0:
-        with_them = length(supposed.of_lines * sigma, scene.lines.unit)
-        said = (
-            f"Uncertainties lack errors of the calibration, which states none: where it is off by {SUPPOSED_PX:g} px (RMS), the "
-            f"sigma of a line is {with_them} in place of {length(sigma, scene.lines.unit)}, and more photos do not lower that."
-        )
-        do = "Calibrate the camera with omnilines calibrate, which states its errors, or say them: `scene.calibration_error_px`."
-        return (Advice(said, do),)
     if 2.0 * common**2 > sigma**2:
         said = (
             f"Errors of the calibration leave {length(common, scene.lines.unit)} of the {length(sigma, scene.lines.unit)} of the "

@@ -13,9 +13,10 @@ from omnilines import report
 from omnilines.adjustment.suspects import Suspect
 from omnilines.files.scene_folder import UNIT_KEY
 from omnilines.least_squares import Outcome
-from omnilines.pages.limits_of_lines import SAMPLE, length, scene_advice
+from omnilines.pages.limits_of_lines import SAMPLE, length, scene_advice, sigma_with_supposed_m
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
 from omnilines.pipelines.scene import FromPhotos, Scene
+from omnilines.pipelines.supposed_errors import SUPPOSED_PX
 from omnilines.records import LengthUnit, Lines, Summary
 from omnilines.report.line_scene import (
     families_section,
@@ -45,8 +46,10 @@ def _verdict(scene: Scene) -> str:
         return f"These lines are not to be trusted: {', '.join(doubts)} {'is' if len(doubts) == 1 else 'are'} beyond the limit."
     lines = scene.lines
     weak = sum(status == "weak" for status in lines.status)
-    sigma = scene.median_sigma_m()
+    sigma, with_supposed = scene.median_sigma_m(), sigma_with_supposed_m(scene)
     known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
+    if not math.isnan(with_supposed):
+        known += f" ({_known_to(scene, with_supposed)} where the calibration is off by {SUPPOSED_PX:g} px)"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
     photos = str(len(scene.poses)) if scene.from_photos is None else _used(scene, scene.from_photos)
     doubted = "; but they contradict the calibration" if scene.contradicted else ""
