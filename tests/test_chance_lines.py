@@ -188,6 +188,19 @@ def test_instants_of_a_rig_are_named_by_what_their_photos_share_together() -> No
     assert int(re.search(r"which share (\d+) lines", alone)[1]) < int(shared) and "instants" not in alone
 
 
+def test_nobody_is_sent_between_photos_that_a_rig_took_at_once() -> None:
+    kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
+    once = replace(kept, scene=replace(kept.scene, poses=replace(kept.scene.poses, frames=("one",) * VIEWS)))
+    options = replace(options, advice=options.advice._replace(few_explained=1.1))
+    (told,) = advice(once, 0.0, "rig", options, silent)
+    assert told.do == (
+        "Take photos of more instants, with poses from the photos (`poses` sfm), or `min_views` 3, with more lines by chance."
+    )
+    apart = replace(options, advice=options.advice._replace(few_explained=0.0, hardly_explained=1.0))
+    (told,) = advice(once, 0.0, "rig", replace(apart, refine=("lines", "poses")), silent)
+    assert told.do == "Take photos of more instants, with poses from the photos (`poses` sfm)."
+
+
 def test_a_photo_of_a_rig_is_not_compared_with_another_of_its_instant() -> None:
     kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
     options = replace(options, advice=options.advice._replace(hardly_explained=1.0))

@@ -138,6 +138,14 @@ def test_a_scene_says_what_it_comes_to_and_when_it_is_not_to_be_trusted(scene: S
     assert scene_summary(doubtful).verdict == "These lines are not to be trusted: agreement is beyond the limit."
 
 
+def test_a_rig_that_stood_once_is_advised_what_can_be_done(scene: Scene) -> None:
+    once = replace(scene.adjusted, poses=replace(scene.poses, frames=("one",) * VIEWS))
+    weak = replace(once, lines=replace(once.lines, status=("weak",) * 60 + once.lines.status[60:]))
+    for adjusted in (once, weak):
+        (told,) = scene_summary(replace(scene, adjusted=adjusted, advice=(), supposed=None, asked=())).advice
+        assert told.do == "Take photos of more instants, with poses from the photos (`poses` sfm)."
+
+
 def test_skipped_photos_are_in_verdict_and_advice(found: PhotoArcs, scene: Scene) -> None:
     assert scene.from_photos is not None
     names, reason = scene.segments.images, "a photo of 768x512 px was expected, found 1152x768 px."
@@ -163,7 +171,10 @@ def test_of_three_photos_all_have_to_see_a_line(found: PhotoArcs, poses: ImagePo
     own, asked = (reconstruct(three, poses, cameras["cam0"], SceneOptions(min_views=k)) for k in (4, 3))
     np.testing.assert_array_equal(own.lines.ends_m, asked.lines.ends_m)
     assert len(own.lines) >= 10 and not any("4 photos" in reason for stage in own.stages for reason, _ in stage.dropped)
-    assert any("All 3 photos have to see a line" in one for one in own.notes)
+    assert any("All 3 photos have to see a line:" in one for one in own.notes)
+    four = reconstruct(replace(found, photos=found.photos[:4]), poses, cameras["cam0"])
+    assert any("All 4 photos have to see a line, or 3 whose arcs all agree:" in one for one in four.notes)
+    assert set(four.lines.views.tolist()) == {3, 4}
     assert " lines from 3 photos" in str(scene_summary(own).verdict)
 
 

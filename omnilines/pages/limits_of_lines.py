@@ -14,7 +14,7 @@ from camera_models.wording import rounded
 from omnilines.calibration.lines.check import LineCheck
 from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import MANY, WORTH_SAYING
-from omnilines.pipelines.advice import weak_photos
+from omnilines.pipelines.advice import more_views, weak_photos
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.directions import PhotoDirections
 from omnilines.pipelines.photo_arcs import PhotoArcs
@@ -150,7 +150,8 @@ def _weak_lines(scene: Scene) -> tuple[Advice, ...]:
         f"{int(weak.sum())} of {int(lines.known.sum())} lines are weak: their photos see them from within "
         f"{low:.0f} degrees, the others from within {usual:.0f}."
     )
-    return (Advice(said, f"Take a photo far to the side of {most}, or above or below it, which shows most of them."),)
+    aside = f"Take a photo far to the side of {most}, or above or below it, which shows most of them"
+    return (Advice(said, f"{more_views(scene.poses, aside)}."),)
 
 
 def line_of_segments(scene: Scene) -> Int[np.ndarray, " s"]:
@@ -217,7 +218,8 @@ def _of_number(scene: Scene) -> tuple[Advice, ...]:
         f"{np.median(views):.0f} or fewer."
     )
     after = length(math.sqrt(max(0.5 * (sigma**2 - common**2), 0.0) + common**2), scene.lines.unit)
-    return (Advice(said, f"As many photos again, from places in between, would bring the sigma of a line to about {after}."),)
+    again = f"As many photos again, from places in between, would bring the sigma of a line to about {after}"
+    return (Advice(said, f"{more_views(scene.poses, again)}."),)
 
 
 def length(value: float, unit: LengthUnit) -> str:

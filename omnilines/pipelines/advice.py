@@ -19,7 +19,7 @@ from omnilines.pipelines.frame import SFM
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_at, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.progress import ProgressCallback
-from omnilines.records import Advice, PhotoCount
+from omnilines.records import Advice, ImagePoses, PhotoCount
 
 MOST_LOOKED_AT = 8
 """Photos whose poses are looked into."""
@@ -141,6 +141,7 @@ def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, Bette
     median = 100 * float(np.median([photo.share for photo in scene.photos]))
     beside = _nearest(scene, apart[0].image, {photo.image for photo in weak})
     between = f"Take photos between {apart[0].image} and {beside}" if beside else "Take more photos"
+    between = more_views(scene.scene.poses, between)
     poses = "" if refined else f", or try {TO_REFINE}"
     few = (
         f"Lines explain few of the arcs of {names}; half of the photos have {median:.0f} % explained or more. They show what no "
@@ -183,8 +184,22 @@ def _whole(scene: KeptLines, refined: bool, min_views: int, options: AdviceOptio
     if scene.tolerance_px >= options.poor_tolerance_px:
         do = "Calibrate the camera again." if refined else f"{TO_REFINE} mends poses."
         return (Advice(f"{told} Poses or calibration are off by {scene.tolerance_px:g} px.", do),)
-    fewer = f", or `min_views` {min_views - 1}" if lost == confirmed - enough and min_views > FIRST_VIEWS else ""
-    return (Advice(told, f"Photos between {_least_joined(scene)}, help most{fewer}."),)
+    bolted = of_one_instant(scene.scene.poses)
+    # Photos that a rig takes at once cannot be joined by others between them.
+    few = lost == confirmed - enough or bolted
+    fewer = f", or `min_views` {min_views - 1}, with more lines by chance" if few and min_views > FIRST_VIEWS else ""
+    between = "" if bolted else f"Photos between {_least_joined(scene)}, help most"
+    return (Advice(told, f"{more_views(scene.scene.poses, between)}{fewer}."),)
+
+
+def of_one_instant(poses: ImagePoses) -> bool:
+    """Whether a rig took all photos at once: nobody can take another beside one of them."""
+    return poses.frames is not None and len(set(poses.frames)) == 1
+
+
+def more_views(poses: ImagePoses, otherwise: str) -> str:
+    """What to do for more views of the lines: where a rig took all photos at once, photos of more instants, else as is said."""
+    return "Take photos of more instants, with poses from the photos (`poses` sfm)" if of_one_instant(poses) else otherwise
 
 
 def _least_joined(scene: KeptLines) -> str:

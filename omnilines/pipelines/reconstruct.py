@@ -20,6 +20,7 @@ from omnilines.files import photo_folder, write_poses
 from omnilines.files.folders import work_folder
 from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
+from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.adjust import adjust, check_prior
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
@@ -325,7 +326,9 @@ def _of_few(photos: int, min_views: int) -> tuple[str, ...]:
     """Where every photo has to see every line."""
     if photos > min_views:
         return ()
-    return (f"All {photos} photos have to see a line: what only some of them show is left out, and no other confirms it.",)
+    fewer = max(min_views - 1, FIRST_VIEWS)
+    or_fewer = f", or {fewer} whose arcs all agree" if fewer < photos else ""
+    return (f"All {photos} photos have to see a line{or_fewer}: what fewer show is left out, and no other confirms it.",)
 
 
 def _without_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[Detail, ...]:
