@@ -131,7 +131,9 @@ class CameraModel(ABC):
         """Pixels of points (or bearings, of any positive scale) in the camera frame, and where that is defined.
 
         `valid` is false beyond `max_angle`, at the camera centre, and for numbers that are none (NaN, infinity) or beyond
-        computing; the pixel there is finite and means nothing. Raises InputError where points are none.
+        computing; the pixel there is finite and means nothing. It says where the model is defined: pixels may lie outside the
+        image, or beyond the field that a calibration saw (`max_angle_deg` of its estimate). Raises InputError where points
+        are none.
         """
         pixels, valid = self._project(vectors(points, 3, "Points"))
         known = pixels.isfinite().all(-1)

@@ -11,12 +11,13 @@ import torch
 from drawn_chains import FISHEYE, OPTIONS, disturbed, level_chains, true_chains
 
 import omnilines as ol
-from camera_models import CameraModel, GeometryError
+from camera_models import Calibration, CameraModel, GeometryError, InputError
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.calibration.lines.scores import LineScores
 from omnilines.geometry.chains import Chains
 from omnilines.pages.check import check_summaries
 from omnilines.pages.limits_of_lines import check_advice
+from omnilines.pipelines import check as check_module
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_camera import adjusted_camera, asked_camera
@@ -128,6 +129,26 @@ def test_photos_that_tell_nothing_bear_nothing_out(shared_data: Path) -> None:
     photos = sorted((york / "images").iterdir())[9:14]
     with pytest.raises(GeometryError, match=r"projects to 8 px were expected, found that they leave \d+ px open"):
         ol.check([str(photo) for photo in photos], ol.load(york / "calibration.yaml"))
+
+
+def test_of_a_rig_the_camera_is_checked_whose_folder_the_photos_lie_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = FISHEYE.with_parameters(1.01 * FISHEYE.parameters)
+    rig = Calibration({"left": FISHEYE, "right": other})
+    dark = np.zeros((*FISHEYE.image_size[::-1], 3), dtype=np.uint8)
+    asked = []
+
+    def stop(_: object, model: object, *__: object, **___: object) -> None:
+        asked.append(model)
+        raise GeometryError("no edges")
+
+    monkeypatch.setattr(check_module, "arc_chains_of", stop)
+    with pytest.raises(GeometryError, match="no edges"):
+        ol.check({"right/1.png": dark}, rig)
+    assert asked == [other]
+    with pytest.raises(InputError, match="Photos of one camera were expected, found those of left, right"):
+        ol.check({"left/1.png": dark, "right/1.png": dark}, rig)
+    with pytest.raises(InputError, match="one of the cameras left, right"):
+        ol.check({"1.png": dark}, rig)
 
 
 def test_a_drift_is_not_said_to_be_less_than_it_is_at_least() -> None:

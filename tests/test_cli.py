@@ -258,6 +258,15 @@ def scene_options(folder):
     return [part for name in names for part in (f"--{name.split('.')[0]}", folder / name)]
 
 
+def test_unmatched_segments_ask_for_their_photos(tmp_path, capsys):
+    scene_files(tmp_path)
+    table = tmp_path / "segments.csv"
+    rows = [line.split(",") for line in table.read_text().splitlines()]
+    table.write_text("\n".join(",".join([row[0], "" if k else row[1], *row[2:]]) for k, row in enumerate(rows[:-1])) + "\n")
+    status, _, err = run(capsys, "reconstruct", *scene_options(tmp_path), "--out", tmp_path / "out")
+    assert status == 2 and f"found none in {len(rows) - 2}; unmatched segments are matched beside their photos: give these" in err
+
+
 @pytest.mark.parametrize("verb", ["reconstruct", "adjust"])
 @pytest.mark.parametrize("method", ["dual", "averaging", "svd"])
 def test_reconstruct_from_tables(tmp_path, capsys, verb, method):

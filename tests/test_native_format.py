@@ -244,7 +244,7 @@ ERRORS = [
     ("version: 1", "version: one", "version must be a whole number, not negative, found 'one'"),
     ("version: 1\n", "", "The key version is missing in the file; add it"),
     ("omnilines-calibration", "kalibr", "The key format must be omnilines-calibration, found 'kalibr'"),
-    ("format: omnilines-calibration\n", "", "The key format must be omnilines-calibration, found none"),
+    ("format: omnilines-calibration\n", "", "found none; give a calibration.yaml .* omnilines convert FILE calibration.yaml"),
     ("    model: pinhole\n", "", "The key model is missing in camera cam0"),
     ("    image_size: [640, 480]\n", "", "The key image_size is missing in camera cam0"),
     ("model: pinhole", "model: pinhol", "camera cam0: A camera model is one of pinhole, .*, found 'pinhol'"),

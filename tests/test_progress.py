@@ -67,6 +67,21 @@ def test_where_no_terminal_is_stages_have_lines_now_and_then(
     ]
 
 
+def test_a_stage_of_unknown_length_is_told_by_its_count_when_it_comes_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(told, "LOOK_S", 0.05)
+    monkeypatch.setattr(told, "AGAIN_S", 0.1)
+    with told.progress() as tell:
+        text = ""
+        for count in (3, 26):
+            tell("adjusting the scene", count, 0)
+            text += waited_for(lambda: capsys.readouterr().err, f"the scene: {count}")
+            tell("clipping", 0, 0)
+            text += waited_for(lambda: capsys.readouterr().err, "clipping")
+    assert " of " not in text
+
+
 def test_a_command_of_a_few_seconds_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with told.progress() as tell:
         tell("finding arcs", 1, 3)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from matching_scenes import SIZE, MatchingScene, camera_named, from_views, looking
 
-from camera_models import Calibration
+from camera_models import Calibration, InputError
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from omnilines.adjustment.prior import KnownPoses
@@ -18,7 +18,10 @@ from omnilines.matching.match import match_arcs
 from omnilines.matching.placing import lines_of_tracks, placed_anywhere
 from omnilines.pipelines.better_poses import poses_by_lines
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, viewed_arcs
+from omnilines.pipelines.poses import estimate_poses
+from omnilines.pipelines.reconstruct import reconstruct
+from omnilines.posing.from_rig import poses_from_rig
 from omnilines.posing.photo_poses import image_poses
 from omnilines.records import ImagePoses
 from omnilines.synthetic.lines import room_world
@@ -111,6 +114,19 @@ def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None
     degrees, metres = errors(mended, found, scene.poses, 2)
     assert degrees < 0.2 and metres < 0.01
     assert mended.frames == poses.frames
+
+
+def test_arcs_of_a_rig_ask_for_its_whole_calibration(rig) -> None:
+    scene, calibration = rig
+    arcs = PhotoArcs(tuple(found_in(scene)), calibration)
+    poses = known_poses(list(arcs.photos), scene.poses, list(range(INSTANTS)))
+    for call in (reconstruct, lambda arcs, _, camera: estimate_poses(arcs, camera, "rig")):
+        with pytest.raises(InputError, match=r"the arcs are of \(left, right\) was expected, found one of cam0; give the whole"):
+            call(arcs, poses, calibration["left"])
+    names = [one.photo.name for one in arcs.photos]
+    camera_of, instant = {one.photo.name: one.camera for one in arcs.photos}, {name: name[-7:-4] for name in names}
+    with pytest.raises(InputError, match=r"found 3 instants \(000, 001, 002\), and"):
+        poses_from_rig(calibration, names[:6], camera_of, instant)
 
 
 def test_a_prior_is_on_instants_of_which_every_photo_is_known(rig) -> None:

@@ -149,7 +149,10 @@ def _calibration(data: Any) -> Calibration:
     top = mapping(data, "the file")
     if top.get("format") != FORMAT:
         found = f"'{top['format']}'" if "format" in top else "none"
-        raise InputError(f"The key format must be {FORMAT}, found {found}; give a calibration.yaml of omnilines.")
+        raise InputError(
+            f"The key format must be {FORMAT}, found {found}; give a calibration.yaml of omnilines, or make one of a file of "
+            "another format with omnilines convert FILE calibration.yaml (omnilines.convert)."
+        )
     version = whole(required(top, "version", "the file"), "version")
     if version > VERSION:
         raise InputError(f"The file is of version {version} and this omnilines reads up to {VERSION}; install a newer omnilines.")

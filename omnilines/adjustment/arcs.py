@@ -121,6 +121,11 @@ def arcs_from_segments(
         (int((~seen.all(-1)).sum()), "segments have an end outside the field of view of the camera model"),
         (int((seen.all(-1) & ~ends_differ).sum()), "segments have no length"),
     )
+    if len(segments) and not matched.any():
+        raise InputError(
+            f"Segments with the name of their line in the column track were expected, found none in {len(segments)}; unmatched "
+            "segments are matched beside their photos: give these too (in Python `given_arcs`)."
+        )
     if not usable.any():
         raise InputError(
             "No segment can be used: matched segments in photos with a pose were expected, found none ("

@@ -59,13 +59,10 @@ def progress() -> "Iterator[ProgressCallback]":
             """Show how far a stage is."""
             nonlocal now
             if stage != now:
-                # The stage before is over, whether it knew how long it would be or not; it may come again in another round.
+                # The stage before is over. It may come again in another round, of another length or of one that is not known.
                 if now:
-                    bar.update(tasks[now], total=1, completed=1, visible=False)
-                if stage in tasks:
-                    bar.reset(tasks[stage], total=total or None, visible=True)
-                else:
-                    tasks[stage] = bar.add_task(stage, total=total or None)
+                    bar.remove_task(tasks.pop(now))
+                tasks[stage] = bar.add_task(stage, total=total or None)
                 now = stage
             bar.update(tasks[stage], completed=done, total=total or None)
 
@@ -90,7 +87,8 @@ def _told_in_lines(bar: "Progress") -> "Iterator[None]":
             named.add(stage.description)
             said = now
             minutes, seconds = divmod(round(now - begun), 60)
-            far = f": {stage.completed:.0f} of {stage.total:.0f}" if stage.total else ""
+            count = f": {stage.completed:.0f}" if stage.completed or stage.total else ""
+            far = f"{count} of {stage.total:.0f}" if stage.total else count
             # Whoever reads it may have gone.
             with suppress(OSError, ValueError):
                 typer.echo(f"[{minutes}:{seconds:02}] {printable(stage.description)}{far}", err=True)

@@ -11,14 +11,14 @@ import torch
 
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.typed import typed
-from camera_models.wording import rounded
+from camera_models.wording import listed, rounded
 from omnilines.calibration.lines.check import LineCheck, line_check
 from omnilines.files import Photos, photo_folder, photos_of
 from omnilines.files.masks import Mask, check_masks, with_masks
 from omnilines.files.sets import claimed
 from omnilines.files.tables import name_cells, number_cells, write_table
 from omnilines.pipelines.arc_chains import arc_chains_of
-from omnilines.pipelines.arcs import calibration_of, known_angles_rad
+from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.line_scale import asked_by_lines
 from omnilines.progress import ProgressCallback, silent
@@ -120,21 +120,24 @@ def check(
     """Whether photos of buildings, rooms or anything else with straight lines bear out the calibration of one camera.
 
     Lines have to be straight over the whole image, parallel ones to meet, and right angles to be right. Only what `mask`
-    shows is looked at, as in `extract`. Where the calibration states a covariance, what it allows is no contradiction.
+    shows is looked at, as in `extract`. Of a calibration of several cameras, the one is checked that a folder of the photos is
+    named like. Where the calibration states a covariance, what it allows is no contradiction.
 
-    Raises InputError for a rig, a camera without parameters, and where no photo can be used, and GeometryError where too few
-    edges are straight, or lines leave more open than `most_sigma_share` of the image.
+    Raises InputError for photos of several cameras or of none that is known, a camera without parameters, and where no photo can
+    be used, and GeometryError where too few edges are straight, or lines leave more open than `most_sigma_share` of the image.
 
         >>> ol.check("room/", ol.load("room/calibration.yaml")).holds
         True
     """
-    cameras = calibration_of(camera)
-    if len(cameras) != 1:
-        raise InputError(f"A calibration of one camera was expected, found {len(cameras)}; check each with its own photos.")
-    name, model = next(iter(cameras.items()))
+    cameras, given = calibration_of(camera), photos_of(photos)
+    shown = dict.fromkeys(cameras_of_photos(given, cameras).values())
+    if len(shown) != 1:
+        raise InputError(f"Photos of one camera were expected, found those of {listed(shown)}; check each with its own photos.")
+    (name,) = shown
+    model = cameras[name]
     if not model.CALIBRATED:
         raise InputError(f"A camera model with parameters was expected, found {model.NAME}; there is nothing to check.")
-    refs, estimate = with_masks(photos_of(photos), mask), cameras.estimates.get(name)
+    refs, estimate = with_masks(given, mask), cameras.estimates.get(name)
     check_masks(refs, {photo.name: model.image_size for photo in refs})
     lines = options.lines
     known_rad = known_angles_rad(estimate)

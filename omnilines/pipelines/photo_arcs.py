@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from camera_models import Calibration, GeometryError
+from camera_models import Calibration, GeometryError, InputError
 from camera_models.typed import typed
+from camera_models.wording import listed
 from omnilines.files import Photo, write_segments
 from omnilines.files.sets import claimed
 from omnilines.matching.arcs import ViewedArcs
@@ -98,6 +99,16 @@ class PhotoArcs:
         with claimed(folder, [SEGMENTS], by="extract") as out:
             write_segments(out / SEGMENTS, self.segments)
         return (out / SEGMENTS,)
+
+
+def require_cameras_of(arcs: PhotoArcs, cameras: Calibration) -> None:
+    """Raises InputError where the calibration lacks a camera that the arcs are of."""
+    used = dict.fromkeys(one.camera for one in arcs.photos)
+    if any(name not in cameras for name in used):
+        raise InputError(
+            f"A calibration of the cameras that the arcs are of ({listed(used)}) was expected, found one of {listed(cameras)}; "
+            "give the whole calibration that they were extracted with."
+        )
 
 
 def in_order(found: Sequence[FoundArcs], poses: ImagePoses) -> list[FoundArcs]:

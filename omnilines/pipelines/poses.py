@@ -22,7 +22,7 @@ from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.masks import looked_at, mask_files
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
-from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
 from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
@@ -106,6 +106,8 @@ def estimate_poses(
         (6, {}, 'metres')
     """
     source, cameras = str(source), calibration_of(camera)
+    if isinstance(photos, PhotoArcs):
+        require_cameras_of(photos, cameras)
     photos = without_copies(photos) if isinstance(photos, PhotoArcs) and from_photos(source) else photos
     arcs = photos if isinstance(photos, PhotoArcs) else None
     if not isinstance(photos, PhotoArcs) and source.startswith(PREFIX):

@@ -44,7 +44,7 @@ from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
-from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.photo_arcs import PhotoArcs, require_cameras_of
 from omnilines.pipelines.pose_errors import errors_by_poses
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
@@ -135,6 +135,7 @@ def reconstruct(
             raise InputError("`distance` counts only with arcs of photos, found matched segments; give poses in metres.")
         return adjust(arcs, poses, camera, options, pose_sigma=pose_sigma, inputs=inputs, executor=executor, progress=progress)
     cameras = calibration_of(camera)
+    require_cameras_of(arcs, cameras)
     check_options(options, cameras, pose_sigma)
     arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
     if options.min_views == SceneOptions.min_views:

@@ -7,6 +7,7 @@ import torch
 
 from camera_models import Calibration, InputError
 from camera_models.pose import Pose
+from camera_models.wording import listed
 from omnilines.geometry.rig_readings import refuse_rig_reading
 from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses, image_poses
@@ -25,7 +26,7 @@ def poses_from_rig(
     frames = list(dict.fromkeys(frame_of[photo] for photo in photos))
     if len(frames) != 1:
         raise InputError(
-            f"Photos of one instant of the rig were expected, found {len(frames)} instants ({', '.join(frames[:3])}, ...), and "
+            f"Photos of one instant of the rig were expected, found {len(frames)} instants ({listed(frames)}), and "
             "where the rig was at each is not known; give poses.csv with the column frame, or --poses sfm."
         )
     _require_one_photo_each(photos, camera_of, frame_of)
