@@ -18,6 +18,7 @@ from torch import Tensor
 from camera_models._arrays import Array, array_function, as_tensor, vectors
 from camera_models.errors import InputError
 
+FOCAL_LENGTHS = ("fx", "fy")
 _LEAST_NORM = 0.5
 """Of a bearing that is one; nothing that is not a number is larger."""
 
@@ -69,6 +70,19 @@ class CameraModel(ABC):
                 f"Camera model {self.NAME} expects the {len(self.PARAMETER_NAMES)} parameters "
                 f"{' '.join(self.PARAMETER_NAMES)}, found {tuple(self.parameters.shape)}; give one number for each."
             )
+        # A fit, whose parameters are tensors, may pass through numbers that are no camera.
+        if not isinstance(parameters, Tensor):
+            self._require_numbers()
+
+    def _require_numbers(self) -> None:
+        """Raises InputError where a parameter is no finite number, or a focal length not above 0."""
+        for name, value in self.named_parameters().items():
+            if not math.isfinite(value) or (name in FOCAL_LENGTHS and value <= 0.0):
+                wanted = "above 0" if math.isfinite(value) else "finite"
+                raise InputError(
+                    f"The parameter {name} of camera model {self.NAME} was expected to be a number that is {wanted}, found "
+                    f"{value:g}; correct it."
+                )
 
     @classmethod
     @abstractmethod

@@ -46,7 +46,7 @@ class Scaramuzza(CameraModel):
             )
         self.degree = len(self.parameters) - 5
         self.PARAMETER_NAMES = names_of_degree(self.degree)
-        super().__init__(self.parameters, image_size)
+        super().__init__(parameters, image_size)
         c, d, e, *a = self.parameters[2:]
         one, zero = torch.ones_like(c), torch.zeros_like(c)
         # Made here, not on first use: that may lie inside a `no_grad` block and would then cut the gradients for good.

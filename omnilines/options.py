@@ -134,11 +134,26 @@ def _number(name: str, text: str, defaults: tuple[Any, ...]) -> Any:
         raise ValueError(text)
     if value in defaults:
         return value
+    _require_in_range(name, value, defaults, f"'{text}'")
+    return value
+
+
+def _require_in_range(name: str, value: float | int, defaults: tuple[Any, ...], said: str) -> None:
+    """Raises InputError where a number is beyond reason, beside those that stand by default."""
+    first = defaults[0]
     finite = tuple(default for default in defaults if default is None or math.isfinite(default))
     low, high = range_of(name, first) if first is None else (range_of(name, min(finite))[0], range_of(name, max(finite))[1])
     if not low <= value <= high:
-        raise InputError(f"{name} was expected to be a number from {low:g} to {high:g}, found '{text}'; correct it.")
-    return value
+        raise InputError(f"{name} was expected to be a number from {low:g} to {high:g}, found {said}; correct it.")
+
+
+def require_ranges(options: Any, usual: Any) -> None:
+    """Raises InputError where a number of options made in Python is beyond what `with_settings` takes beside the `usual` ones."""
+    defaults = {name: value for name, value, _ in walk(usual)}
+    for name, value, _ in walk(options):
+        default = defaults[name]
+        if isinstance(default, int | float) and not isinstance(default, bool) and value != default:
+            _require_in_range(name, value, (default,), f"{value:g}")
 
 
 UNITS = {

@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+import omnilines as ol
 import omnilines.extraction
-from camera_models import Pinhole
+from camera_models import InputError, Pinhole
 from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.extraction.options import ChainOptions
 from omnilines.options import walk, with_settings
 
 CAMERA = Pinhole.from_mapping({"fx": 260.0, "fy": 260.0, "cx": 159.5, "cy": 119.5}, (320, 240))
@@ -57,3 +59,10 @@ def test_options_set_by_name_change_what_is_found(setting: str, fewer: bool) -> 
     counts = [len(extract_arcs(photo, CAMERA, options=options)) for options in (usual, with_settings(usual, [setting]))]
     assert counts[0] > 30
     assert counts[1] < counts[0] if fewer else counts[1] > counts[0]
+
+
+def test_options_made_in_python_have_the_ranges_of_those_set_by_name() -> None:
+    with pytest.raises(InputError, match=r"^min_length_px was expected to be a number from 0 to 1e\+12, found -50; correct it"):
+        ol.extract({"0.png": strips()}, CAMERA, options=ExtractionOptions(min_length_px=-50.0))
+    with pytest.raises(InputError, match=r"^chains\.\w+ was expected"):
+        ol.extract({"0.png": strips()}, CAMERA, options=ExtractionOptions(chains=ChainOptions(min_points=-1)))

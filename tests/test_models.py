@@ -52,6 +52,21 @@ def test_round_trip_inside_the_image(model):
 
 
 @EACH
+def test_numbers_that_are_no_camera_are_refused(model):
+    values = model.named_parameters()
+    wrong = [(name, bad) for name in values for bad in (math.nan, math.inf)]
+    wrong += [(name, bad) for name in ("fx", "fy") if name in values for bad in (0.0, -500.0)]
+    for name, bad in wrong:
+        for given in (list({**values, name: bad}.values()), np.array(list({**values, name: bad}.values()))):
+            with pytest.raises(
+                InputError, match=rf"The parameter {name} of camera model {model.NAME} was expected .* found {bad:g}"
+            ):
+                model.with_parameters(given)
+        # A fit may pass through anything.
+        assert len(model.with_parameters(torch.tensor(list({**values, name: bad}.values()))).parameters) == len(values)
+
+
+@EACH
 def test_round_trip_over_the_whole_domain(model):
     bearings = bearings_of(model, share=0.99)
     pixels, valid = model.project(bearings * np.random.default_rng(3).uniform(0.01, 100, (len(bearings), 1)))

@@ -385,8 +385,9 @@ def test_what_is_known_of_cameras_and_rigs_has_their_size_and_sign() -> None:
 def test_what_a_file_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"provenance\.when is a complex"):
         save(tmp_path / "c.yaml", Calibration(full_calibration().cameras, provenance={"when": 1j}))
+    endless = torch.tensor([math.inf, 1, 1, 1, 0, 0, 0, 0])
     with pytest.raises(InputError, match=r"parameter fx of camera a must be a finite number, .* found inf"):
-        save(tmp_path / "c.yaml", {"a": full_calibration()["left"].with_parameters([math.inf, 1, 1, 1, 0, 0, 0, 0])})
+        save(tmp_path / "c.yaml", {"a": full_calibration()["left"].with_parameters(endless)})
     assert not list(tmp_path.iterdir())
 
 

@@ -25,6 +25,7 @@ from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with
 from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
+from omnilines.options import require_ranges
 from omnilines.pipelines.batches import look_at
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
@@ -61,7 +62,7 @@ def extract(
     kept in the folder `work`, where one is given, and read from there by another run that would find the same. A photo that
     cannot be read, has not the size of its camera or another EXIF orientation than its others is skipped with its reason.
 
-    Raises InputError where there is no photo, none can be used, or masks do not belong to the photos.
+    Raises InputError where there is no photo, none can be used, masks do not belong to the photos, or an option is beyond reason.
 
         >>> arcs = ol.extract("room/", ol.load("room/calibration.yaml"))
         >>> len(arcs.photos), arcs.skipped
@@ -69,6 +70,7 @@ def extract(
         >>> arcs.segments.endpoints_px.shape[1:], arcs.segments.covariance_px2.shape[1:]
         ((2, 2), (2, 2, 2))
     """
+    require_ranges(options, ExtractionOptions())
     cameras = calibration_of(camera)
     refs = with_masks(photos_of(photos), mask)
     camera_of = cameras_of_photos(refs, cameras, camera_of)
