@@ -200,8 +200,20 @@ def test_a_prior_holds_given_poses_but_that_of_a_photo_which_lines_put_elsewhere
     assert held.poses.covariance is not None and held.supposed is None
     largest = np.diagonal(held.poses.covariance[others], axis1=1, axis2=2).max(0)
     assert (largest[:3] <= sigma[0] ** 2).all() and (largest[3:] <= sigma[1] ** 2).all()
+    assert not any("Lines draw" in one for one in held.told)
     with pytest.raises(InputError, match="`refine` with poses"):
         reconstruct(found, given, cameras["cam0"], pose_sigma=sigma)
+
+
+@pytest.mark.slow
+def test_a_prior_that_lines_contradict_is_told(found: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> None:
+    twists = torch.zeros(VIEWS, 6, dtype=torch.float64)
+    twists[2, 1] = math.radians(0.3)
+    given = replace(poses, cam_from_world=Pose.exp(twists) @ poses.cam_from_world)
+    options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(max_rounds=1))
+    pulled = reconstruct(found, given, cameras["cam0"], options, pose_sigma=(math.radians(0.02), 0.001))
+    (told,) = [one for one in pulled.told if "Lines draw" in one]
+    assert f"{poses.images[2]} farther from the given poses than their prior lets expect" in told
 
 
 @pytest.mark.slow

@@ -282,11 +282,20 @@ def _of_given(posed: PhotoPoses, found: KeptLines, known: KnownPoses | None, opt
         return ()
     if known is None or found.held is None:
         return (OF_GIVEN,)
-    free = [image for image in known.poses.images if image not in found.held.poses.images]
-    if not free:
-        return (OF_PRIOR,)
-    them = "its pose" if len(free) == 1 else "their poses"
-    return (OF_PRIOR, f"The lines of other photos put {listed(free)} elsewhere than given: no prior holds {them}.")
+    told, held = [OF_PRIOR], found.held.poses.images
+    free = [image for image in known.poses.images if image not in held]
+    if free:
+        them = "its pose" if len(free) == 1 else "their poses"
+        told.append(f"The lines of other photos put {listed(free)} elsewhere than given: no prior holds {them}.")
+    final = replace(found.scene.poses, covariance=None)
+    near = found.held.agreeing(final, options.adjustment.significance).poses.images
+    drawn = listed(image for image in held if image not in near)
+    if drawn:
+        told.append(
+            f"Lines draw {drawn} farther from the given poses than their prior lets expect: the prior is too strict, or "
+            "lines are off by a calibration that is, and uncertainties are too small."
+        )
+    return tuple(told)
 
 
 def _guided(found: KeptLines, families: Families, options: SceneOptions) -> Lines:
