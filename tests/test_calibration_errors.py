@@ -232,7 +232,9 @@ def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
     first, scale = scene_advice(open_scale)[:2]
     assert first.do == scene_advice(exact)[0].do and "how large the scene is" in scale.limit
     assert exact.supposed is not None
-    assert ("places of photos are" in first.limit) == ((exact.supposed.of_photos or 1.0) > math.sqrt(2.0))
+    assert "places of photos are" not in first.limit and (exact.supposed.of_photos or 1.0) < math.sqrt(2.0)
+    of_places = replace(exact, supposed=replace(exact.supposed, of_photos=3.0))
+    assert "places of photos are 3 times as uncertain" in scene_advice(of_places)[0].limit
     with_them = length(exact.supposed.of_lines * exact.median_sigma_m(), exact.lines.unit)
     assert f"({with_them} where the calibration is off by 0.5 px)" in str(scene_summary(exact).verdict)
     assert "where the calibration" not in str(scene_summary(half).verdict)
