@@ -148,15 +148,16 @@ class ChArUco(TagBoard):
             black.append(bit_rectangles(self.family.bits(tag), float(left), float(top), self.marker_m))
         return CellGrid.of_rectangles(np.concatenate(black))
 
-    def _strip(self, options: FitOptions) -> float:
-        """How far from their sides fits look into white squares, in squares."""
-        return options.tag_margin_share * 0.5 * (1.0 - self.marker_m / self.square_m)
+    @property
+    def _margin(self) -> float:
+        """How far tags are from the sides of their white squares, in squares."""
+        return 0.5 * (1.0 - self.marker_m / self.square_m)
 
     def corner_kind(self, options: FitOptions) -> CornerKind:
         corners = self.points_m[:, :2]
         column, row = np.rint(corners / self.square_m).astype(np.int64).T
         return squares_kind(
-            corners, np.where((column + row) % 2 == self._first_white, 1.0, -1.0), self.square_m, self._strip(options)
+            corners, np.where((column + row) % 2 == self._first_white, 1.0, -1.0), self.square_m, self._margin, options
         )
 
     def _with_more_corners(
@@ -166,7 +167,6 @@ class ChArUco(TagBoard):
             return piece
         # The corners of all squares are alike: no id is needed to find those around a piece. What is invented at the end of the
         # board does not matter, since they are found once more with their ids.
-        strip = self._strip(options.fit)
-        found, places = grown(grey, piece, factors, self.nx - 1, self.ny - 1, options, strip=strip, strict=False)
+        found, places = grown(grey, piece, factors, self.nx - 1, self.ny - 1, options, margin=self._margin, strict=False)
         kept = own(places, self.nx - 1, self.ny - 1, options.pieces)
         return Lattice((found.pixels[kept] + 0.5) / factors - 0.5, places[kept], piece.bright)

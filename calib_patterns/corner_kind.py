@@ -1,5 +1,6 @@
 """What the print looks like around the corners of a board, and which fits are corners of that kind."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +24,13 @@ class CornerKind:
     """Side of the squares around the corners, which the windows are sized by."""
     spacing_m: float
     """Typical distance of neighbouring corners, the unit of the local map."""
+    margin: Float[np.ndarray, "n 2 2"] | None = None
+    """How far, in squares, a tag is from the edges in each quadrant, infinite where there is none; None without tags."""
 
     def at(self, chosen: Int[np.ndarray, " k"]) -> "CornerKind":
         """Some of the corners."""
-        return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m)
+        margin = None if self.margin is None else self.margin[chosen]
+        return CornerKind(self.corners_m[chosen], self.sign[chosen], self.plain[chosen], self.square_m, self.spacing_m, margin)
 
     def fit(
         self, grey: np.ndarray, places: LocalMap, start_blur_px: float, options: FitOptions, settled_px: float = SETTLED_PX
@@ -34,13 +38,27 @@ class CornerKind:
         """The saddles near the predicted places."""
         share = self.square_m / self.spacing_m
         first, second = places.first * share, places.second * share**2
+        plain = self._clear_of_tags(first, start_blur_px, options)
         return fit_corners(
-            grey, places.pixels, first, second, options, plain=self.plain, start_blur_px=start_blur_px, settled_px=settled_px
+            grey, places.pixels, first, second, options, plain=plain, start_blur_px=start_blur_px, settled_px=settled_px
         )
+
+    def _clear_of_tags(
+        self, first: Float[np.ndarray, "n 2 2"], blur_px: float, options: FitOptions
+    ) -> Float[np.ndarray, "n 2 2"]:
+        """`plain`, narrowed by the blur of tags; `first` are derivatives of the pixels by squares."""
+        if self.margin is None:
+            return self.plain
+        # Between opposite sides of a square, where it is the narrower.
+        width_px = np.abs(np.linalg.det(first)) / np.maximum(np.linalg.norm(first, axis=1).max(-1), 1e-9)
+        blurred = options.tag_clear_blurs * blur_px / np.maximum(width_px, 1e-9)
+        clear = np.maximum(self.margin - blurred[:, None, None], options.least_margin_share * self.margin)
+        return np.minimum(self.plain, clear)
 
     def narrowed(self) -> "CornerKind":
         """With windows of half the width."""
-        return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain)
+        margin = None if self.margin is None else 2.0 * self.margin
+        return replace(self, square_m=0.5 * self.square_m, plain=2.0 * self.plain, margin=margin)
 
     def along_edges(self, options: FitOptions) -> "CornerKind":
         """With the pixels within half a window of either edge only, without the insides of the squares."""
@@ -52,11 +70,14 @@ class CornerKind:
 
 
 def squares_kind(
-    corners_m: Float[np.ndarray, "n 2"], sign: Float[np.ndarray, " n"], square_m: float, strip: float = 1.0
+    corners_m: Float[np.ndarray, "n 2"], sign: Float[np.ndarray, " n"], square_m: float, margin: float, options: FitOptions
 ) -> CornerKind:
-    """The corners of a checkerboard whose black squares are plain, the white ones as far as `strip` squares from their sides."""
+    """The corners of a checkerboard whose black squares are plain, the white ones as far as `margin` squares from their sides;
+    infinite where there are no tags."""
     white = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
-    return CornerKind(corners_m, sign, np.where(white, strip, np.inf), square_m, square_m)
+    margins = np.where(white, margin, np.inf)
+    tagged = margins if math.isfinite(margin) else None
+    return CornerKind(corners_m, sign, options.tag_margin_share * margins, square_m, square_m, tagged)
 
 
 def accepted(

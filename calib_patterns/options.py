@@ -49,7 +49,11 @@ class FitOptions(NamedTuple):
     window_gap_share: float = 0.62
     """The same on an AprilGrid, as a share of its gap or of the tags' border, whichever is the narrower."""
     tag_margin_share: float = 0.6
-    """Part of the white around a tag that fits use: the rest is touched by the blur of the tag."""
+    """Part of the white around a tag that fits use at most."""
+    tag_clear_blurs: float = 2.0
+    """They stay so many standard deviations of the blur away from the tag, which darkens the white beside it."""
+    least_margin_share: float = 0.2
+    """Part of that white that they use all the same."""
     max_blur_squares: float = 0.32
     """Wider profiles across an edge are not fitted (standard deviation)."""
     model_sigma_px: float = 0.01

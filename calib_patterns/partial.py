@@ -4,6 +4,7 @@ The ids of a board that is seen in part are right up to a shift or a symmetry of
 absorbs. The part is placed so that its squares have the colours of the board, as near to the first corner as that allows.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,13 +118,13 @@ def grown(
     ny: int,
     options: DetectionOptions,
     *,
-    strip: float = 1.0,
+    margin: float = math.inf,
     strict: bool = True,
 ) -> tuple[Detection, Int[np.ndarray, "k 2"]]:
     """The corners of a piece, of what a board of nx x ny can have around it and of one row and column more, fitted, with their
     places: a board that goes on shows it there.
 
-    `factors` as in `visible_part`; `strip`: how far the white squares are plain along their sides, in squares;
+    `factors` as in `visible_part`; `margin`: how far tags are from the sides of white squares, in squares;
     `strict` as in `grow_corners`.
     """
     extent, low = _extent(piece.places), piece.places.min(0)
@@ -131,7 +132,7 @@ def grown(
     around = np.maximum((ways - extent).max(0), 0) + 1
     columns, rows = (np.arange(low[k] - around[k], low[k] + extent[k] + around[k]) for k in (0, 1))
     places = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
-    kind = squares_kind(places.astype(np.float64), _signs(places, piece.bright), 1.0, strip)
+    kind = squares_kind(places.astype(np.float64), _signs(places, piece.bright), 1.0, margin, options.fit)
     pixels = (piece.pixels + 0.5) * factors - 0.5
     sigma_px = np.full(len(pixels), options.saddles.sigma_px * float(factors.max()))
     seeds = KnownCorners(piece.places.astype(np.float64), pixels, sigma_px)

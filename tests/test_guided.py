@@ -11,7 +11,7 @@ import torch
 from scipy.optimize import least_squares
 from tag_views import View
 
-from calib_patterns import Detection, pattern
+from calib_patterns import Detection, DetectionOptions, pattern
 from calib_patterns.board_poses import random_board_poses
 from calib_patterns.fitted_again import fitted_again
 from calib_patterns.guided import GuidedCorners, guided_search, seen_ids
@@ -287,6 +287,28 @@ def test_bends_of_a_camera_correct_the_ends_of_a_board() -> None:
     first, second = (np.concatenate(parts) for parts in (before, after))
     assert np.abs(first).max() > 5.0 and np.abs(second).max() < 4.5
     assert np.sqrt((first**2).mean()) > 1.2 and np.sqrt((second**2).mean()) < 1.0
+
+
+def test_blurred_tags_beside_corners_do_not_draw_them() -> None:
+    """Squares of 10 to 20 px, tags an eighth of a square from their sides, a blur of 0.7 px: the lens compresses squares towards
+    its rim, so that what is dark beside a corner draws it inwards."""
+    board, lens = pattern("charuco:7x5:60mm:45mm:DICT_4X4_50"), example_camera("double-sphere", 200.0, (480, 480), 0)
+    beside = Pose.exp(torch.tensor([0.0, 0.5 * math.pi, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64))
+    poses = random_board_poses(board, lens, 8, math.radians(98.0), min_spacing_px=12.0, seed=2)
+    as_they_are, clear = DetectionOptions(), []
+    near_tags = replace(as_they_are, fit=as_they_are.fit._replace(tag_clear_blurs=0.0))
+    for options in (near_tags, as_they_are):
+        inwards = []
+        for k in range(8):
+            pose = beside @ poses[k]
+            image = render_target(board, lens, pose, supersample=8, blur_px=0.7, seed=k)
+            found, _ = board.detect(image, options=options)
+            again = fitted_again(image, board, lens, pose, found, options)
+            truth = lens.project(pose.transform(torch.as_tensor(board.points_m[found.ids])))[0].numpy()
+            towards = lens.centre_px.numpy() - truth
+            inwards.append(((again.pixels - truth) * towards).sum(1) / np.linalg.norm(towards, axis=1))
+        clear.append(float(np.concatenate(inwards).mean()))
+    assert clear[0] > 0.006 and abs(clear[1]) < 0.004, clear
 
 
 def test_what_is_no_corner_any_more_stays_as_it_was() -> None:
