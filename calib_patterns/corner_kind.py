@@ -52,8 +52,10 @@ class CornerKind:
         # Between opposite sides of a square, where it is the narrower.
         width_px = np.abs(np.linalg.det(first)) / np.maximum(np.linalg.norm(first, axis=1).max(-1), 1e-9)
         blurred = options.tag_clear_blurs * blur_px / np.maximum(width_px, 1e-9)
-        clear = np.maximum(self.margin - blurred[:, None, None], options.least_margin_share * self.margin)
-        return np.minimum(self.plain, clear)
+        tagged = np.isfinite(self.margin)
+        margin = np.where(tagged, self.margin, 0.0)
+        clear = np.maximum(margin - blurred[:, None, None], options.least_margin_share * margin)
+        return np.where(tagged, np.minimum(self.plain, clear), self.plain)
 
     def narrowed(self) -> "CornerKind":
         """With windows of half the width."""
@@ -74,10 +76,11 @@ def squares_kind(
 ) -> CornerKind:
     """The corners of a checkerboard whose black squares are plain, the white ones as far as `margin` squares from their sides;
     infinite where there are no tags."""
+    if not math.isfinite(margin):
+        return CornerKind(corners_m, sign, np.full((len(sign), 2, 2), np.inf), square_m, square_m)
     white = np.eye(2, dtype=bool) == (sign > 0)[:, None, None]
-    margins = np.where(white, margin, np.inf)
-    tagged = margins if math.isfinite(margin) else None
-    return CornerKind(corners_m, sign, options.tag_margin_share * margins, square_m, square_m, tagged)
+    plain = np.where(white, options.tag_margin_share * margin, np.inf)
+    return CornerKind(corners_m, sign, plain, square_m, square_m, np.where(white, margin, np.inf))
 
 
 def accepted(

@@ -36,18 +36,17 @@ def fitted_again(
     `image` as in `Pattern.detect`, of `model.image_size`; camera and pose have to be right to some pixels. Corners whose new
     fit is no corner of the board (corner_kind.py), or is the less certain, stay too.
     """
-    map_, seen = camera_map(model, cam_from_board, pattern.points_m[found.ids], pattern.corner_kind(options.fit).spacing_m, 0.0)
+    kind, grey = pattern.corner_kind(options.fit), grey_of(image)
+    edges, seen = camera_map(model, cam_from_board, pattern.points_m[found.ids], kind.spacing_m, 0.0)
     if not seen.any():
         return found
-    kind, grey = pattern.corner_kind(options.fit).at(found.ids[seen]), grey_of(image)
-    places = replace(places_at(map_, seen), pixels=found.pixels[seen])
+    kind, places = kind.at(found.ids[seen]), replace(places_at(edges, seen), pixels=found.pixels[seen])
     blur_px = 1.0 if found.blur_px is None else float(np.clip(np.median(found.blur_px.max(-1)), 0.5, 4.0))
     fit = kind.fit(grey, places, blur_px, options.fit)
     if pattern.plain_grid is not None and np.median(kind.sign * fit.contrast) < 0:
         kind = replace(kind, sign=-kind.sign)
-    taken = accepted(
-        kind, fit, places, float(np.median(np.abs(fit.contrast))), np.inf if found.blur_px is None else blur_px, options
-    )
+    contrast = float(np.median(np.abs(fit.contrast)))
+    taken = accepted(kind, fit, places, contrast, np.inf if found.blur_px is None else blur_px, options)
     taken &= (fit.sigma_px < MOST_SIGMAS * found.sigma_px[seen]) & inside_photo(fit.pixels, grey.shape)
     rows = np.flatnonzero(seen)[taken]
     blurs = None if found.blur_px is None else found.blur_px.copy()

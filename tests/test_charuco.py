@@ -1,6 +1,7 @@
 """ChArUco boards: OpenCV's geometry, print and numbering; detection through wide lenses, whole and in part."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -108,6 +109,18 @@ def test_one_tag_with_its_corners_is_enough() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("share", ["tag_margin_share", "least_margin_share"])
+def test_no_white_beside_tags_is_an_option(share: str) -> None:
+    """Black squares tell where corners are, without white ones too."""
+    pose = Pose.of(torch.eye(3), BOARD.points_m.mean(0) * -1.0 + [0.0, 0.0, 0.4])
+    image = render_target(BOARD, PINHOLE, pose, blur_px=0.7, seed=1)
+    options = DetectionOptions()
+    found, _ = BOARD.detect(image, options=replace(options, fit=options.fit._replace(**{share: 0.0})))
+    usual, _ = BOARD.detect(image)
+    assert len(usual) == len(BOARD.points_m) and np.isin(usual.ids, found.ids).all()
+    assert np.abs(found.pixels - usual.pixels).max() < 0.1
+
+
 def test_squares_lead_where_no_tag_can_be_read() -> None:
     """Squares of 12 px near the rim, blurred, of which four corners in a square are all that the search for pieces finds: others
     are grown around them, and all tags together tell which part of the board it is. Not with the tags of other dictionaries."""

@@ -238,7 +238,7 @@ def _guided(
     for done in range(options.searches):
         result = _fitted(found, guide, progress)
         poses = {view.name: view.cam_from_board for view in result.views if view.cam_from_board is not None}
-        # A photo that shows nothing to the first camera shows nothing to the next one, which sees the same bends of edges.
+        # What a photo shows to the first camera, corners and bends of edges, it shows to the next one.
         again = search_again(found, result.model, poses, first=done == 0, executor=executor, progress=progress)
         if done and np.array_equal(again.corners.board_m, found.corners.board_m):
             break

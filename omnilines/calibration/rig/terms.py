@@ -49,11 +49,11 @@ def _of_member(outcome: RigOutcome, member: int, held: Sequence[Sequence[int]]) 
     tail = _unsupported(outcome, member, columns)
     if not tail:
         return outcome, []
-    own = [columns[name] - first[member] for name in tail]
-    every = [[*before, *own] if k == member else [*before] for k, before in enumerate(held)]
+    mine = [columns[name] - first[member] for name in tail]
+    every = [[*zero, *mine] if k == member else [*zero] for k, zero in enumerate(held)]
     fewer = replace(data, bases=tuple(map(_free, data.bases, every)))
     points = outcome.fit.points.chosen(outcome.fit.kept)
-    before = [first[k] + column for k, columns_of in enumerate(held) for column in columns_of]
+    before = [first[k] + column for k, zero in enumerate(held) for column in zero]
     found = solve(fewer.problem(points), _without(outcome, tail, member, columns, before), max_iterations=300, damping=1e-8)
     lost = (found.cost - outcome.solution.cost) / outcome.factor.value
     if found.outcome is not Outcome.CONVERGED or lost > PER_TERM * len(tail):
@@ -65,7 +65,7 @@ def _of_member(outcome: RigOutcome, member: int, held: Sequence[Sequence[int]]) 
     )
     solution = replace(at, outcome=found.outcome, iterations=outcome.solution.iterations + found.iterations)
     fit = replace(outcome.fit, state=found.state)
-    return replace(outcome, solution=solution, fit=fit, notes=(*outcome.notes, note)), own
+    return replace(outcome, solution=solution, fit=fit, notes=(*outcome.notes, note)), mine
 
 
 def _free(basis: Float[Tensor, "parameters n"], held: Sequence[int]) -> Float[Tensor, "parameters k"]:
