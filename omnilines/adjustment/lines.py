@@ -55,7 +55,7 @@ def adjust_lines(
     loss: Loss | None = None,
     cautious: bool = False,
     options: AdjustmentOptions = AdjustmentOptions(),
-    max_iterations: int = 100,
+    max_iterations: int = 300,
     callback: Callable[[Progress], None] | None = None,
     device: str = "cpu",
     partition: int = 0,

@@ -21,7 +21,10 @@ ScenePhotos = Annotated[
 @app.command()
 def extract(
     photos: ScenePhotos,
-    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    calibration: Annotated[
+        Path,
+        typer.Option("--calibration", help="calibration.yaml of the camera; of panoramas equirectangular.", show_default=False),
+    ],
     out: Out,
     mask: MaskOf = None,
     split: SplitInto = None,
@@ -54,7 +57,10 @@ def extract(
 @app.command()
 def directions(
     photos: ScenePhotos,
-    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml of the camera.", show_default=False)],
+    calibration: Annotated[
+        Path,
+        typer.Option("--calibration", help="calibration.yaml of the camera; of panoramas equirectangular.", show_default=False),
+    ],
     out: Out,
     orthogonal: Annotated[
         bool, typer.Option("--orthogonal", help="Three directions at right angles, and the rotation of each photo.")

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from omnilines.pipelines.options import SceneOptions
     from omnilines.progress import ProgressCallback
 
-Calibration = Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)]
+Calibration = Annotated[
+    Path, typer.Option("--calibration", help="calibration.yaml; of panoramas equirectangular.", show_default=False)
+]
 Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world) or a COLMAP model's folder", show_default=False)]
 PoseSource = Annotated[
     str,

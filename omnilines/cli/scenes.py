@@ -64,7 +64,9 @@ def scene(
 @app.command()
 def rectify(
     photos: Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)],
-    calibration: Annotated[Path, typer.Option("--calibration", help="calibration.yaml", show_default=False)],
+    calibration: Annotated[
+        Path, typer.Option("--calibration", help="calibration.yaml; of panoramas equirectangular.", show_default=False)
+    ],
     out: Out,
     view: Annotated[str, typer.Option("--view", help="perspective, cylindrical, panorama or cube.")] = "perspective",
     poses: Annotated[

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from camera_models import load
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.folders import check_results
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.sets import claimed
@@ -30,8 +30,9 @@ def check(
 
     Raises InputError and GeometryError as `pipelines.check.check` does.
     """
-    cameras, refs = load(calibration), with_masks(find_photos(photos), mask)
-    read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
+    refs = with_masks(find_photos(photos), mask)
+    cameras = read_cameras(calibration, refs)
+    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     if out is not None:
         check_results(out, [CHECK], read)
     result = pipeline(refs, cameras, options, progress=progress)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from calib_patterns import DetectionOptions
-from camera_models import CameraModel, InputError, load
+from camera_models import CameraModel, InputError
 from camera_models.wording import listed
 from omnilines.commands.result import CommandResult
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.folders import check_results
 from omnilines.files.sets import claimed
 from omnilines.pages.corners import corners_summary
@@ -37,7 +38,7 @@ def detect(
     not that of one camera and these photos.
     """
     camera = None if calibration is None else _one_camera(calibration)
-    read = [*photos, *([] if calibration is None else [calibration])]
+    read = [*photos, *([] if calibration is None else calibration_files(calibration))]
     check_results(out, [CORNERS], read)
     found = pipeline.detect(
         photos, pattern_spec, camera=camera, mirrored=mirror, options=options, executor=executor, progress=progress
@@ -63,7 +64,7 @@ def detect(
 
 def _one_camera(calibration: Path) -> CameraModel:
     """The camera of a file of one; raises InputError where it holds more."""
-    cameras = load(calibration)
+    cameras = read_cameras(calibration)
     if len(cameras) != 1:
         raise InputError(
             f"{calibration}: the calibration of one camera was expected, found {len(cameras)} cameras ({listed(cameras)}); "

@@ -4,13 +4,14 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from camera_models import Calibration, load
+from camera_models import Calibration
 from camera_models.views import USUAL_PERSPECTIVE_DEG
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.uncertainty import supported_grid
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.folders import check_results
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.photos import require_distinct_stems
@@ -45,10 +46,11 @@ def directions(
     Only where the image `mask` is white is looked at, or that which each photo or camera has in the folder `mask`. Raises
     InputError as `pipelines.arcs.extract` and `pipelines.directions.directions` do.
     """
-    cameras, refs = load(calibration), with_masks(find_photos(photos), mask)
+    refs = with_masks(find_photos(photos), mask)
+    cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
-    read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
+    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     turns = (POSES, COVARIANCE) if orthogonal or vertical else ()
     check_results(out, [DIRECTIONS, ARCS, REPORT, *turns, *pictures], read)
     arcs = extract(refs, cameras, options=extraction, progress=progress)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
-from camera_models import load
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.folders import check_results
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.photos import require_distinct_stems
@@ -37,10 +37,11 @@ def extract(
     workers of an `executor` where one is given.
     Raises InputError as `pipelines.arcs.extract` does.
     """
-    cameras, refs = load(calibration), with_masks(find_photos(photos), mask)
+    refs = with_masks(find_photos(photos), mask)
+    cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
-    read = [*photos, *(photo.path for photo in refs), calibration, *mask_files(refs)]
+    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     check_results(out, [TABLE, *pictures], read)
     arcs = pipeline(refs, cameras, options=options, executor=executor, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:

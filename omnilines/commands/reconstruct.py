@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
-from camera_models import Calibration, InputError, load
+from camera_models import Calibration, InputError
 from omnilines.adjustment.arcs import cameras_of_images
 from omnilines.commands.result import CommandResult
 from omnilines.commands.resume import Stamp
@@ -20,6 +20,7 @@ from omnilines.files import (
     read_poses,
     read_segments,
 )
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.colmap_scene import COLMAP_FILES, LINES_FILE, check_colmap_folder, colmap_cameras, write_colmap_scene
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import check_results, check_work_folder
@@ -83,7 +84,8 @@ def reconstruct_photos(
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
     input, and GeometryError naming the stage where no line is left.
     """
-    refs, cameras = with_masks(find_photos(photos), mask), load(calibration)
+    refs = with_masks(find_photos(photos), mask)
+    cameras = read_cameras(calibration, refs)
     camera_of = cameras_of_photos(refs, cameras, None if from_photos(poses) else named_cameras(poses))
     given = _given(segments, mask, refs, camera_of)
     unit = unit_of_poses(poses, cameras, camera_of)
@@ -96,13 +98,14 @@ def reconstruct_photos(
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     if recording:
         rerun_module()
-    files = [calibration, *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
+    files = [*calibration_files(calibration), *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
     check_results(folder, names, read)
     check_work_folder(work, read)
     names_of = [photo.name for photo in refs]
-    wanted = repr((options.stated, extraction.stated, poses, pattern, distance, prior, colmap, recording, names_of))
+    sizes = [model.image_size for model in cameras.values()]
+    wanted = repr((options.stated, extraction.stated, sizes, poses, pattern, distance, prior, colmap, recording, names_of))
     stamp = Stamp(folder / STAMP, fingerprint([*(photo.path for photo in refs), *files], wanted, revision(*MADE_BY)))
     done = stamp.result()
     if done is not None:
@@ -154,9 +157,9 @@ def reconstruct_segments(
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
-    names, read = (*SCENE_FILES, PAGE), [calibration, poses, segments, *_pose_files(str(poses))]
+    names, read = (*SCENE_FILES, PAGE), [*calibration_files(calibration), poses, segments, *_pose_files(str(poses))]
     check_results(out, names, read)
-    cameras, table = load(calibration), read_segments(segments)
+    cameras, table = read_cameras(calibration), read_segments(segments)
     posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)

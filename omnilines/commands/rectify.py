@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from camera_models import load
 from camera_models.wording import listed, rounded
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
+from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.colmap_scene import check_colmap_folder
 from omnilines.files.folders import check_output_folder, check_results
 from omnilines.files.photos import require_distinct_stems
@@ -49,7 +49,8 @@ def rectify(
     Perspective and cube views with poses are also written as a COLMAP text model, in the folder `colmap`. Raises InputError as
     `pipelines.rectify.rectify` does.
     """
-    cameras, refs = load(calibration), find_photos(photos)
+    refs = find_photos(photos)
+    cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)
     table = None if poses is None else read_poses(poses)
     asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "distance_m": distance_m}
@@ -57,7 +58,7 @@ def rectify(
     check_output_folder(folder)
     if table is not None and view in COLMAP_VIEWS:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
-    read = [*photos, *(photo.path for photo in refs), calibration, *([] if poses is None else [poses])]
+    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *([] if poses is None else [poses])]
     if upright:
         check_results(folder, ["calibration.yaml", LEVELS], read)
     inputs: dict[str, Any] = {"calibration": calibration, "poses": poses, "view": view, **asked}
