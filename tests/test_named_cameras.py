@@ -21,6 +21,7 @@ def photo(width: int, height: int, name: str = "a.png") -> PhotoArray:
         ("equirectangular:640x200", [photo(100, 50)], (640, 200)),
         ("equirectangular", [photo(100, 50)], (100, 50)),
         ("equirectangular", [photo(1001, 500)], (1001, 500)),
+        ("equirectangular", [photo(80, 60), photo(100, 50)], (100, 50)),
     ],
 )
 def test_camera_of_a_name(given, photos, size):

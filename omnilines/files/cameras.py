@@ -15,11 +15,11 @@ _WIDTH_OF_HEIGHT, _ROUNDED_PX = 2, 2
 
 
 def read_cameras(given: str | Path, photos: Sequence[Photo] = ()) -> Calibration:
-    """The cameras of a calibration file, or of `equirectangular:5376x2688`; of `equirectangular` alone the first photo that can
-    be read has the size.
+    """The cameras of a calibration file, or of `equirectangular:5376x2688`; of `equirectangular` alone the first photo has the
+    size that is twice as wide as high.
 
-    Raises InputError as `camera_models.load` does, where a size is malformed or missing, and where photos whose size is taken are
-    not twice as wide as high, as panoramas of the whole sphere are.
+    Raises InputError as `camera_models.load` does, where a size is malformed or missing, and where no photo is twice as
+    wide as high, as panoramas of the whole sphere are.
     """
     name, _, size = str(given).partition(":")
     if name not in dict(MODELS) or Path(given).is_file():
@@ -49,21 +49,22 @@ def _asked(given: str | Path, size: str) -> tuple[int, int]:
 
 
 def _found(model: type[CameraModel], photos: Sequence[Photo]) -> tuple[int, int]:
-    first: InputError | None = None
+    """The size of the first photo that may be a panorama; others are for those who read them to skip."""
+    refused: InputError | None = None
     for photo in photos:
         try:
             height, width = photo.read().shape[:2]
         except InputError as error:
-            first = first or error
+            refused = refused or error
             continue
-        if abs(width - _WIDTH_OF_HEIGHT * height) > _ROUNDED_PX:
-            raise InputError(
-                f"Panoramas of the whole sphere, twice as wide as high, were expected of --calibration {model.NAME}, found "
-                f"{photo.name} of {width}x{height} px; give the calibration of the camera, or, if it is such a panorama, "
-                f"{model.NAME}:{width}x{height}."
-            )
-        return width, height
-    raise first or InputError(
+        if abs(width - _WIDTH_OF_HEIGHT * height) <= _ROUNDED_PX:
+            return width, height
+        refused = refused or InputError(
+            f"Panoramas of the whole sphere, twice as wide as high, were expected of --calibration {model.NAME}, found "
+            f"{photo.name} of {width}x{height} px; give the calibration of the camera, or, if it is such a panorama, "
+            f"{model.NAME}:{width}x{height}."
+        )
+    raise refused or InputError(
         f"The size of the panoramas was expected beside {model.NAME}; give {model.NAME}:WIDTHxHEIGHT, such as "
         f"{model.NAME}:5376x2688."
     )
