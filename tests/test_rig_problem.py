@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rig_views import FISHEYE_220, MIRROR, PINHOLE
+from rig_views import FISHEYE_220, MIRROR, PINHOLE, pair, setups
 
 from camera_models.pose import Pose, adjoint
 from omnilines.calibration.board_shape import BoardShape
+from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.links import links, relative_pose, weakest_link
+from omnilines.calibration.rig.own_motion import OwnMotion
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
 from omnilines.calibration.thresholds import NoiseThresholds
 from omnilines.least_squares import solve
-from omnilines.least_squares.schur import normal_equations
+from omnilines.least_squares.groups import Groups
+from omnilines.least_squares.schur import normal_equations, reduce
 
 SHIFT_PX = NoiseThresholds().radial_shift_px
 MODELS = (PINHOLE, FISHEYE_220, MIRROR)
@@ -119,6 +122,46 @@ def test_normal_equations_are_those_of_the_dense_jacobian(free_boards, held):
         for block, columns, rows in zip(part.blocks.tolist(), part.columns, part.rows, strict=True):
             coupling[columns, 6 * block : 6 * block + 6] = found.coupling[rows]
     torch.testing.assert_close(coupling, dense[:k, k:], rtol=1e-8, atol=1e-10 * size)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(("free_boards", "held"), CASES)
+def test_what_each_frame_adds_is_what_it_adds_alone(free_boards, held, moving):
+    problem, state = problem_of(free_boards, held)
+    points = problem.points
+    if moving:
+        sigma = torch.full((len(points.camera), 6), 1e-3, dtype=torch.float64)
+        points = replace(points, motion=OwnMotion(sigma, torch.zeros(3, dtype=torch.float64)))
+        state = replace(state, moved=torch.zeros(len(points.camera), 6, dtype=torch.float64))
+
+    def of(some):
+        return RigProblem(some, problem.bases, 2, free_boards, 5)
+
+    frames = torch.tensor([3, 0, 4])
+    found = Groups.of_blocks(of(points).structure, of(points).linearise(state), frames)
+    for k, frame in enumerate(frames.tolist()):
+        alone = of(points.chosen(points.frame[points.view] == frame))
+        at = alone.linearise(state)
+        reduced = reduce(normal_equations(alone.structure, at, torch.ones(len(at.residual), dtype=torch.float64)), 0.0)
+        size = float(reduced.matrix.abs().max()) + 1e-300
+        torch.testing.assert_close(found.matrix[k], reduced.matrix, rtol=1e-8, atol=1e-10 * size)
+        torch.testing.assert_close(found.gradient[k], reduced.right_side, rtol=1e-8, atol=1e-10 * size)
+
+
+@pytest.mark.slow
+def test_frames_are_compared_in_one_pass_over_them(monkeypatch):
+    """Taken out one by one, each of F frames took a pass over all F: of 600 frames two thirds of the time of a calibration."""
+    passes = []
+    linearise = RigProblem.linearise
+    monkeypatch.setattr(RigProblem, "linearise", lambda problem, state: passes.append(1) or linearise(problem, state))
+    counts = []
+    for frames in (20, 60):
+        rig = pair(frames)
+        passes.clear()
+        result = calibrate_rig(rig.noisy(0.2, 1), setups(rig))
+        assert len(result.frames) == frames
+        counts.append(len(passes))
+    assert counts[1] < counts[0] + 20
 
 
 @pytest.mark.slow

@@ -15,8 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
+
+from omnilines.least_squares.schur import CellLinearisation, normal_equations, products_of_cells, reduce
+from omnilines.least_squares.structure import Structure
 
 OPEN = 1e-10
 """Eigenvalues of S_g below this share of its largest, columns scaled, are those of directions that the group leaves open."""
@@ -28,6 +31,33 @@ class Groups:
 
     matrix: Float[Tensor, "g k k"]
     gradient: Float[Tensor, "g k"]
+
+    @staticmethod
+    def of_blocks(structure: Structure, at: CellLinearisation, blocks: Int[Tensor, " g"]) -> "Groups":
+        """Of some eliminated blocks, each of which is that of a group. All together in one pass: block by block takes as many
+        passes over all of them."""
+        e, k, weight = structure.dim, structure.kept_size, torch.ones(len(at.residual), dtype=at.residual.dtype)
+        place = torch.full((structure.count,), len(blocks))
+        place[blocks] = torch.arange(len(blocks))
+        # What is of no group goes into one more, which is dropped.
+        matrix, gradient = weight.new_zeros((len(blocks) + 1) * k * k), weight.new_zeros((len(blocks) + 1) * k)
+
+        def add(owner: Int[Tensor, " n"], columns: Int[Tensor, "n c"], full: Tensor, right: Tensor) -> None:
+            rows = place[owner][:, None] * k + columns
+            matrix.index_add_(0, (rows[:, :, None] * k + columns[:, None, :]).flatten(), full.flatten())
+            gradient.index_add_(0, rows.flatten(), right.flatten())
+
+        for cells in products_of_cells(structure, at, weight):
+            add(cells.owner, cells.columns, cells.full[:, e:, e:], cells.right[:, e:])
+        equations = normal_equations(structure, at, weight)
+        factor = reduce(equations, 0.0).factor
+        for part in structure.size_classes:
+            y, g = (
+                torch.linalg.solve_triangular(factor[part.blocks], right, upper=False)
+                for right in (equations.coupling[part.rows].mT, equations.eliminated_gradient[part.blocks][..., None])
+            )
+            add(part.blocks, part.columns, -(y.mT @ y), -(y.mT @ g))
+        return Groups(matrix.view(-1, k, k)[:-1], gradient.view(-1, k)[:-1])
 
     @cached_property
     def between(self) -> tuple[float, int]:

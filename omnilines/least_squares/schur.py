@@ -7,6 +7,7 @@ E is block diagonal. With the Cholesky factor E = L L' and Y = W L'^-1, S = K - 
 touches is formed, batched over blocks with equally many of them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -166,12 +167,23 @@ def _shared_normal_equations(structure: Structure, at: Linearisation, root: Floa
     )
 
 
-def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
-    """M' (L' w L) M of every cell, with the local Jacobian L and the chain M to the blocks, then sums over cells."""
-    e, k = structure.dim, structure.kept_size
-    new = at.residual.new_zeros
-    eliminated, gradient = new(structure.count, e, e), new(structure.count, e)
-    coupling, kept, kept_gradient = new(structure.table_size, e), new(k * k), new(k)
+@dataclass(frozen=True)
+class CellProducts:
+    """M' (L' w L) M of the cells of a part, with the local Jacobian L and the chain M to the blocks: first the columns of the
+    eliminated block, then those of the kept ones."""
+
+    owner: Int[Tensor, " cells"]
+    """Eliminated block of each cell."""
+    columns: Int[Tensor, "cells c"]
+    """Kept columns."""
+    table: Int[Tensor, "cells c"]
+    """Where those lie in the coupling table."""
+    full: Float[Tensor, "cells b b"]
+    right: Float[Tensor, "cells b"]
+
+
+def products_of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor, " n"]) -> Iterator[CellProducts]:
+    """Of one part after the other."""
     row = cell = 0
     for part in at.parts:
         rows, cells = slice(row, row + len(part.local)), slice(cell, cell + part.cells.count)
@@ -180,11 +192,21 @@ def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor,
         gram = part.cells.gram(joint)
         chain = torch.cat([part.by_eliminated, *(by for _, by in part.by_kept)], -1)
         full, right = chain.mT @ gram[:, :-1, :-1] @ chain, (chain.mT @ gram[:, :-1, -1:])[..., 0]
-        owner = structure.index[cells]
-        eliminated.index_add_(0, owner, full[:, :e, :e])
-        gradient.index_add_(0, owner, right[:, :e])
         columns, table = structure.places(cells, [group for group, _ in part.by_kept])
-        coupling.index_add_(0, table.flatten(), full[:, e:, :e].flatten(0, 1))
+        yield CellProducts(structure.index[cells], columns, table, full, right)
+
+
+def _of_cells(structure: Structure, at: CellLinearisation, weight: Float[Tensor, " n"]) -> NormalEquations:
+    """Products of cells, summed."""
+    e, k = structure.dim, structure.kept_size
+    new = at.residual.new_zeros
+    eliminated, gradient = new(structure.count, e, e), new(structure.count, e)
+    coupling, kept, kept_gradient = new(structure.table_size, e), new(k * k), new(k)
+    for part in products_of_cells(structure, at, weight):
+        full, right, columns = part.full, part.right, part.columns
+        eliminated.index_add_(0, part.owner, full[:, :e, :e])
+        gradient.index_add_(0, part.owner, right[:, :e])
+        coupling.index_add_(0, part.table.flatten(), full[:, e:, :e].flatten(0, 1))
         kept_gradient.index_add_(0, columns.flatten(), right[:, e:].flatten())
         kept.index_add_(0, (columns[:, :, None] * k + columns[:, None, :]).flatten(), full[:, e:, e:].flatten())
     return NormalEquations(

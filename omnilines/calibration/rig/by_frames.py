@@ -12,7 +12,6 @@ from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigState
 from omnilines.least_squares.groups import Groups
-from omnilines.least_squares.schur import normal_equations, reduce
 
 LEAST_FRAMES = 4
 
@@ -25,7 +24,7 @@ def spread_of_frames(data: RigData, points: RigPoints, state: RigState) -> Float
 
 def groups_of_frames(data: RigData, points: RigPoints, state: RigState) -> Groups | None:
     """What each frame adds to the normal equations of the kept parameters; None with too few frames to tell."""
-    groups = Groups(*_of_each(data, points, state))
+    groups = _of_each(data, points, state)
     return None if len(groups.matrix) < LEAST_FRAMES else groups
 
 
@@ -33,7 +32,8 @@ def spread_of_runs(data: RigData, points: RigPoints, state: RigState) -> Float[T
     """Variance of the kept parameters as runs of frames contradict each other: S^-1 sum g_f g_f' S^-1, where all together would
     have them (K.-Y. Liang and S. Zeger 1986). Few runs only lower that, where they raise the jackknife. None with too few runs to
     tell."""
-    matrix, gradient = _of_each(data, points, state)
+    each = _of_each(data, points, state)
+    matrix, gradient = each.matrix, each.gradient
     runs = len(matrix)
     if runs < LEAST_FRAMES:
         return None
@@ -48,14 +48,7 @@ def spread_of_runs(data: RigData, points: RigPoints, state: RigState) -> Float[T
     return runs / (runs - 1) * steps.square().sum(0)
 
 
-def _of_each(data: RigData, points: RigPoints, state: RigState) -> tuple[Float[Tensor, "f k k"], Float[Tensor, "f k"]]:
-    """S_f and g_f of every frame, or run."""
-    frames = torch.unique(points.frame[points.view]).tolist()
-    matrices, gradients = [], []
-    for frame in frames:
-        problem = data.problem(points.chosen(points.frame[points.view] == frame))
-        at = problem.linearise(state)
-        reduced = reduce(normal_equations(problem.structure, at, torch.ones(len(at.residual), dtype=torch.float64)), 0.0)
-        matrices.append(reduced.matrix)
-        gradients.append(reduced.right_side)
-    return torch.stack(matrices), torch.stack(gradients)
+def _of_each(data: RigData, points: RigPoints, state: RigState) -> Groups:
+    """Of every frame, or run, with corners."""
+    problem = data.problem(points)
+    return Groups.of_blocks(problem.structure, problem.linearise(state), torch.unique(points.frame[points.view]))
