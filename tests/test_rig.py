@@ -428,25 +428,3 @@ def test_malformed_rigs_are_refused():
             Corners(rig.corners.view[few], names, names, rig.corners.board_m[few], rig.corners.pixels[few]),
             {"cam0": CameraSetup(PINHOLE.image_size, "pinhole")},
         )
-
-
-def test_the_same_photos_under_two_names_of_cameras_are_refused():
-    rig = pair(6)
-    table = rig.noisy(NOISE_PX, 0)
-    own = [v for v, camera in enumerate(table.cameras) if camera == "cam0"]
-    first = np.isin(table.view, own)
-    # Encoded anew, corners move by less than the tolerance.
-    moved = table.pixels[first] + 0.03 * np.random.default_rng(1).standard_normal((int(first.sum()), 2))
-    copied = replace(
-        table,
-        view=np.concatenate([table.view, len(table.images) + np.searchsorted(own, table.view[first])]),
-        view_names=(*table.view_names, *(f"copy/{v}" for v in own)),
-        images=(*table.images, *(f"copy/{v}" for v in own)),
-        cameras=(*table.cameras, *["copy"] * len(own)),
-        frames=(*table.frames, *(table.frames[v] for v in own)),
-        board_m=np.concatenate([table.board_m, table.board_m[first]]),
-        pixels=np.concatenate([table.pixels, moved]),
-    )
-    said = rf"cameras cam0 and copy .* in {len(own)} photos of both, first in {table.images[own[0]]} and copy/{own[0]};"
-    with pytest.raises(InputError, match=said):
-        calibrate_rig(copied, setups(rig) | {"copy": setups(rig)["cam0"]})

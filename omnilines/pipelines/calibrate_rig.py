@@ -30,6 +30,7 @@ from omnilines.least_squares import Progress
 from omnilines.pipelines.line_delay import require_times
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
+from omnilines.pipelines.rig_copies import rig_without_copies
 from omnilines.pipelines.rig_corners import RigCorners, require_all_named
 from omnilines.pipelines.rig_search import searched_with_rig
 from omnilines.pipelines.seen_boards import before_geometry
@@ -271,6 +272,9 @@ def calibrate_rig(
         )
     if setup.options.rolling_shutter:
         require_times(corners.corners)
+    thresholds = setup.options
+    least = {name: 1 if name in setup.start else thresholds.views.least_views for name in corners.image_sizes}
+    corners = rig_without_copies(corners, least, thresholds.duplicates, in_cameras=not thresholds.rolling_shutter)
     # Of several boards each may show the tags of another.
     one_board = len({item.pattern for item in corners.cameras}) == 1
     with before_geometry({item.camera: item.found for item in corners.cameras} if one_board else {}, progress):

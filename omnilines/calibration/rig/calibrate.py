@@ -16,7 +16,6 @@ from omnilines.calibration.rig.agreeing_views import fit_agreeing_views, rig_dat
 from omnilines.calibration.rig.alone import AloneCamera, CameraSetup
 from omnilines.calibration.rig.begin import begun_rig
 from omnilines.calibration.rig.clocks import with_clocks
-from omnilines.calibration.rig.copied import require_own_photos
 from omnilines.calibration.rig.fewer import state_of
 from omnilines.calibration.rig.finish import rig_result
 from omnilines.calibration.rig.joint import least_squares_rig, not_fitted
@@ -56,12 +55,10 @@ def calibrate_rig(
     contradict each other, with `time_offsets` always. Rolling shutters are recognised in views with times; with `rolling_shutter`
     the line delays are estimated. `callback` is told the stage and its progress.
 
-    Raises InputError for a malformed table, for photos of one camera under the name of another, or with `rolling_shutter` for a
-    table without frames that follow one another closely, and GeometryError where no two cameras hang together or the data leave
-    the rig open.
+    Raises InputError for a malformed table, or with `rolling_shutter` for a table without frames that follow one another closely,
+    and GeometryError where no two cameras hang together or the data leave the rig open.
     """
     views = RigViews.of(corners, tuple(cameras), relation)
-    require_own_photos(views, thresholds.duplicates)
     if refine_board and len(views.boards) > 1:
         raise InputError(f"One board was expected with `refine_board`, found {len(views.boards)}; calibrate with one of them.")
     begun = begun_rig(views, cameras, loss, numberings, seen_from_front, thresholds=thresholds, callback=callback)
